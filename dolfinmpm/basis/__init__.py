@@ -1,0 +1,7 @@
+"""Bases: each turns material points into stencils of nodes, values and gradients."""
+
+from dolfinmpm.basis.gimp import LatticeBasis
+from dolfinmpm.basis.linear import LinearBasis
+from dolfinmpm.basis.stencils import Stencils
+
+__all__ = ["LatticeBasis", "LinearBasis", "Stencils"]

@@ -1,0 +1,92 @@
+"""Linear basis on any DOLFINx mesh of straight-sided cells."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from dolfinx.mesh import CellType, Mesh
+
+from dolfinmpm._compat import geometry_dofmap
+from dolfinmpm.basis.cells import BOX, SIMPLEX, pull_back
+from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
+from dolfinmpm.halo import Numbering
+
+__all__ = ["LinearBasis", "kind_of"]
+
+
+def kind_of(grid: Mesh) -> int:
+    """SIMPLEX or BOX, as the kernels of `cells` take it."""
+    simplices = (CellType.triangle, CellType.tetrahedron)
+    return SIMPLEX if grid.topology.cell_type in simplices else BOX
+
+
+@numba.njit(cache=True)
+def _fill(kind, vertices, coordinates, dofs, x, cells, order, groups, nodes, N, dN):
+    m, d = vertices.shape[1], x.shape[1]
+    X, N_ref, dN_ref = np.empty((m, d)), np.empty(m), np.empty((m, d))
+    J, K, xi = np.empty((d, d)), np.empty((d, d)), np.empty(d)
+    rank = np.empty(m, np.int64)
+    for g in range(groups.size - 1):
+        cell = cells[order[groups[g]]]
+        for a in range(m):
+            rank[a] = 0
+            for b in range(m):
+                if dofs[cell, b] < dofs[cell, a]:
+                    rank[a] += 1
+            nodes[g * m + rank[a]] = dofs[cell, a]
+            for i in range(d):
+                X[a, i] = coordinates[vertices[cell, a], i]
+        for position in range(groups[g], groups[g + 1]):
+            pull_back(kind, X, x[order[position]], xi, N_ref, dN_ref, J, K)
+            for a in range(m):
+                at = position * m + rank[a]
+                N[at] = N_ref[a]
+                for i in range(d):
+                    dN[at, i] = 0.0
+                    for j in range(d):
+                        dN[at, i] += dN_ref[a, j] * K[j, i]
+
+
+class LinearBasis:
+    """Linear functions of the cell that a point is in.
+
+    Args:
+        grid: Background grid of intervals, triangles, quadrilaterals, tetrahedra
+            or hexahedra.
+        node_map: Index map of the grid's linear Lagrange space.
+        dofs: Its nodes by cell, shape (cells, nodes of a cell).
+    """
+
+    order = 1
+    name = "linear"
+
+    def __init__(self, grid: Mesh, node_map, dofs):
+        self.grid = grid
+        self.nodes = Numbering(grid.comm, node_map)
+        self.cells = Numbering(grid.comm, grid.topology.index_map(grid.topology.dim))
+        self._dofs = dofs
+        self._vertices = geometry_dofmap(grid)
+        self._coordinates = np.ascontiguousarray(grid.geometry.x[:, : grid.geometry.dim])
+        self._kind = kind_of(grid)
+
+    def stencils(self, points) -> Stencils:
+        """Stencils of the points where they are now.
+
+        Args:
+            points: Material points; reads x and cell.
+        """
+        x, cells = points["x"], points["cell"]
+        order = np.argsort(cells, kind="stable").astype(np.int32)
+        groups = group_starts(cells[order].astype(np.int64))
+        number, m = groups.size - 1, self._vertices.shape[1]
+        s = Stencils(
+            order, groups, running_sum(np.full(number, m), np.int32), np.empty(number * m, np.int32),
+            running_sum(np.diff(groups).astype(np.int64) * m, np.int64),
+            np.empty(len(x) * m), np.empty((len(x) * m, x.shape[1])),
+            np.arange(number + 1, dtype=np.int32), cells[order[groups[:-1]]],
+        )  # fmt: skip
+        _fill(
+            self._kind, self._vertices, self._coordinates, self._dofs, x, cells, order, groups,
+            s.nodes, s.N, s.dN,
+        )  # fmt: skip
+        return s

@@ -1,0 +1,101 @@
+"""Stencils: for each material point a row of nodes, values N and gradients of N.
+
+Points that see the same nodes form a group. The nodes are kept once a group, in
+increasing order, and the points of a group follow each other, so that a group's
+stiffness can be summed before it is scattered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Stencils", "gather"]
+
+
+@dataclass(frozen=True)
+class Stencils:
+    """Stencils of all material points of this rank.
+
+    Attributes:
+        order: Point of each position, grouped; shape (points,).
+        groups: First position of every group, shape (groups + 1,).
+        node_start: First entry of every group in `nodes`, shape (groups + 1,).
+        nodes: Local node indices, increasing within a group.
+        value_start: First entry of every group in `N` and `dN`, shape (groups + 1,).
+        N: Values of the basis functions (-), one row of the group's nodes after
+            the other.
+        dN: Their gradients (1/m), shape (len(N), gdim).
+        cell_start: First entry of every group in `cells`, shape (groups + 1,).
+        cells: Local indices of the cells that the group's points overlap.
+    """
+
+    order: npt.NDArray[np.int32]
+    groups: npt.NDArray[np.int32]
+    node_start: npt.NDArray[np.int32]
+    nodes: npt.NDArray[np.int32]
+    value_start: npt.NDArray[np.int64]
+    N: npt.NDArray[np.float64]
+    dN: npt.NDArray[np.float64]
+    cell_start: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+
+    def row(self, point: int) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
+        """Nodes, N and ∇N of one point, shapes (m,), (m,) and (m, gdim)."""
+        position = int(np.flatnonzero(self.order == point)[0])
+        g = int(np.searchsorted(self.groups, position, side="right")) - 1
+        nodes = self.nodes[self.node_start[g] : self.node_start[g + 1]]
+        start = self.value_start[g] + (position - self.groups[g]) * nodes.size
+        return nodes, self.N[start : start + nodes.size], self.dN[start : start + nodes.size]
+
+
+def group_starts(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
+    """First position of every run of equal keys, and the number of keys behind them."""
+    starts = np.flatnonzero(np.diff(keys, prepend=-1)) if keys.size else np.empty(0, np.int64)
+    return np.append(starts, keys.size).astype(np.int32)
+
+
+def running_sum(counts: npt.NDArray[np.integer], dtype: npt.DTypeLike) -> npt.NDArray:
+    """0 and the sums of the first 1, 2, ... counts."""
+    total = np.zeros(counts.size + 1, dtype)
+    np.cumsum(counts, out=total[1:])
+    return total
+
+
+@numba.njit(cache=True)
+def _gather(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
+    components, gdim = gradient.shape[1], gradient.shape[2]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for i in range(components):
+                value[p, i] = 0.0
+                for j in range(gdim):
+                    gradient[p, i, j] = 0.0
+            for a in range(m):
+                node = nodes[first + a]
+                for i in range(components):
+                    u_ai = u[node, i]
+                    value[p, i] += N[at + a] * u_ai
+                    for j in range(gdim):
+                        gradient[p, i, j] += dN[at + a, j] * u_ai
+
+
+def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArray) -> None:
+    """Evaluate nodal values and their gradients at the points.
+
+    Args:
+        s: Stencils.
+        u: Nodal values, shape (nodes, components).
+        value: Written: Σ N_a u_a, shape (points, components).
+        gradient: Written: Σ u_a ⊗ ∇N_a, shape (points, components, gdim).
+    """
+    _gather(
+        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient
+    )

@@ -1,0 +1,219 @@
+"""Point terms evaluated: nodal increments in, fluxes and tangents at the points out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.algorithms import expand_derivatives
+from ufl.core.expr import Expr
+
+from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import gather
+from dolfinmpm.errors import FieldShapeError
+from dolfinmpm.forms.pointwise import Program, compile_program
+from dolfinmpm.forms.split import PointTerms, Slots
+from dolfinmpm.points import MaterialPoints
+from dolfinmpm.space import Space
+
+__all__ = ["PointEvaluator", "PointUpdates"]
+
+Array = npt.NDArray[np.float64]
+
+
+def _function_values(function: fem.Function, gradient: bool, points: MaterialPoints) -> Array:
+    """A DOLFINx function, or its gradient, at the points."""
+    if gradient:
+        shape = (*function.ufl_shape, points.gdim)
+        degree = max(function.function_space.ufl_element().embedded_superdegree, 1)
+        space = fem.functionspace(points.grid, ("DG", degree, shape))
+        slope = fem.Function(space)
+        expression = fem.Expression(ufl.grad(function), space.element.interpolation_points())
+        slope.interpolate(expression)
+        function = slope
+    if len(points) == 0:
+        return np.empty((0, *function.ufl_shape))
+    x = np.zeros((len(points), 3))
+    x[:, : points.gdim] = points["x"]
+    return np.ascontiguousarray(function.eval(x, points["cell"])).reshape(len(points), -1)
+
+
+class PointEvaluator:
+    """Fluxes and tangents of compiled point terms.
+
+    Residual and tangent are pure functions of the points' state and the nodal
+    increments.
+
+    Args:
+        terms: Compiled terms.
+        spaces: Spaces of the fields, stacked.
+        points: Material points.
+    """
+
+    def __init__(self, terms: PointTerms, spaces: Sequence[Space], points: MaterialPoints):
+        self._terms = terms
+        self._points = points
+        self._components = sum(space.components for space in spaces)
+        self._starts = np.cumsum([0] + [space.components for space in spaces])
+        self._data: dict[tuple, Array] = {}
+        self.failed_point = -1
+
+    @property
+    def gradient_only(self) -> bool:
+        """Whether only gradients enter the tangent."""
+        return self._terms.gradient_only
+
+    def start_step(self, stencils: Stencils) -> None:
+        """Take the points' fields and stencils as they are now. Collective."""
+        points, n, d, nc = self._points, len(self._points), self._points.gdim, self._components
+        self._stencils = stencils
+        self._value = np.zeros((n, nc))
+        self._gradient = np.zeros((n, nc, d))
+        self._data.clear()
+        for name, values in points.fields.items():
+            if values.dtype == np.float64:
+                self._data["field", name] = values
+        for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
+            whole = last - first == nc
+            self._data["value", k] = self._value if whole else np.empty((n, last - first))
+            self._data["gradient", k] = (
+                self._gradient.reshape(n, nc * d) if whole else np.empty((n, (last - first) * d))
+            )
+        for k, operator in enumerate(self._terms.operators):
+            size = int(np.prod(operator.ufl_shape))
+            inner = int(np.prod(operator.operand.ufl_shape))
+            self._data["operator", k] = np.empty((n, size))
+            self._data["operator tangent", k] = np.empty((n, size, inner))
+        for k, (function, gradient) in enumerate(self._terms.functions):
+            self._data["function", k] = _function_values(function, gradient, points)
+        self.update_constants()
+
+    def update_constants(self) -> None:
+        """Take the values of the DOLFINx constants as they are now."""
+        for k, constant in enumerate(self._terms.constants):
+            self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
+
+    def interpolate(self, u: Array) -> None:
+        """Values and gradients of the nodal increments, shape (nodes, components), at the points."""
+        gather(self._stencils, u, self._value, self._gradient)
+        if len(self._starts) > 2:
+            n = len(self._value)
+            for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
+                self._data["value", k][:] = self._value[:, first:last]
+                self._data["gradient", k][:] = self._gradient[:, first:last].reshape(n, -1)
+
+    @property
+    def value(self) -> Array:
+        """Increments at the points, shape (points, components)."""
+        return self._value
+
+    @property
+    def gradient(self) -> Array:
+        """Their gradients, shape (points, components, gdim)."""
+        return self._gradient
+
+    def operand(self, k: int) -> Array:
+        """Operand of the k-th operator, shape (points, size)."""
+        source = self._terms.operands[k]
+        if isinstance(source, Program):
+            values = np.empty((len(self._points), source.size))
+            source.run(self._data, values)
+            return values
+        return self._data[source]
+
+    def _run_operators(self, tangent: bool) -> bool:
+        self.failed_point = -1
+        for k, operator in enumerate(self._terms.operators):
+            slope = self._data["operator tangent", k] if tangent else None
+            bad = operator.law.evaluate(self.operand(k), self._data["operator", k], slope)
+            if bad >= 0:
+                self.failed_point = bad
+                return False
+        return True
+
+    def flux(self) -> Array | None:
+        """Flux of the internal terms, or None where a law found no stress."""
+        out = np.zeros((len(self._points), self._components * (1 + self._points.gdim)))
+        if self._terms.internal is not None:
+            if not self._run_operators(False):
+                return None
+            self._terms.internal.run(self._data, out)
+        return out
+
+    def external_flux(self) -> Array | None:
+        """Flux of the terms that do not depend on the increments, or None if there are none."""
+        if self._terms.external is None:
+            return None
+        out = np.empty((len(self._points), self._terms.external.size))
+        self._terms.external.run(self._data, out)
+        return out
+
+    def tangent(self) -> Array | None:
+        """Tangent of the internal terms, or None if there are none."""
+        if self._terms.tangent is None:
+            return None
+        self._run_operators(True)
+        out = np.empty((len(self._points), self._terms.tangent.size))
+        self._terms.tangent.run(self._data, out)
+        return out
+
+    def commit(self) -> dict[str, Array]:
+        """What the laws' fields are at the end of the step."""
+        new: dict[str, Array] = {}
+        for k, operator in enumerate(self._terms.operators):
+            new |= operator.law.commit(self.operand(k))
+        return new
+
+    def data_for(self, slots: Slots) -> dict[tuple, Array]:
+        """Data for a program compiled from other slots than the terms'."""
+        data = {key: a for key, a in self._data.items() if key[0] in ("field", "value", "gradient")}
+        for k, constant in enumerate(slots.constants):
+            data["constant", k] = np.array(constant.value, float).reshape(1, -1)
+        for k, (function, gradient) in enumerate(slots.functions):
+            data["function", k] = _function_values(function, gradient, self._points)
+        return data
+
+
+class PointUpdates:
+    """Fields that a converged step sets to UFL expressions of state and increment.
+
+    Args:
+        updates: Field name → expression.
+        spaces: Spaces of the increments.
+        points: Material points.
+
+    Raises:
+        FieldShapeError: An expression has another shape than its field.
+        FormError: An expression cannot be evaluated at the points.
+    """
+
+    def __init__(
+        self, updates: dict[str, Expr], spaces: Sequence[Space], points: MaterialPoints
+    ):
+        self._slots = Slots(spaces, points)
+        self._programs: dict[str, Program] = {}
+        self._points = points
+        for name, expression in updates.items():
+            shape = points[name].shape[1:]
+            if expression.ufl_shape != shape:
+                raise FieldShapeError(
+                    f"field '{name}' has shape {shape} at a point, the expression that updates it "
+                    f"{expression.ufl_shape}"
+                )
+            mapped = self._slots.map(expand_derivatives(expression))
+            parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
+            self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
+
+    def run(self, evaluator: PointEvaluator) -> dict[str, Array]:
+        """The fields' new values."""
+        if not self._programs:
+            return {}
+        data = evaluator.data_for(self._slots)
+        new = {}
+        for name, program in self._programs.items():
+            new[name] = np.empty_like(self._points[name])
+            program.run(data, new[name].reshape(len(self._points), program.size))
+        return new

@@ -1,0 +1,66 @@
+"""Operators: terms of a weak form whose value and tangent do not come from UFL."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinmpm.points import MaterialPoints
+
+__all__ = ["PointOperator", "PointwiseLaw"]
+
+Array = npt.NDArray[np.float64]
+
+
+class PointwiseLaw(Protocol):
+    """What an operator calls: a function of its operand at every point, and of the points' state."""
+
+    def evaluate(self, operand: Array, value: Array, tangent: Array | None) -> int:
+        """Value, and the tangent if an array is given; returns the failed point or -1.
+
+        Must not change the state: the solver calls it as often as it likes.
+
+        Args:
+            operand: shape (points, size of the operand).
+            value: Written, shape (points, size of the value).
+            tangent: Written, shape (points, size of the value, size of the operand).
+        """
+
+    def commit(self, operand: Array) -> dict[str, Array]:
+        """Fields of the points at the end of a converged step, by name."""
+
+
+class PointOperator(ufl.Coefficient):
+    """A tensor in a weak form that a law computes at every material point.
+
+    Args:
+        points: The material points.
+        law: What computes it.
+        operand: The UFL expression that the law is a function of.
+        shape: Shape of the value.
+        name: Its name in messages.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        law: PointwiseLaw,
+        operand: Expr,
+        shape: tuple[int, ...],
+        name: str,
+    ):
+        cell = points.grid.topology.cell_name()
+        element = basix.ufl.element("DG", cell, 0, shape=shape)
+        super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
+        self.points = points
+        self.law = law
+        self.operand = operand
+        self.name = name
+
+    def __str__(self) -> str:
+        return self.name

@@ -1,0 +1,138 @@
+"""Pointwise programs: UFL expressions compiled through FFCx and called from Numba, once a point.
+
+FFCx bakes quadrature points into the kernels of integrals, but an expression of
+constants has none: everything that varies from point to point enters the
+compiled function as a constant, and a loop hands each point its own values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from ufl.algorithms.analysis import extract_constants
+from ufl.core.expr import Expr
+
+from dolfinmpm._compat import jit_expression
+from dolfinmpm.errors import FormError
+
+__all__ = ["Program", "compile_program"]
+
+Array = npt.NDArray[np.float64]
+
+
+@intrinsic
+def _call_tabulate(typingctx, function, out, constants):
+    """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation)` at an address."""
+    signature = types.void(types.intp, types.intp, types.intp)
+
+    def generate(context, builder, sig, args):
+        from llvmlite import ir
+
+        pointer = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [pointer] * 6)
+        address = builder.inttoptr(args[0], kind.as_pointer())
+        a = builder.inttoptr(args[1], pointer)
+        c = builder.inttoptr(args[2], pointer)
+        null = cgutils.get_null_value(pointer)
+        builder.call(address, [a, null, c, null, null, null])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def _pointer(typingctx, address):
+    """An address as a pointer to doubles."""
+    signature = types.CPointer(types.float64)(types.intp)
+
+    def generate(context, builder, sig, args):
+        return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
+
+    return signature, generate
+
+
+@numba.njit(cache=True)
+def _run(function, addresses, strides, sizes, out):
+    constants = np.empty(max(sizes.sum(), 1))
+    for p in range(out.shape[0]):
+        at = 0
+        for s in range(addresses.size):
+            source = _pointer(addresses[s] + 8 * p * strides[s])
+            for i in range(sizes[s]):
+                constants[at + i] = source[i]
+            at += sizes[s]
+        for i in range(out.shape[1]):
+            out[p, i] = 0.0
+        _call_tabulate(function, out.ctypes.data + 8 * p * out.shape[1], constants.ctypes.data)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A compiled pointwise expression.
+
+    Attributes:
+        function: Address of the compiled C function.
+        size: Number of values it writes at a point.
+        inputs: Keys of its inputs, in the order in which the function takes them.
+        keep: What must live as long as the address is used.
+    """
+
+    function: int
+    size: int
+    inputs: tuple[Any, ...]
+    keep: Any
+
+    def run(self, data: Mapping[Any, Array], out: Array) -> None:
+        """Evaluate at every point.
+
+        Args:
+            data: For every input a C-contiguous float64 array: of shape
+                (points, ...) or, for one value at all points, (1, ...).
+            out: Written, shape (points, size).
+        """
+        n = len(out)
+        addresses = np.empty(len(self.inputs), np.intp)
+        strides = np.empty(len(self.inputs), np.intp)
+        sizes = np.empty(len(self.inputs), np.intp)
+        arrays = [data[key] for key in self.inputs]
+        for s, values in enumerate(arrays):
+            size = values.size // len(values) if len(values) else 0
+            addresses[s] = values.ctypes.data
+            sizes[s] = size
+            strides[s] = size if len(values) == n and n != 1 else 0
+        _run(self.function, addresses, strides, sizes, out)
+
+
+def compile_program(
+    grid, expressions: Sequence[Expr], sources: Mapping[ufl.Constant, Any]
+) -> Program:
+    """Compile scalar expressions of constants into one function. Collective.
+
+    Args:
+        grid: Background grid.
+        expressions: What the function writes, one value after the other.
+        sources: For every constant in the expressions the key of its data.
+
+    Raises:
+        FormError: FFCx cannot compile an expression.
+    """
+    vector = ufl.as_vector(list(expressions))
+    inputs = tuple(sources[c] for c in extract_constants(vector))
+    middle = np.full((1, grid.topology.dim), 0.25)
+    try:
+        function, keep = jit_expression(grid.comm, vector, middle)
+    except Exception as error:
+        raise FormError(
+            "FFCx cannot compile the pointwise integrand "
+            f"{str(vector)[:500]}: {error}"
+        ) from error
+    return Program(function, len(expressions), inputs, keep)

@@ -1,0 +1,444 @@
+"""Split a weak form into what the points integrate and what DOLFINx integrates.
+
+At the points, the integrand is a function of the increments' values and
+gradients there. Its derivatives by the test function's value and gradient are
+the flux; the flux's derivatives by the increment's are the tangent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
+from ufl.classes import Argument, CoefficientDerivative, Coefficient, Sum, Zero
+from ufl.core.expr import Expr
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm.errors import FormError
+from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.pointwise import Program, compile_program
+from dolfinmpm.points import MaterialPoints, PointField
+from dolfinmpm.space import Space
+
+__all__ = ["OrdinaryTerms", "PointTerms", "SplitForm", "split"]
+
+
+@dataclass(frozen=True)
+class OrdinaryTerms:
+    """Terms over cells and facets of the grid, for DOLFINx's assemblers.
+
+    Attributes:
+        external: Part that does not depend on the increments, one form a field, or None.
+        internal: Part that does, likewise.
+        jacobian: Derivative of the internal part, [test field][trial field], or None.
+        linear: Whether the derivative does not depend on the increments.
+    """
+
+    external: list[ufl.Form | None]
+    internal: list[ufl.Form | None]
+    jacobian: list[list[ufl.Form | None]]
+    linear: bool
+
+
+@dataclass(frozen=True)
+class PointTerms:
+    """Terms that the material points integrate, compiled.
+
+    The fluxes are multiplied by the points' volumes and have shape
+    (points, c, 1 + d): c stacked components of all fields, first what goes with
+    the test function's value, then what goes with its gradient.
+
+    Attributes:
+        external: Flux that does not depend on the increments, or None.
+        internal: Flux that does, or None.
+        tangent: Its derivative, shape (points, c, d, c, d) if `gradient_only`,
+            else (points, c, 1 + d, c, 1 + d); or None.
+        gradient_only: Whether only gradients enter the tangent.
+        operators: Operators in the integrand.
+        operands: For each the program of its operand, or the key of its data.
+        functions: DOLFINx functions in the integrand, and whether their gradient.
+        constants: DOLFINx constants in the integrand.
+    """
+
+    external: Program | None
+    internal: Program | None
+    tangent: Program | None
+    gradient_only: bool
+    operators: list[PointOperator]
+    operands: list[Program | tuple]
+    functions: list[tuple[fem.Function, bool]]
+    constants: list[fem.Constant]
+
+
+@dataclass(frozen=True)
+class SplitForm:
+    """A weak form, split and compiled."""
+
+    points: PointTerms
+    ordinary: OrdinaryTerms
+    has_ordinary: bool
+
+
+@dataclass
+class Slots(MultiFunction):
+    """Replaces all that varies from point to point by constants, and keeps their sources.
+
+    The keys of the sources: ("value", k) and ("gradient", k) of field k's
+    increment; ("field", name); ("operator", k) and ("operator tangent", k);
+    ("function", k) for the k-th of `functions`; ("constant", k).
+    """
+
+    spaces: Sequence[Space]
+    points: MaterialPoints
+    sources: dict[ufl.Constant, tuple] = field(default_factory=dict)
+    functions: list[tuple[fem.Function, bool]] = field(default_factory=list)
+    constants: list[fem.Constant] = field(default_factory=list)
+    operators: list[PointOperator] = field(default_factory=list)
+
+    def __post_init__(self):
+        MultiFunction.__init__(self)
+        self.domain = self.points.grid.ufl_domain()
+        gdim = self.points.gdim
+        self._kept: dict[tuple, ufl.Constant] = {}
+        self.value, self.gradient, self.test_value, self.test_gradient = [], [], [], []
+        for k, space in enumerate(self.spaces):
+            shape = space.increment.ufl_shape
+            self.value.append(ufl.variable(self.slot(("value", k), shape)))
+            self.gradient.append(ufl.variable(self.slot(("gradient", k), (*shape, gdim))))
+            self.test_value.append(ufl.variable(ufl.Constant(self.domain, shape)))
+            self.test_gradient.append(ufl.variable(ufl.Constant(self.domain, (*shape, gdim))))
+        self.operator_value: list[Expr] = []
+
+    def slot(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
+        """The constant that stands for the data of that key."""
+        if key not in self._kept:
+            self._kept[key] = ufl.Constant(self.domain, shape=shape)
+            self.sources[self._kept[key]] = key
+        return self._kept[key]
+
+    def map(self, expression: Expr) -> Expr:
+        """The expression with slots for all its data."""
+        return map_expr_dag(self, remove_complex_nodes(apply_algebra_lowering(expression)))
+
+    def _field_of(self, o) -> int | None:
+        for k, space in enumerate(self.spaces):
+            if o is space.increment:
+                return k
+        return None
+
+    def _test_of(self, o) -> int:
+        for k, space in enumerate(self.spaces):
+            if o == space.test:
+                return k
+        raise FormError(
+            f"'{o}' is not the test function of a space that the problem solves for; "
+            "use Space.test"
+        )
+
+    def _check_points(self, o) -> None:
+        if o.points is not self.points:
+            raise FormError(
+                f"'{o}' belongs to other material points than those of the measure it stands under"
+            )
+
+    # handlers, named as UFL names its types
+
+    def expr(self, o, *operands):
+        return self.reuse_if_untouched(o, *operands)
+
+    def grad(self, o):
+        (inner,) = o.ufl_operands
+        if isinstance(inner, Argument):
+            return self.test_gradient[self._test_of(inner)]
+        k = self._field_of(inner)
+        if k is not None:
+            return self.gradient[k]
+        if isinstance(inner, fem.Function):
+            return self._function(inner, True)
+        raise FormError(
+            f"'{o}' cannot be evaluated at material points: only increments, test functions and "
+            "DOLFINx functions have a gradient there, and only a first one"
+        )
+
+    def argument(self, o):
+        return self.test_value[self._test_of(o)]
+
+    def coefficient(self, o):
+        k = self._field_of(o)
+        if k is not None:
+            return self.value[k]
+        if isinstance(o, PointField):
+            self._check_points(o)
+            return self.slot(("field", o.name), o.ufl_shape)
+        if isinstance(o, PointOperator):
+            self._check_points(o)
+            if o not in self.operators:
+                self.operators.append(o)
+                key = ("operator", len(self.operators) - 1)
+                self.operator_value.append(ufl.variable(self.slot(key, o.ufl_shape)))
+            return self.operator_value[self.operators.index(o)]
+        if isinstance(o, fem.Function):
+            return self._function(o, False)
+        raise FormError(f"'{o}' has no values at material points")
+
+    def _function(self, o, gradient: bool):
+        if o.function_space.mesh is not self.points.grid:
+            raise FormError(f"the function '{o}' lives on another mesh than the material points")
+        if (o, gradient) not in self.functions:
+            self.functions.append((o, gradient))
+        shape = (*o.ufl_shape, self.points.gdim) if gradient else o.ufl_shape
+        return self.slot(("function", self.functions.index((o, gradient))), shape)
+
+    def constant(self, o):
+        if o in self.sources:
+            return o
+        if not isinstance(o, fem.Constant):
+            raise FormError(f"the constant '{o}' has no value; use dolfinx.fem.Constant")
+        self.constants.append(o)
+        self.sources[o] = ("constant", len(self.constants) - 1)
+        return o
+
+    def spatial_coordinate(self, o):
+        return self.slot(("field", "x"), o.ufl_shape)
+
+    def geometric_quantity(self, o):
+        raise FormError(
+            f"'{o}' ({type(o).__name__}) has no value at material points; of the grid's geometry "
+            "only the spatial coordinate does"
+        )
+
+    def restricted(self, o):
+        raise FormError(f"'{o}' restricts to one side of a facet, under a measure of points")
+
+    facet_avg = cell_avg = restricted
+
+
+def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
+    """Split a weak form and compile its pointwise part. Collective.
+
+    Args:
+        form: Weak form, linear in the spaces' test functions.
+        spaces: Spaces of the increments that are solved for.
+        points: Material points whose measures the form may contain.
+
+    Raises:
+        FormError: A term cannot be evaluated where it stands; the message names it.
+    """
+    if not isinstance(form, ufl.Form):
+        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
+    for integral in form.integrals():
+        for node in unique_pre_traversal(integral.integrand()):
+            if isinstance(node, CoefficientDerivative):
+                inside = [c for c in extract_coefficients(node) if isinstance(c, PointOperator)]
+                if inside:
+                    raise FormError(
+                        f"ufl.derivative cannot see through the law '{inside[0]}'; add its term "
+                        "to the form itself, the solver derives the tangent"
+                    )
+    form = expand_derivatives(form)
+    at_points: list[Any] = []
+    ordinary: list[Any] = []
+    for integral in form.integrals():
+        if integral.integral_type() == "custom":
+            if integral.metadata().get("points") != points.number:
+                raise FormError(
+                    f"the term '{_short(integral.integrand())}' is integrated over material points "
+                    "that the problem does not move"
+                )
+            at_points.append(integral)
+        else:
+            _check_ordinary(integral)
+            ordinary.append(integral)
+    return SplitForm(
+        _point_terms(at_points, spaces, points), _ordinary_terms(ordinary, spaces), bool(ordinary)
+    )
+
+
+def _short(expression: Expr) -> str:
+    text = str(expression)
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def _summands(expression: Expr) -> Iterator[Expr]:
+    if isinstance(expression, Sum):
+        for operand in expression.ufl_operands:
+            yield from _summands(operand)
+    else:
+        yield expression
+
+
+def _varies(expression: Expr, increments: Sequence[Any]) -> bool:
+    return any(
+        isinstance(c, PointOperator) or any(c is u for u in increments)
+        for c in extract_coefficients(expression)
+    )
+
+
+def _check_ordinary(integral) -> None:
+    for c in extract_coefficients(integral.integrand()):
+        if isinstance(c, (PointField, PointOperator)):
+            raise FormError(
+                f"'{c}' lives at the material points, but '{_short(integral.integrand())}' is "
+                f"integrated over the grid ({integral.integral_type()}); use points.dX or points.dx"
+            )
+        if not isinstance(c, fem.Function):
+            raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
+
+
+def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
+    slots = Slots(spaces, points)
+    increments = [space.increment for space in spaces]
+    parts: dict[bool, list[Expr]] = {False: [], True: []}
+    for integral in integrals:
+        volume = slots.slot(("field", integral.metadata()["volume"]), ())
+        for term in _summands(integral.integrand()):
+            arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
+            if len(arguments) != 1:
+                raise FormError(
+                    f"the term '{_short(term)}' must be linear in one test function, it has "
+                    f"{len(arguments)}; an energy needs ufl.derivative(energy, u, v)"
+                )
+            parts[_varies(term, increments)].append(volume * slots.map(term))
+
+    def program(terms: list[Expr]) -> tuple[Program | None, list[list[Expr]]]:
+        if not terms:
+            return None, []
+        total = sum(terms[1:], start=terms[0])
+        fluxes = [
+            [_derive(total, slots.test_value[k]), _derive(total, slots.test_gradient[k])]
+            for k in range(len(spaces))
+        ]
+        components = []
+        for k, space in enumerate(spaces):
+            for i in np.ndindex(*space.increment.ufl_shape):
+                components.append(_at(fluxes[k][0], i))
+                components += [_at(fluxes[k][1], (*i, j)) for j in range(points.gdim)]
+        return compile_program(points.grid, components, slots.sources), fluxes
+
+    external, _ = program(parts[False])
+    internal, fluxes = program(parts[True])
+    operands: list[Program | tuple] = []
+    mapped = []
+    for operator in slots.operators:
+        expression = slots.map(expand_derivatives(operator.operand))
+        mapped.append(expression)
+        direct = [k for k in range(len(spaces)) if expression is slots.gradient[k]]
+        operands.append(
+            ("gradient", direct[0])
+            if direct
+            else compile_program(
+                points.grid,
+                [_at(expression, i) for i in np.ndindex(*expression.ufl_shape)],
+                slots.sources,
+            )
+        )
+    tangent, gradient_only = _tangent(fluxes, slots, mapped) if internal else (None, True)
+    return PointTerms(
+        external, internal, tangent, gradient_only, slots.operators, operands, slots.functions,
+        slots.constants,
+    )  # fmt: skip
+
+
+def _derive(expression: Expr, variable: Expr) -> Expr:
+    return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
+
+
+def _at(expression: Expr, index: tuple[int, ...]) -> Expr:
+    return expression[index] if index else expression
+
+
+def _tangent(fluxes, slots: Slots, operands: Sequence[Expr]) -> tuple[Program, bool]:
+    """Derivative of the fluxes by the increments' values and gradients."""
+    points = slots.points
+
+    def block(flux: Expr, variable: Expr) -> Expr:
+        total = _derive(flux, variable)
+        for k, operator in enumerate(slots.operators):
+            by_operator = _derive(flux, slots.operator_value[k])
+            by_variable = _derive(operands[k], variable)
+            if isinstance(by_operator, Zero) or isinstance(by_variable, Zero):
+                continue
+            shape, inner = operator.ufl_shape, operands[k].ufl_shape
+            slope = slots.slot(("operator tangent", k), (*shape, *inner))
+            i = ufl.indices(len(flux.ufl_shape))
+            o = ufl.indices(len(shape))
+            q = ufl.indices(len(inner))
+            w = ufl.indices(len(variable.ufl_shape))
+            term = slope[(*o, *q)]
+            term = (by_operator[(*i, *o)] if i or o else by_operator) * term
+            term = term * (by_variable[(*q, *w)] if q or w else by_variable)
+            total = total + (ufl.as_tensor(term, (*i, *w)) if i or w else term)
+        return apply_algebra_lowering(total)
+
+    tests = [(k, s) for k in range(len(fluxes)) for s in (0, 1)]
+    variables = {(k, 0): slots.value[k] for k in range(len(fluxes))}
+    variables |= {(k, 1): slots.gradient[k] for k in range(len(fluxes))}
+    blocks = {(t, w): block(fluxes[t[0]][t[1]], variables[w]) for t in tests for w in tests}
+    gradient_only = all(
+        isinstance(blocks[t, w], Zero) for t in tests for w in tests if t[1] == 0 or w[1] == 0
+    )
+    rows = []
+    for k, space in enumerate(slots.spaces):
+        for i in np.ndindex(*space.increment.ufl_shape):
+            if not gradient_only:
+                rows.append((k, 0, i))
+            rows += [(k, 1, (*i, j)) for j in range(points.gdim)]
+    components = [
+        _at(blocks[(k, s), (m, r)], (*i, *j)) for k, s, i in rows for m, r, j in rows
+    ]
+    return compile_program(points.grid, components, slots.sources), gradient_only
+
+
+def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
+    increments = [space.increment for space in spaces]
+    parts: dict[bool, list[Any]] = {False: [], True: []}
+    for integral in integrals:
+        for varies in parts:
+            terms = [
+                t for t in _summands(integral.integrand()) if _varies(t, increments) == varies
+            ]
+            if terms:
+                parts[varies].append(integral.reconstruct(sum(terms[1:], start=terms[0])))
+
+    def by_field(pieces) -> list[ufl.Form | None]:
+        if not pieces:
+            return [None] * len(spaces)
+        whole = ufl.Form(pieces)
+        result = []
+        for space in spaces:
+            others = {s.test: Zero(s.test.ufl_shape) for s in spaces if s is not space}
+            one = ufl.replace(whole, others) if others else whole
+            one = expand_derivatives(one)
+            result.append(None if one.empty() else one)
+        return result
+
+    internal = by_field(parts[True])
+    jacobian: list[list[ufl.Form | None]] = []
+    for one in internal:
+        row: list[ufl.Form | None] = []
+        for space in spaces:
+            form = None
+            if one is not None:
+                trial = ufl.TrialFunction(space.function_space)
+                form = expand_derivatives(ufl.derivative(one, space.increment, trial))
+                form = None if form.empty() else form
+            row.append(form)
+        jacobian.append(row)
+    linear = not any(
+        isinstance(c, Coefficient) and any(c is u for u in increments)
+        for row in jacobian
+        for form in row
+        if form is not None
+        for c in form.coefficients()
+    )
+    return OrdinaryTerms(by_field(parts[False]), internal, jacobian, linear)

@@ -1,0 +1,39 @@
+"""Hencky's elasticity: Kirchhoff stress linear in logarithmic strain."""
+
+from __future__ import annotations
+
+from dolfinmpm.materials.base import ELASTIC, Law, law_kernel
+
+__all__ = ["Hencky"]
+
+
+@law_kernel
+def _hencky(parameters, strain, old, new, stress, tangent):
+    E, nu = parameters[0], parameters[1]
+    mu = 0.5 * E / (1.0 + nu)
+    lmbda = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    pressure = lmbda * (strain[0] + strain[1] + strain[2])
+    for i in range(3):
+        stress[i] = pressure + 2.0 * mu * strain[i]
+        for j in range(3):
+            tangent[3 * i + j] = lmbda
+        tangent[4 * i] += 2.0 * mu
+    return 0
+
+
+class Hencky(Law):
+    """Hencky's law: τ = λ tr(ε) I + 2μ ε, with ε = ½ ln b the logarithmic strain.
+
+    Args:
+        E: Young's modulus (Pa), positive.
+        nu: Poisson's ratio, -1 < ν < 0.5.
+
+    Raises:
+        ParameterError: A parameter is outside its range.
+    """
+
+    parameters = ELASTIC
+    kernel = _hencky
+
+    def __init__(self, E: float, nu: float):
+        super().__init__(E=E, nu=nu)

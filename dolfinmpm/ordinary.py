@@ -1,0 +1,183 @@
+"""Terms over cells and facets of the grid, assembled by DOLFINx."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem import IntegralType
+
+from dolfinmpm._compat import compile_form, create_form, create_matrix, integration_domains
+from dolfinmpm.forms.split import OrdinaryTerms
+from dolfinmpm.points import GHOST_FACETS
+from dolfinmpm.space import Space
+
+__all__ = ["OrdinaryAssembler"]
+
+_KINDS = {
+    "cell": IntegralType.cell,
+    "exterior_facet": IntegralType.exterior_facet,
+    "interior_facet": IntegralType.interior_facet,
+    "vertex": IntegralType.vertex,
+}
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True)
+def _entries(indptr, indices, rows, columns):
+    at = 0
+    for row in range(indptr.size - 1):
+        for k in range(indptr[row], indptr[row + 1]):
+            rows[at], columns[at] = row, indices[k]
+            at += 1
+
+
+class _Block:
+    """One compiled form: linear in a test function, or bilinear."""
+
+    def __init__(self, form: ufl.Form, grid, spaces: list[Space]):
+        self._grid = grid
+        self._spaces = spaces
+        self._ufl = form
+        self._compiled = compile_form(grid.comm, form)
+        self._coefficients = form.coefficients()
+        self._constants = form.constants()
+        (data,) = form.subdomain_data().values()
+        self._fixed: dict[Any, list] = {}
+        for integral in form.integrals():
+            kind, given = integral.integral_type(), integral.subdomain_id()
+            ids = given if isinstance(given, tuple) else (given,)
+            numbers = sorted({i for i in ids if i not in ("everywhere", "otherwise", GHOST_FACETS)})
+            domains = self._fixed.setdefault(_KINDS[kind], [])
+            if numbers:
+                found = integration_domains(_KINDS[kind], data[kind][0], numbers)
+                known = {number for number, _ in domains}
+                domains += [(number, rows) for number, rows in found if number not in known]
+        self.has_ghost = any(
+            GHOST_FACETS in (i if isinstance(i, tuple) else (i,))
+            for i in (integral.subdomain_id() for integral in form.integrals())
+        )
+        self._form: fem.Form | None = None
+        self._matrix: Any = None
+
+    def attach(self, facets: npt.NDArray[np.int32] | None) -> None:
+        """Integrate over these ghost facets from now on."""
+        if self._form is not None and not self.has_ghost:
+            return
+        domains = {kind: list(rows) for kind, rows in self._fixed.items()}
+        if self.has_ghost:
+            domains.setdefault(IntegralType.interior_facet, []).append((GHOST_FACETS, facets))
+        spaces = [space.function_space for space in self._spaces]
+        self._form = create_form(
+            self._compiled, spaces, self._grid, domains, self._coefficients, self._constants
+        )
+        if len(spaces) == 2:
+            self._matrix = create_matrix(self._form)
+            A, n = self._matrix, int(self._matrix.indptr[-1])
+            self.rows, self.columns = np.empty(n, np.int32), np.empty(n, np.int32)
+            _entries(A.indptr, A.indices, self.rows, self.columns)
+
+    def add_vector(self, out: Array) -> None:
+        """Add this rank's share of the assembled vector, shape (nodes, components)."""
+        values = np.zeros(out.size)
+        fem.assemble_vector(values, self._form)
+        out += values.reshape(out.shape)
+
+    def matrix(self) -> Array:
+        """This rank's share of the assembled matrix, as blocks between `rows` and `columns`."""
+        self._matrix.set_value(0.0)
+        fem.assemble_matrix(self._matrix, self._form)
+        shape = tuple(self._matrix.block_size)
+        return self._matrix.data[: self.rows.size * shape[0] * shape[1]].reshape(-1, *shape)
+
+
+class OrdinaryAssembler:
+    """Assembles the ordinary terms of a split form. Collective in what it compiles.
+
+    Args:
+        terms: The terms.
+        spaces: Spaces of the fields, whose components are stacked at the nodes.
+    """
+
+    def __init__(self, terms: OrdinaryTerms, spaces: Sequence[Space]):
+        self._spaces = spaces
+        self._starts = np.cumsum([0] + [space.components for space in spaces])
+        self.components = int(self._starts[-1])
+        grid = spaces[0].grid
+
+        def block(form, *fields) -> _Block | None:
+            return None if form is None else _Block(form, grid, [spaces[k] for k in fields])
+
+        count = range(len(spaces))
+        self._external = [block(terms.external[i], i) for i in count]
+        self._internal = [block(terms.internal[i], i) for i in count]
+        self._jacobian = [[block(terms.jacobian[i][j], i, j) for j in count] for i in count]
+        self.linear = terms.linear
+        self._all = [
+            b
+            for b in (*self._external, *self._internal, *sum(self._jacobian, []))
+            if b is not None
+        ]
+        self.has_ghost = any(b.has_ghost for b in self._all)
+        self.has_jacobian = any(b is not None for row in self._jacobian for b in row)
+
+    def constants(self) -> list[fem.Constant]:
+        """DOLFINx constants in the terms."""
+        return [c for b in self._all for c in b._constants]
+
+    def functions(self) -> list[fem.Function]:
+        """DOLFINx functions in the terms."""
+        return [c for b in self._all for c in b._coefficients]
+
+    def attach(self, facets: npt.NDArray[np.int32] | None) -> None:
+        """Integrate over these ghost facets from now on."""
+        for b in self._all:
+            b.attach(facets)
+        structure = [
+            (i, j, b)
+            for i, row in enumerate(self._jacobian)
+            for j, b in enumerate(row)
+            if b is not None
+        ]
+        self._parts = structure
+        empty = [np.empty(0, np.int32)]
+        self.rows = np.concatenate([b.rows for _, _, b in structure] or empty)
+        self.columns = np.concatenate([b.columns for _, _, b in structure] or empty)
+
+    def add_external(self, out: Array) -> None:
+        """Add the vector that does not depend on the increments to (nodes, components)."""
+        self._add(self._external, out)
+
+    def add_internal(self, out: Array) -> None:
+        """Add the vector that does."""
+        self._add(self._internal, out)
+
+    def _add(self, blocks: list[_Block | None], out: Array) -> None:
+        for k, b in enumerate(blocks):
+            if b is None:
+                continue
+            first, last = self._starts[k], self._starts[k + 1]
+            nodes = self._spaces[k].function_space.dofmap.index_map
+            part = np.zeros((nodes.size_local + nodes.num_ghosts, last - first))
+            b.add_vector(part)
+            out[: len(part), first:last] += part
+
+    def jacobian(self) -> Array:
+        """Blocks between `rows` and `columns`, shape (n, components, components)."""
+        if len(self._parts) == 1 and len(self._spaces) == 1:
+            return self._parts[0][2].matrix()
+        blocks = np.zeros((self.rows.size, self.components, self.components))
+        at = 0
+        for i, j, b in self._parts:
+            values = b.matrix()
+            rows = slice(self._starts[i], self._starts[i + 1])
+            columns = slice(self._starts[j], self._starts[j + 1])
+            blocks[at : at + len(values), rows, columns] = values
+            at += len(values)
+        return blocks

@@ -1,0 +1,52 @@
+"""Small symmetric tensors in Numba: eigenvalues and eigenvectors."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+
+
+@numba.njit(cache=True)
+def eigen(d, a, values, vectors):
+    """Eigenvalues and eigenvectors (columns) of the leading d x d block of a symmetric a.
+
+    Closed form for d = 2, cyclic Jacobi rotations for d = 3 (Golub & Van Loan,
+    Matrix Computations, §8.5): accurate for equal eigenvalues too. Destroys a.
+    """
+    for i in range(d):
+        for j in range(d):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(50 if d == 3 else d - 1):
+        off = 0.0
+        size = 0.0
+        for i in range(d):
+            size += a[i, i] * a[i, i]
+            for j in range(i):
+                off += a[i, j] * a[i, j]
+        if off <= 1e-32 * size:
+            break
+        for i in range(d - 1):
+            for j in range(i + 1, d):
+                if a[i, j] == 0.0:
+                    continue
+                theta = 0.5 * (a[j, j] - a[i, i]) / a[i, j]
+                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                a_ij = a[i, j]
+                a[i, i] -= t * a_ij
+                a[j, j] += t * a_ij
+                a[i, j] = a[j, i] = 0.0
+                for k in range(d):
+                    if k != i and k != j:
+                        a_ki, a_kj = a[k, i], a[k, j]
+                        a[k, i] = a[i, k] = c * a_ki - s * a_kj
+                        a[k, j] = a[j, k] = s * a_ki + c * a_kj
+                    v_ki, v_kj = vectors[k, i], vectors[k, j]
+                    vectors[k, i] = c * v_ki - s * v_kj
+                    vectors[k, j] = s * v_ki + c * v_kj
+    for i in range(d):
+        values[i] = a[i, i]
