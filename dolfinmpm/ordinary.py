@@ -82,6 +82,12 @@ class _Block:
             A, n = self._matrix, int(self._matrix.indptr[-1])
             self.rows, self.columns = np.empty(n, np.int32), np.empty(n, np.int32)
             _entries(A.indptr, A.indices, self.rows, self.columns)
+            # beyond the known nodes stand columns of what other ranks add to rows owned here
+            nodes = spaces[1].dofmap.index_map
+            self._keep = None
+            if self._grid.comm.size > 1:
+                self._keep = self.columns < nodes.size_local + nodes.num_ghosts
+                self.rows, self.columns = self.rows[self._keep], self.columns[self._keep]
 
     def add_vector(self, out: Array) -> None:
         """Add this rank's share of the assembled vector, shape (nodes, components)."""
@@ -94,7 +100,9 @@ class _Block:
         self._matrix.set_value(0.0)
         fem.assemble_matrix(self._matrix, self._form)
         shape = tuple(self._matrix.block_size)
-        return self._matrix.data[: self.rows.size * shape[0] * shape[1]].reshape(-1, *shape)
+        size = int(self._matrix.indptr[-1])
+        blocks = self._matrix.data[: size * shape[0] * shape[1]].reshape(-1, *shape)
+        return blocks if self._keep is None else blocks[self._keep]
 
 
 class OrdinaryAssembler:
