@@ -112,7 +112,7 @@ def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                                 data[at] += K[a, i, k, b]
                                 at += 1
                             else:
-                                lift[row] += K[a, i, k, b] * prescribed[node, k]
+                                lift[nodes[first + a], i] += K[a, i, k, b] * prescribed[node, k]
 
     return kernel
 
@@ -130,7 +130,7 @@ def add_stiffness(
         unknowns: Rows of the nodes.
         pattern: Where the matrix has entries.
         data: The matrix's entries.
-        lift: Its columns of prescribed unknowns, times their values.
+        lift: Its columns of prescribed unknowns, times their values; shape (nodes, components).
     """
     nc = unknowns.components
     ns = s.dN.shape[1] + (0 if gradient_only else 1)
@@ -159,7 +159,7 @@ def _add_blocks(rows, columns, blocks, row_of, indptr, indices, data, prescribed
                             high = middle
                     data[low] += blocks[e, i, k]
                 else:
-                    lift[row] += blocks[e, i, k] * prescribed[columns[e], k]
+                    lift[rows[e], i] += blocks[e, i, k] * prescribed[columns[e], k]
 
 
 def add_blocks(rows, columns, blocks, unknowns: Unknowns, pattern: Pattern, data, lift) -> None:

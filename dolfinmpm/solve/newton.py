@@ -1,0 +1,373 @@
+"""The nonlinear system of one step: activate → evaluate → assemble → solve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.la import InsertMode
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy import sparse
+
+from dolfinmpm.active import active_cells, active_nodes, ghost_facets
+from dolfinmpm.assemble import (
+    Matrix,
+    Pattern,
+    add_blocks,
+    add_stiffness,
+    add_vector,
+    multiply_blocks,
+)
+from dolfinmpm.basis import Stencils
+from dolfinmpm.boundary import Condition, apply_conditions
+from dolfinmpm.evaluate import PointEvaluator
+from dolfinmpm.forms.split import SplitForm
+from dolfinmpm.ordinary import OrdinaryAssembler
+from dolfinmpm.points import MaterialPoints
+from dolfinmpm.prolong import Prolongation
+from dolfinmpm.space import Space
+from dolfinmpm.unknowns import Unknowns
+
+__all__ = ["NewtonSystem", "Prolongate"]
+
+Array = npt.NDArray[np.float64]
+Prolongate = Callable[[npt.NDArray[np.int32]], sparse.spmatrix]
+
+_REASONS = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
+
+
+class NewtonSystem:
+    """Residual, tangent and solver of a split weak form on the active unknowns.
+
+    Nothing here changes the points. `activate` finds stencils, unknowns, facets
+    and the matrix's pattern for where they are; `solve` finds the increments, and
+    leaves their values and gradients at the points in `evaluator`.
+
+    Args:
+        form: Split weak form.
+        spaces: Spaces of the increments, all of one basis.
+        points: Material points.
+        bcs: Essential conditions.
+        tolerance: Relative out-of-balance force to reach.
+        max_iterations: Newton iterations allowed.
+        prolongate: Function of the active nodes that returns C, or None.
+        prefix: Prefix of the PETSc options.
+        options: PETSc options without it.
+    """
+
+    def __init__(
+        self,
+        form: SplitForm,
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+        bcs: Sequence[Condition],
+        tolerance: float,
+        max_iterations: int,
+        prolongate: Prolongate | None,
+        prefix: str,
+        options: dict[str, Any],
+    ):
+        self.comm: MPI.Comm = points.comm
+        self.spaces = list(spaces)
+        self.basis = spaces[0].basis
+        self.components = sum(space.components for space in spaces)
+        self.evaluator = PointEvaluator(form.points, spaces, points)
+        self.ordinary = OrdinaryAssembler(form.ordinary, spaces) if form.has_ordinary else None
+        self.residuals: list[float] = []
+        self.iterations = 0
+        self._points = points
+        self._bcs = list(bcs)
+        self._tolerance = tolerance
+        self._max_iterations = max_iterations
+        self._prolongate = prolongate
+        self._facets = None
+        if self.ordinary and self.ordinary.has_ghost:
+            self._facets = ghost_facets(points.grid)
+        self._numbering: Any = None
+        self._configure(prefix, options)
+        self._set_numbering()
+
+    def _configure(self, prefix: str, options: dict[str, Any]) -> None:
+        database = PETSc.Options()
+        for name, value in options.items():
+            database[prefix + name] = value
+        # petsc4py 3.22 reaches the line search through the options alone
+        if not database.hasName(prefix + "snes_linesearch_type"):
+            database[prefix + "snes_linesearch_type"] = "basic"
+        self._snes = snes = PETSc.SNES().create(self.comm)
+        snes.setOptionsPrefix(prefix)
+        snes.setType("newtonls")
+        snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self._max_iterations)
+        ksp = snes.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("lu")
+        ksp.getPC().setFactorSolverType("mumps")
+        snes.setFromOptions()
+
+    # -- activate -------------------------------------------------------------
+
+    def _set_numbering(self) -> None:
+        """Arrays over the nodes, made again when the basis knows more nodes of other ranks."""
+        if self._numbering is self.basis.nodes:
+            return
+        self._numbering = self.basis.nodes
+        self.unknowns = Unknowns(self._numbering, self.components)
+        vectors = [self._numbering.vector(self.components) for _ in range(4)]
+        self._shared = dict(zip(("u", "r", "external", "lift"), vectors))
+        shape = (self._numbering.size, self.components)
+        self._u, self._r, self._external, self._lift = (v.array.reshape(shape) for v in vectors)
+        self._touched = np.empty(0, np.int32)
+        self._pattern: Pattern | None = None
+        self._matrix: Matrix | None = None
+        self._attached: npt.NDArray[np.int32] | None = None
+        self._set_conditions(1.0)
+
+    def _set_conditions(self, share: float) -> None:
+        unknowns = self.unknowns
+        apply_conditions(self._bcs, self.spaces, unknowns.fixed, unknowns.prescribed, share)
+        if self.comm.size > 1:
+            shared = self._numbering.vector(self.components)
+            for values in (unknowns.fixed, unknowns.prescribed):
+                shared.array[:] = values.ravel()
+                shared.scatter_forward()
+                values[:] = shared.array.reshape(values.shape)
+
+    @property
+    def _driven(self) -> bool:
+        return any(condition.increment != 0.0 for condition in self._bcs)
+
+    def activate(self, share: float) -> None:
+        """Stencils, unknowns, facets and matrix for where the points are now. Collective.
+
+        Args:
+            share: Share of the step's prescribed increments to apply.
+        """
+        stencils = self.basis.stencils(self._points)
+        self._set_numbering()
+        if self._driven:
+            self._set_conditions(share)
+        nodes = active_nodes(stencils, self._numbering)
+        self._cells = stencils
+        self._C: Prolongation | None = None
+        if self._prolongate is not None:
+            self._C = Prolongation(self._prolongate(nodes))
+            self._all_nodes = nodes
+            stencils = self._C.stencils(stencils)
+            nodes = nodes[~self._C.tied[nodes]]
+        self._stencils = stencils
+        changed = self.unknowns.activate(nodes)
+        if changed:
+            for values in (self._u, self._r, self._external, self._lift):
+                values[self._touched] = 0.0
+            self._touched = nodes
+        self.evaluator.start_step(stencils)
+        rows = columns = np.empty(0, np.int32)
+        if self.ordinary:
+            self._attach()
+            rows, columns = self._couplings()
+        old = None if changed else self._pattern
+        pattern = Pattern.build(stencils, self.unknowns, rows, columns, old)
+        # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
+        kept = pattern is old and self._matrix is not None
+        if not self.comm.allreduce(kept, op=MPI.LAND):
+            self._pattern = pattern
+            self._matrix = Matrix(pattern, self.unknowns)
+        self._assemble_external()
+
+    @property
+    def stencils(self) -> Stencils:
+        """Stencils on all active nodes, before any prolongation."""
+        return self._cells
+
+    @property
+    def active_cells(self) -> int:
+        """Number of active cells on all ranks. Collective."""
+        flags = active_cells(self._cells, self.basis.cells)
+        return self.comm.allreduce(int(flags[: self.basis.cells.owned].sum()), op=MPI.SUM)
+
+    def _attach(self) -> None:
+        facets = None
+        if self._facets is not None:
+            active = active_cells(self._cells, self.basis.cells)
+            facets = self._facets.select(active, self.basis.cells)
+        same = self._attached is not None and (
+            facets is None or np.array_equal(facets, self._attached)
+        )
+        # every rank keeps its forms or none does: creating them is collective
+        if not self.comm.allreduce(same, op=MPI.LAND):
+            self.ordinary.attach(facets)
+            self._attached = np.empty(0, np.int32) if facets is None else facets
+        # what is linear in the increments is assembled once a step
+        self._blocks = self._ordinary_blocks() if self.ordinary.linear else None
+
+    def _ordinary_blocks(self):
+        """Rows, columns and blocks of the ordinary terms, on the solver's nodes."""
+        ordinary = self.ordinary
+        blocks = ordinary.rows, ordinary.columns, ordinary.jacobian()
+        return blocks if self._C is None else self._C.reduce(*blocks, self.components)
+
+    def _couplings(self):
+        """Pairs of active nodes that the ordinary terms couple."""
+        rows, columns, _ = self._blocks or self._ordinary_blocks()
+        active = np.zeros(self._numbering.size, bool)
+        active[self.unknowns.nodes] = True
+        keep = active[rows] & active[columns]
+        return rows[keep], columns[keep]
+
+    def _assemble_external(self) -> None:
+        out = self._external
+        out[self._touched] = 0.0
+        flux = self.evaluator.external_flux()
+        if flux is not None:
+            add_vector(self._stencils, flux, out)
+        if self.ordinary:
+            self._add_ordinary(self.ordinary.add_external, out)
+        if self.comm.size > 1:
+            self._shared["external"].scatter_reverse(InsertMode.add)
+
+    def _add_ordinary(self, add: Callable[[Array], None], out: Array) -> None:
+        part = np.zeros_like(out)
+        add(part)
+        if self._C is not None:
+            part = self._C.reduce_vector(part)
+        nodes = self.unknowns.nodes
+        out[nodes] += part[nodes]
+
+    # -- evaluate and assemble ------------------------------------------------
+
+    def _spread(self, x: Array) -> None:
+        """Nodal increments of the unknowns x, on every rank that sees the nodes. Collective."""
+        self.unknowns.scatter(x, self._u)
+        if self.comm.size > 1:
+            self._shared["u"].scatter_forward()
+        self.evaluator.interpolate(self._u)
+
+    def fill_functions(self) -> None:
+        """Hand the increments to the DOLFINx functions."""
+        u, nodes = self._u, self._touched
+        if self._C is not None:
+            u, nodes = self._C.expand(u), self._all_nodes
+        start = 0
+        for space in self.spaces:
+            values = space.increment.x.array.reshape(-1, space.components)
+            values[:] = 0.0
+            known = nodes[nodes < len(values)]
+            values[known] = u[known, start : start + space.components]
+            start += space.components
+
+    def _add_internal(self) -> None:
+        """Internal forces at the present increments, summed over ranks. Collective."""
+        r = self._r
+        r[self._touched] = 0.0
+        flux = self.evaluator.flux()
+        if flux is None:
+            # SNES sees on all ranks that the norm is not a number
+            r[self._touched] = math.nan
+        else:
+            add_vector(self._stencils, flux, r)
+        if self.ordinary:
+            if not self.ordinary.linear:
+                self.fill_functions()
+                self._add_ordinary(self.ordinary.add_internal, r)
+            elif self.ordinary.has_jacobian:
+                multiply_blocks(*self._blocks, self._u, r)
+        if self.comm.size > 1:
+            self._shared["r"].scatter_reverse(InsertMode.add)
+
+    def _residual(self, snes, x, f) -> None:
+        self._spread(x.getArray(readonly=True))
+        self._add_internal()
+        nodes = self.unknowns.owned_nodes
+        internal, external = self._r[nodes], self._external[nodes]
+        fixed = self.unknowns.fixed[nodes]
+        f.getArray()[:] = (internal + external)[~fixed]
+        # external forces, and reactions where they are what balances the internal ones
+        square = np.sum(external[~fixed] ** 2) + np.sum(internal[fixed] ** 2)
+        self._reference = math.sqrt(self.comm.allreduce(square, op=MPI.SUM))
+
+    def _jacobian(self, snes, x, A, P) -> None:
+        data = self._matrix.data
+        data[:] = 0.0
+        self._lift[self._touched] = 0.0
+        if self.ordinary and self.ordinary.has_jacobian:
+            if not self.ordinary.linear:
+                self.fill_functions()
+            blocks = self._blocks or self._ordinary_blocks()
+            add_blocks(*blocks, self.unknowns, self._pattern, data, self._lift)
+        tangent = self.evaluator.tangent()
+        if tangent is not None:
+            add_stiffness(
+                self._stencils, tangent, self.evaluator.gradient_only, self.unknowns,
+                self._pattern, data, self._lift,
+            )  # fmt: skip
+        self._matrix.finish()
+
+    def tangent_matrix(self) -> PETSc.Mat:
+        """Tangent stiffness of the active unknowns at the start of the step. Collective."""
+        self._u[self._touched] = 0.0
+        self.evaluator.interpolate(self._u)
+        self._jacobian(None, None, None, None)
+        return self._matrix.petsc
+
+    # -- solve ----------------------------------------------------------------
+
+    def solve(self) -> str | None:
+        """Find the increments; returns why it did not, or None. Collective."""
+        unknowns = self.unknowns
+        self.residuals = []
+        self.iterations = 0
+        self._reference = self._first = 0.0
+        size = (unknowns.owned, unknowns.total)
+        x = PETSc.Vec().createMPI(size, comm=self.comm)
+        snes = self._snes
+        snes.reset()
+        snes.setFunction(self._residual, x.duplicate())
+        snes.setJacobian(self._jacobian, self._matrix.petsc)
+        snes.setConvergenceTest(self._test)
+        if unknowns.total == 0:
+            self._spread(x.getArray(readonly=True))
+            return None
+        if self._driven:
+            self._predict(x)
+        snes.solve(None, x)
+        self.iterations += snes.getLinearSolveIterations()
+        reason = snes.getConvergedReason()
+        if reason <= 0:
+            return _REASONS.get(reason, str(reason))
+        self._spread(x.getArray(readonly=True))
+        return None
+
+    def _predict(self, x: PETSc.Vec) -> None:
+        """First guess under prescribed increments: one linear step from rest, K x = −f − K g."""
+        matrix = self.tangent_matrix()
+        self._add_internal()
+        if self.comm.size > 1:
+            self._shared["lift"].scatter_reverse(InsertMode.add)
+        nodes = self.unknowns.owned_nodes
+        f = (self._r + self._external + self._lift)[nodes][~self.unknowns.fixed[nodes]]
+        b = x.duplicate()
+        b.getArray()[:] = -f
+        ksp = self._snes.getKSP()
+        ksp.setOperators(matrix)
+        ksp.solve(b, x)
+        self.iterations += 1
+
+    def _test(self, snes, iteration, norms):
+        residual = norms[2]
+        if not math.isfinite(residual):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+        if iteration == 0:
+            self._first = residual
+        # a body without loads and reactions is measured against where it started
+        reference = self._reference or self._first
+        relative = residual / reference if reference else 0.0
+        self.residuals.append(relative)
+        if relative <= self._tolerance:
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        if iteration >= self._max_iterations:
+            return PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
+        return PETSc.SNES.ConvergedReason.ITERATING
