@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 
 from dolfinmpm.errors import ConflictingConditionsError, ParameterError, raise_together
 from dolfinmpm.space import Space
@@ -26,21 +27,27 @@ class Condition:
         space: Space of the field.
         nodes: Local nodes, shape (n,).
         component: Component of the field.
-        value: Increment of every step (m for a displacement): a number or a
-            DOLFINx constant.
+        value: Increment of every step (m for a displacement): a number, a DOLFINx
+            constant, or one number a node, shape (n,).
         where: What it says in messages.
     """
 
     space: Space
     nodes: npt.NDArray[np.int32]
     component: int
-    value: float | fem.Constant
+    value: float | fem.Constant | npt.NDArray[np.float64]
     where: str
 
     @property
-    def increment(self) -> float:
-        """The value now."""
-        return float(self.value.value) if isinstance(self.value, fem.Constant) else self.value
+    def changes(self) -> bool:
+        """Whether the values may differ from zero in some step."""
+        return isinstance(self.value, fem.Constant) or bool(np.any(self.increment != 0.0))
+
+    @property
+    def increment(self) -> npt.NDArray[np.float64]:
+        """The values now, shape () or (n,)."""
+        value = self.value.value if isinstance(self.value, fem.Constant) else self.value
+        return np.asarray(value, float)
 
 
 def _sides(gdim: int) -> dict[str, tuple[int, int]]:
@@ -80,7 +87,10 @@ def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:
 
 
 def prescribed(
-    space: Space, where: Where, component: int, value: float | fem.Constant = 0.0
+    space: Space,
+    where: Where,
+    component: int,
+    value: float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] = 0.0,
 ) -> list[Condition]:
     """Prescribe one component's increment in every step. Collective.
 
@@ -90,7 +100,9 @@ def prescribed(
             "back" (second axis in 3D), or a function of node positions in DOLFINx's
             layout, shape (3, n), that returns n booleans.
         component: Component of the field.
-        value: Increment a step (m for a displacement). When a step is halved, so is it.
+        value: Increment a step (m for a displacement): a number, a DOLFINx constant,
+            or a function of node positions like `where` that returns n numbers.
+            When a step is halved, so is it.
 
     Raises:
         ParameterError: The side or the component is not known, or no node is there.
@@ -99,10 +111,21 @@ def prescribed(
         raise ParameterError(
             f"component = {component} must be in 0 ... {space.components - 1} of this field"
         )
-    if not isinstance(value, fem.Constant) and not math.isfinite(value):
-        raise ParameterError(f"prescribed increment = {value} must be finite")
     nodes, name = _nodes(space, where)
-    return [Condition(space, nodes, component, value, name)]
+    # UFL expressions are callable too
+    constant = isinstance(value, fem.Constant)
+    given = value
+    if callable(value) and not constant:
+        given = value(_node_coordinates(space)[nodes].T)
+    if not constant:
+        given = np.asarray(given, float)
+        finite = np.isfinite(given).all() and given.shape in ((), (nodes.size,))
+        if not space.grid.comm.allreduce(bool(finite), op=MPI.LAND):
+            raise ParameterError(
+                f"prescribed increments at '{name}' must be finite, one number or one a node, got "
+                f"shape {given.shape} for {nodes.size} nodes on this rank"
+            )
+    return [Condition(space, nodes, component, given, name)]
 
 
 def fixed(space: Space, *where: Where) -> list[Condition]:
@@ -157,14 +180,16 @@ def apply_conditions(
                 f"the condition at '{condition.where}' is on a space that the problem does not solve"
             )
         column = starts[matching[0]] + condition.component
-        nodes, value = condition.nodes, scale * condition.increment
-        clash = nodes[fixed_[nodes, column] & (values[nodes, column] != value)]
+        nodes = condition.nodes
+        value = np.broadcast_to(scale * condition.increment, nodes.shape)
+        differs = fixed_[nodes, column] & (values[nodes, column] != value)
+        clash = nodes[differs]
         if clash.size and error is None:
             x = _node_coordinates(condition.space)[clash[0], : condition.space.grid.geometry.dim]
             other = conditions[owner[clash[0], column]]
             error = ConflictingConditionsError(
                 f"component {condition.component} of the node at {x} m is prescribed as "
-                f"{values[clash[0], column]} by '{other.where}' and as {value} by "
+                f"{values[clash[0], column]} by '{other.where}' and as {value[differs][0]} by "
                 f"'{condition.where}'; keep one of them"
             )
         fixed_[nodes, column] = True

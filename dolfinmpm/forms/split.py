@@ -399,6 +399,16 @@ def _tangent(fluxes, slots: Slots, operands: Sequence[Expr]) -> tuple[Program, b
     return compile_program(points.grid, components, slots.sources), gradient_only
 
 
+def _without_zeros(form: ufl.Form) -> ufl.Form | None:
+    """The form less the integrals of zero, which UFL keeps as sums of zeros; None if nothing is left."""
+    kept = []
+    for integral in expand_derivatives(form).integrals():
+        terms = [t for t in _summands(integral.integrand()) if ufl.algorithms.extract_arguments(t)]
+        if terms:
+            kept.append(integral.reconstruct(sum(terms[1:], start=terms[0])))
+    return ufl.Form(kept) if kept else None
+
+
 def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
     increments = [space.increment for space in spaces]
     parts: dict[bool, list[Any]] = {False: [], True: []}
@@ -418,8 +428,7 @@ def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
         for space in spaces:
             others = {s.test: Zero(s.test.ufl_shape) for s in spaces if s is not space}
             one = ufl.replace(whole, others) if others else whole
-            one = expand_derivatives(one)
-            result.append(None if one.empty() else one)
+            result.append(_without_zeros(expand_derivatives(one)))
         return result
 
     internal = by_field(parts[True])
@@ -430,8 +439,7 @@ def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
             form = None
             if one is not None:
                 trial = ufl.TrialFunction(space.function_space)
-                form = expand_derivatives(ufl.derivative(one, space.increment, trial))
-                form = None if form.empty() else form
+                form = _without_zeros(ufl.derivative(one, space.increment, trial))
             row.append(form)
         jacobian.append(row)
     linear = not any(

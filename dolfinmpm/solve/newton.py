@@ -84,6 +84,8 @@ class NewtonSystem:
         self._tolerance = tolerance
         self._max_iterations = max_iterations
         self._prolongate = prolongate
+        changing = any(condition.changes for condition in bcs)
+        self._changing = self.comm.allreduce(changing, op=MPI.LOR)
         self._facets = None
         if self.ordinary and self.ordinary.has_ghost:
             self._facets = ghost_facets(points.grid)
@@ -136,9 +138,6 @@ class NewtonSystem:
                 shared.scatter_forward()
                 values[:] = shared.array.reshape(values.shape)
 
-    @property
-    def _driven(self) -> bool:
-        return any(condition.increment != 0.0 for condition in self._bcs)
 
     def activate(self, share: float) -> None:
         """Stencils, unknowns, facets and matrix for where the points are now. Collective.
@@ -148,7 +147,7 @@ class NewtonSystem:
         """
         stencils = self.basis.stencils(self._points)
         self._set_numbering()
-        if self._driven:
+        if self._changing:
             self._set_conditions(share)
         nodes = active_nodes(stencils, self._numbering)
         self._cells = stencils
@@ -331,7 +330,7 @@ class NewtonSystem:
         if unknowns.total == 0:
             self._spread(x.getArray(readonly=True))
             return None
-        if self._driven:
+        if self._changing and self._driven():
             self._predict(x)
         snes.solve(None, x)
         self.iterations += snes.getLinearSolveIterations()
@@ -340,6 +339,10 @@ class NewtonSystem:
             return _REASONS.get(reason, str(reason))
         self._spread(x.getArray(readonly=True))
         return None
+
+    def _driven(self) -> bool:
+        moved = any(np.any(condition.increment != 0.0) for condition in self._bcs)
+        return self.comm.allreduce(moved, op=MPI.LOR)
 
     def _predict(self, x: PETSc.Vec) -> None:
         """First guess under prescribed increments: one linear step from rest, K x = −f − K g."""

@@ -1,0 +1,52 @@
+"""Grids and problems that many tests share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dolfinx import mesh
+from mpi4py import MPI
+
+COMM = MPI.COMM_WORLD
+
+
+def distort(grid, amount=0.12):
+    """Move the inner nodes of a unit grid, so that cells are no longer alike."""
+    x = grid.geometry.x
+    d = grid.geometry.dim
+    inner = np.prod([x[:, i] * (1 - x[:, i]) * 4 for i in range(d)], axis=0)
+    for i in range(d):
+        x[:, i] += amount * inner * np.sin(3.0 + 5 * x[:, (i + 1) % d])
+    return grid
+
+
+def unit_grid(kind: str, n: int = 3):
+    """A grid of [0, 1]^d: "interval", "triangle", ..., or "distorted quadrilateral", ..."""
+    name = kind.split()[-1]
+    cell = mesh.CellType[name]
+    if name == "interval":
+        grid = mesh.create_unit_interval(COMM, n)
+    elif name in ("triangle", "quadrilateral"):
+        grid = mesh.create_unit_square(COMM, n, n + 1, cell)
+    else:
+        grid = mesh.create_unit_cube(COMM, n, n + 1, n, cell)
+    return distort(grid) if kind.startswith("distorted") else grid
+
+
+GRIDS = (
+    "interval",
+    "triangle",
+    "quadrilateral",
+    "tetrahedron",
+    "hexahedron",
+    "distorted triangle",
+    "distorted quadrilateral",
+    "distorted tetrahedron",
+    "distorted hexahedron",
+)
+
+
+@pytest.fixture(params=GRIDS)
+def any_grid(request):
+    """Every kind of grid in turn."""
+    return unit_grid(request.param)

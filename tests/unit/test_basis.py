@@ -1,0 +1,109 @@
+"""Every basis: partition of unity, linear reproduction, agreement with direct averages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import unit_grid
+from dolfinx import mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm.errors import ParameterError, UnsupportedGridError
+
+
+def everything(grid):
+    d = grid.geometry.dim
+    return mpm.Box((0.0,) * d, (1.0,) * d)
+
+
+def check_reproduction(space, points, middle):
+    """Sums of N, ∇N, N x and x ⊗ ∇N over the nodes of every point."""
+    s = space.basis.stencils(points)
+    nodes = space.function_space.tabulate_dof_coordinates()[:, : points.gdim]
+    for g in range(s.groups.size - 1):
+        x = nodes[s.nodes[s.node_start[g] : s.node_start[g + 1]]]
+        for k in range(s.groups[g], s.groups[g + 1]):
+            start = s.value_start[g] + (k - s.groups[g]) * len(x)
+            N, dN = s.N[start : start + len(x)], s.dN[start : start + len(x)]
+            assert np.all(N >= -1e-14)
+            np.testing.assert_allclose(N.sum(), 1, atol=1e-13)
+            np.testing.assert_allclose(dN.sum(axis=0), 0, atol=1e-12)
+            np.testing.assert_allclose(N @ x, middle[s.order[k]], atol=1e-12)
+            np.testing.assert_allclose(x.T @ dN, np.eye(points.gdim), atol=1e-12)
+
+
+def test_linear_reproduces_linear_fields(any_grid):
+    points = mpm.fill(any_grid, everything(any_grid), per_cell=2, density=1.0)
+    check_reproduction(mpm.Space(any_grid, "linear"), points, points["x"])
+
+
+@pytest.mark.parametrize("kind", ["interval", "quadrilateral", "hexahedron"])
+def test_gimp_reproduces_linear_fields_on_any_domain(kind):
+    grid = unit_grid(kind)
+    points = mpm.fill(grid, everything(grid), per_cell=2, density=1.0)
+    rng = np.random.default_rng(1)
+    points["l"] = rng.uniform(0.01, 0.4, points["l"].shape)
+    # what reaches outside the grid is cut off, which moves the middle of the domain
+    low = np.maximum(points["x"] - points["l"], 0)
+    high = np.minimum(points["x"] + points["l"], 1)
+    check_reproduction(mpm.Space(grid, "gimp"), points, 0.5 * (low + high))
+
+
+def test_gimp_on_a_graded_grid():
+    grid = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4, mesh.CellType.quadrilateral)
+    grid.geometry.x[:, 0] **= 2
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), per_cell=2, density=1.0)
+    np.testing.assert_allclose(points["V"].sum(), 1)
+    check_reproduction(mpm.Space(grid, "gimp"), points, points["x"])
+
+
+def test_gimp_is_the_average_of_the_linear_functions():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0.3, 0.4), (0.31, 0.41)), per_cell=1, density=1.0)
+    assert len(points) == 1
+    points["x"] = (0.52, 0.41)
+    points["l"] = (0.17, 0.13)
+    nodes, N, dN = mpm.Space(grid, "gimp").basis.stencils(points).row(0)
+    X = mpm.Space(grid, "gimp").function_space.tabulate_dof_coordinates()[nodes, :2]
+    offset = (np.arange(2000) + 0.5) / 1000 - 1
+    h = np.array([1 / 4, 1 / 5])
+    expected, slope = np.ones(len(nodes)), np.ones((len(nodes), 2))
+    for d in range(2):
+        t = (points["x"][0, d] + points["l"][0, d] * offset[:, None] - X[:, d]) / h[d]
+        hat = np.maximum(1 - np.abs(t), 0).mean(axis=0)
+        kink = np.where(np.abs(t) < 1, -np.sign(t) / h[d], 0).mean(axis=0)
+        expected *= hat
+        for e in range(2):
+            slope[:, e] *= kink if d == e else hat
+    np.testing.assert_allclose(N, expected, atol=2e-3)
+    np.testing.assert_allclose(dN, slope, atol=2e-2)
+
+
+def test_a_domain_that_ends_on_a_line_activates_nothing_beyond():
+    """Rounding at 1/3 must not make a cell active with a share of 1e-16."""
+    grid = unit_grid("interval", 30)
+    points = mpm.fill(grid, mpm.Box(0, 1), per_cell=3, density=1.0)
+    s = mpm.Space(grid, "gimp").basis.stencils(points)
+    assert np.all(np.diff(s.cell_start) == 1)
+    assert s.groups.size - 1 == 30
+
+
+def test_wide_domains_span_many_cells():
+    grid = unit_grid("interval", 10)
+    points = mpm.fill(grid, mpm.Box(0.4, 0.5), per_cell=1, density=1.0)
+    points["l"] = (0.33,)
+    nodes, N, _ = mpm.Space(grid, "gimp").basis.stencils(points).row(0)
+    assert len(nodes) == 8
+    np.testing.assert_allclose(N.sum(), 1)
+
+
+@pytest.mark.parametrize("kind", ["triangle", "distorted quadrilateral", "tetrahedron"])
+def test_gimp_refuses_other_grids(kind):
+    with pytest.raises(UnsupportedGridError, match="rectangular"):
+        mpm.Space(unit_grid(kind), "gimp")
+
+
+def test_unknown_basis():
+    with pytest.raises(ParameterError, match="'splines'"):
+        mpm.Space(unit_grid("interval"), "splines")
