@@ -296,8 +296,14 @@ class Pattern:
     ) -> Pattern:
         """Pattern of the couplings in the stencils and of the extra ones.
 
-        Returns the old pattern, to be kept with all that was computed for it, if
-        it belongs to the same unknowns and has all the couplings.
+        Args:
+            s: Stencils.
+            unknowns: The unknowns.
+            extra_rows, extra_columns: Coupled nodes, shape (n,) each.
+            old: Pattern of the same unknowns, or None. It is returned, to be kept
+                with all that was computed for it, if it has all the couplings;
+                otherwise the new one has its couplings too, so that points that
+                wander about in the same cells soon stop to change it.
         """
         n = unknowns.nodes.size
         unknowns.compact[unknowns.nodes] = np.arange(n, dtype=np.int32)
@@ -311,6 +317,11 @@ class Pattern:
         _couple(*graph, neighbours)
         if old is not None and _covers(old.start, old.neighbours, start, neighbours):
             return old
+        if old is not None:
+            kept_rows = np.repeat(unknowns.nodes, np.diff(old.start))
+            extra_rows = np.concatenate([extra_rows, kept_rows])
+            extra_columns = np.concatenate([extra_columns, unknowns.nodes[old.neighbours]])
+            return Pattern.build(s, unknowns, extra_rows, extra_columns, None)
         rows = unknowns.row_of[unknowns.nodes]
         indptr = np.zeros(unknowns.local + 1, np.int32)
         _expand(start, neighbours, rows, indptr, np.empty(0, np.int32))

@@ -33,6 +33,13 @@ def unit_grid(kind: str, n: int = 3):
     return distort(grid) if kind.startswith("distorted") else grid
 
 
+def dense(matrix):
+    """Entries of a PETSc matrix, shape (rows, columns); the matrix is left as it is."""
+    copy = matrix.copy()
+    copy.convert("dense")
+    return copy.getDenseArray().copy()
+
+
 GRIDS = (
     "interval",
     "triangle",

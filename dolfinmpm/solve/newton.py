@@ -175,6 +175,12 @@ class NewtonSystem:
         if not self.comm.allreduce(kept, op=MPI.LAND):
             self._pattern = pattern
             self._matrix = Matrix(pattern, self.unknowns)
+            size = (self.unknowns.owned, self.unknowns.total)
+            self._x = PETSc.Vec().createMPI(size, comm=self.comm)
+            self._snes.reset()
+            self._snes.setFunction(self._residual, self._x.duplicate())
+            self._snes.setJacobian(self._jacobian, self._matrix.petsc)
+            self._snes.setConvergenceTest(self._test)
         self._assemble_external()
 
     @property
@@ -320,13 +326,8 @@ class NewtonSystem:
         self.residuals = []
         self.iterations = 0
         self._reference = self._first = 0.0
-        size = (unknowns.owned, unknowns.total)
-        x = PETSc.Vec().createMPI(size, comm=self.comm)
-        snes = self._snes
-        snes.reset()
-        snes.setFunction(self._residual, x.duplicate())
-        snes.setJacobian(self._jacobian, self._matrix.petsc)
-        snes.setConvergenceTest(self._test)
+        x, snes = self._x, self._snes
+        x.set(0.0)
         if unknowns.total == 0:
             self._spread(x.getArray(readonly=True))
             return None
@@ -365,8 +366,8 @@ class NewtonSystem:
             return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
         if iteration == 0:
             self._first = residual
-        # a body without loads and reactions is measured against where it started
-        reference = self._reference or self._first
+        # a body that is unloaded ends without loads and reactions to measure against
+        reference = max(self._reference, self._first)
         relative = residual / reference if reference else 0.0
         self.residuals.append(relative)
         if relative <= self._tolerance:

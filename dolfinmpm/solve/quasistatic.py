@@ -79,7 +79,7 @@ class QuasiStatic:
         points: Material points.
         bcs: Essential conditions.
         tolerance: Newton stops when the out-of-balance force is this share of
-            external forces and reactions.
+            external forces and reactions, or of what it was at first if that is more.
         max_iterations: Newton iterations before a step is halved.
         max_halvings: Halvings before a step is given up.
         updates: Fields of the points that a converged step sets to UFL

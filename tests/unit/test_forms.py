@@ -1,0 +1,175 @@
+"""What a weak form may contain, and the named refusal of what it may not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import unit_grid
+from dolfinx import fem
+
+import dolfinmpm as mpm
+from dolfinmpm.errors import FieldShapeError, FormError, ParameterError
+
+
+@pytest.fixture
+def scene():
+    grid = unit_grid("quadrilateral")
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.7)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    return grid, points, V
+
+
+LAW = mpm.materials.Hencky(E=10.0, nu=0.3)
+
+
+def refused(scene, make, match):
+    _, points, V = scene
+    with pytest.raises(FormError, match=match):
+        mpm.QuasiStatic(make(points, V.increment, V.test), V.increment, points)
+
+
+def test_point_fields_over_the_grid(scene):
+    refused(
+        scene,
+        lambda p, u, v: mpm.momentum(LAW, p, u, v) + p.density * v[0] * ufl.dx,
+        "points.density.*integrated over the grid",
+    )
+
+
+def test_geometry_at_points(scene):
+    grid = scene[0]
+    n = ufl.FacetNormal(grid)
+    refused(scene, lambda p, u, v: ufl.inner(u, v) * ufl.CellVolume(grid) * p.dX, "CellVolume")
+    refused(scene, lambda p, u, v: ufl.inner(n, v) * p.dX, "FacetNormal")
+
+
+def test_second_gradients_at_points(scene):
+    refused(
+        scene,
+        lambda p, u, v: ufl.inner(ufl.grad(ufl.grad(u)), ufl.grad(ufl.grad(v))) * p.dX,
+        "only a first one",
+    )
+
+
+def test_an_energy_that_is_not_derived(scene):
+    refused(scene, lambda p, u, v: ufl.inner(u, u) * p.dX, "ufl.derivative")
+
+
+def test_a_derivative_through_a_law(scene):
+    refused(
+        scene,
+        lambda p, u, v: ufl.derivative(mpm.momentum(LAW, p, u, u), u, v),
+        "cannot see through the law 'Hencky",
+    )
+
+
+def test_other_points_and_other_test_functions(scene):
+    grid, points, V = scene
+    other = mpm.fill(grid, mpm.Box((0, 0), (1, 0.7)), 2, 1.0)
+    refused(scene, lambda p, u, v: ufl.inner(u, v) * other.dX, "does not move")
+    refused(scene, lambda p, u, v: other.density * ufl.inner(u, v) * p.dX, "other material points")
+    stranger = ufl.TestFunction(fem.functionspace(grid, ("Lagrange", 2, (2,))))
+    refused(scene, lambda p, u, v: ufl.inner(u, stranger) * p.dX, "Space.test")
+
+
+def test_restrictions_and_unbound_constants(scene):
+    grid = scene[0]
+    refused(scene, lambda p, u, v: ufl.inner(u("+"), v) * p.dX, "one side of a facet")
+    refused(scene, lambda p, u, v: ufl.Constant(grid) * ufl.inner(u, v) * p.dX, "has no value")
+
+
+def test_not_a_form_and_not_an_increment(scene):
+    grid, points, V = scene
+    with pytest.raises(FormError, match="must be a UFL form"):
+        mpm.QuasiStatic(3.0, V.increment, points)
+    w = fem.Function(V.function_space)
+    with pytest.raises(FormError, match=r"not the increment of a dolfinmpm\.Space"):
+        mpm.QuasiStatic(mpm.momentum(LAW, points, w, V.test), w, points)
+
+
+def test_fields_of_different_bases(scene):
+    grid, points, V = scene
+    Q = mpm.Space(grid, "linear", shape=())
+    F = mpm.momentum(LAW, points, V.increment, V.test) + Q.increment * Q.test * points.dX
+    with pytest.raises(ParameterError, match="same basis"):
+        mpm.QuasiStatic(F, [V.increment, Q.increment], points)
+
+
+def test_functions_at_points_are_exact_where_they_can_be(scene):
+    """Values and gradients of a quadratic function, through the projection onto a point's field."""
+    grid, points, V = scene
+    w = fem.Function(fem.functionspace(grid, ("Lagrange", 2)))
+    w.interpolate(lambda x: x[0] ** 2 + 3 * x[0] * x[1])
+    points.add_field("value")
+    points.add_field("slope", (2,))
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom"), updates={"value": w, "slope": ufl.grad(w)}
+    )
+    problem.step()
+    x, y = points["x"].T
+    np.testing.assert_allclose(points["value"], x**2 + 3 * x * y, atol=1e-12)
+    np.testing.assert_allclose(points["slope"], np.stack([2 * x + 3 * y, 3 * x], axis=1), atol=1e-11)
+
+
+def test_updates_accumulate_and_have_the_right_shape(scene):
+    grid, points, V = scene
+    work = points.add_field("work")
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    g = fem.Constant(grid, (0.0, 0.0))
+    F -= ufl.inner(g, V.test) * points.dX
+    updates = {"work": work + ufl.inner(g, V.increment)}
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), updates=updates)
+    totals = []
+    for k in range(3):
+        g.value[1] = -0.1 * (k + 1)
+        problem.step()
+        totals.append(points["work"] @ points["V0"])
+    assert 0 < totals[0] < totals[1] < totals[2]
+    with pytest.raises(FieldShapeError, match="'work' has shape"):
+        mpm.QuasiStatic(F, V.increment, points, updates={"work": V.increment})
+
+
+def test_a_form_is_compiled_once(scene, monkeypatch):
+    from dolfinmpm import _compat
+
+    grid, points, V = scene
+    count = 0
+    for name in ("jit_expression", "compile_form"):
+        original = getattr(_compat, name)
+
+        def counted(*args, original=original):
+            nonlocal count
+            count += 1
+            return original(*args)
+
+        for module in ("dolfinmpm.forms.pointwise", "dolfinmpm.ordinary"):
+            monkeypatch.setattr(f"{module}.{name}", counted, raising=False)
+    g = fem.Constant(grid, (0.0, -0.1))
+    F = mpm.momentum(LAW, points, V.increment, V.test) - ufl.inner(g, V.test) * points.dX
+    F += mpm.ghost(points, V.increment, V.test, gamma=1 / 3)
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    compiled = count
+    assert compiled > 0
+    for _ in range(3):
+        problem.step()
+    assert count == compiled
+
+
+@pytest.mark.parametrize("nu", [0.5, 0.6, -1.0, float("nan")])
+@pytest.mark.parametrize("law", [mpm.materials.Hencky, mpm.materials.NeoHookean])
+def test_impossible_poisson_ratios(law, nu):
+    with pytest.raises(ParameterError, match="nu = "):
+        law(E=1.0, nu=nu)
+
+
+def test_impossible_ghost_penalties(scene):
+    _, points, V = scene
+    u, v = V.increment, V.test
+    with pytest.raises(ParameterError, match="gamma = -1"):
+        mpm.ghost(points, u, v, gamma=-1)
+    with pytest.raises(ParameterError, match="order = 0"):
+        mpm.ghost(points, u, v, gamma=1.0, order=0)
+    with pytest.raises(ParameterError, match="scaling = 'other'"):
+        mpm.ghost(points, u, v, gamma=1.0, scaling="other")

@@ -1,0 +1,277 @@
+"""Steps: halving, rollback, errors, and what is kept between them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+import ufl
+from conftest import dense, unit_grid
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm.errors import (
+    ConflictingConditionsError,
+    ConvergenceError,
+    ParameterError,
+    PointsOutsideGridError,
+)
+
+
+def column(n=8, E=1e4, **options):
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (50 / n, 50)], (1, n),
+                                 mesh.CellType.quadrilateral)  # fmt: skip
+    points = mpm.fill(grid, mpm.Box((0, 0), (50 / n, 50)), 2, 80.0)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, 0.0))
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.0), points, u, v)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    if options.pop("ghost", False):
+        F += mpm.ghost(points, u, v, gamma=E / 30)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    return mpm.QuasiStatic(F, u, points, bcs, **options), g
+
+
+def state(points):
+    return {name: values.copy() for name, values in points.fields.items()}
+
+
+def test_a_step_that_is_too_large_is_halved_and_grows_back():
+    problem, g = column(max_iterations=5)
+    g.value[1] = -10.0
+    record = problem.step()
+    assert record.halvings > 0
+    assert record.parts > 1
+    # parts double after each success: fewer of them than steps of the smallest size
+    assert record.parts < 2**record.halvings
+    assert g.value[1] == -10.0
+    sigma = problem.points["stress"][:, 1, 1]
+    exact = -800 * (50 - problem.points["x0"][:, 1])
+    assert np.abs(sigma - exact).mean() < 0.04 * 800 * 50
+
+
+def test_parts_of_a_step_reach_what_small_steps_reach():
+    """Halving goes through the same loads as the user's own smaller steps."""
+    small, g = column()
+    for load in (0.25, 0.5, 0.75, 1.0):
+        g.value[1] = -2.0 * load
+        small.step()
+    large, g = column()
+    large._share = 0.25
+    g.value[1] = -2.0
+    grown = large.step()
+    assert grown.parts == 3  # 1/4, 1/2 and the 1/4 that is left
+    np.testing.assert_allclose(large.points["x"], small.points["x"], rtol=2e-3)
+
+
+def test_giving_up_keeps_the_state_and_names_the_place():
+    problem, g = column(max_iterations=1, max_halvings=2)
+    before = state(problem.points)
+    g.value[1] = -10.0
+    with pytest.raises(ConvergenceError) as caught:
+        problem.step()
+    message = str(caught.value)
+    assert "step 1 failed" in message
+    assert "DIVERGED_MAX_IT" in message
+    assert re.search(r"point \d+ at \[.*\] m with det ΔF = ", message)
+    assert "[ 0.  -2.5]" in message
+    for name, values in problem.points.fields.items():
+        assert np.array_equal(values, before[name]), name
+    assert g.value[1] == 0.0
+    # and the problem can go on
+    problem.system._max_iterations = 20
+    problem.system._snes.setTolerances(max_it=20)
+    g.value[1] = -0.25
+    assert problem.step().parts >= 1
+
+
+def test_a_law_without_a_stress_halves_the_step():
+    """An increment that turns cells inside out is not a number, and no crash."""
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    push = fem.Constant(grid, -0.3)
+    bcs = mpm.fixed(V, "bottom")
+    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 0.6), 1, push)
+    F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.3), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    with pytest.raises((ConvergenceError, PointsOutsideGridError)):
+        for _ in range(30):
+            problem.step()
+    assert all(np.isfinite(values).all() for values in points.fields.values())
+    assert points["x"].min() >= 0
+
+
+def test_points_that_leave_the_grid():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0.5, 0.5), (0.75, 0.75)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    everywhere = [
+        c for i in (0, 1)
+        for c in mpm.prescribed(V, lambda x: np.full(x.shape[1], True), i, (0.2, 0.0)[i])
+    ]  # fmt: skip
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, everywhere)
+    problem.step()
+    before = state(points)
+    with pytest.raises(PointsOutsideGridError, match=r"point \d+ goes from .* enlarge the grid"):
+        problem.step()
+    for name, values in points.fields.items():
+        assert np.array_equal(values, before[name]), name
+
+
+def test_conflicting_conditions():
+    grid = unit_grid("quadrilateral")
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1.0)
+    V = mpm.Space(grid)
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
+    agreeing = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "bottom")
+    mpm.QuasiStatic(F, V.increment, points, agreeing)
+    with pytest.raises(ConflictingConditionsError, match="by 'bottom' and as 0.1 by 'left'"):
+        mpm.QuasiStatic(
+            F, V.increment, points, mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, 0.1)
+        )
+    with pytest.raises(ParameterError, match="side 'north'"):
+        mpm.fixed(V, "north")
+    with pytest.raises(ParameterError, match="component = 2"):
+        mpm.prescribed(V, "left", 2)
+    with pytest.raises(ParameterError, match="no node"):
+        mpm.fixed(V, lambda x: x[0] > 7)
+    with pytest.raises(ParameterError, match="must be finite"):
+        mpm.prescribed(V, "left", 0, float("nan"))
+
+
+def test_only_active_unknowns_are_solved_on_a_large_grid():
+    sizes = []
+    for n in (1, 10):
+        grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (4.0 * n, 4.0)], (4 * n, 4),
+                                     mesh.CellType.quadrilateral)  # fmt: skip
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+        V = mpm.Space(grid, "gimp")
+        g = fem.Constant(grid, (0.0, -1e-3))
+        F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.3), points, V.increment, V.test)
+        F -= ufl.inner(g, V.test) * points.dX + 0 * mpm.ghost(points, V.increment, V.test, 1.0)
+        problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+        record = problem.step()
+        assert problem.system._matrix.petsc.getSize() == (record.unknowns, record.unknowns)
+        assert problem.system.active_cells == 4
+        sizes.append(record.unknowns)
+    assert sizes == [12, 12]
+
+
+def test_an_unchanged_active_set_keeps_its_matrix():
+    problem, g = column(4)
+    for load in (1e-3, 2e-3):  # the first step lets domains reach across the cells' edges
+        g.value[1] = -load
+        problem.step()
+    matrix = problem.system._matrix
+    for load in (3e-3, 4e-3):
+        g.value[1] = -load
+        problem.step()
+        assert problem.system._matrix is matrix
+    for load in range(20):
+        g.value[1] = -0.2 * load
+        problem.step()
+    assert problem.system._matrix is not matrix
+
+
+def test_without_ghost_terms_no_facets_are_searched():
+    problem, _ = column(4)
+    assert problem.system._facets is None
+    assert problem.system.ordinary is None
+    problem, _ = column(4, ghost=True)
+    assert problem.system._facets is not None
+
+
+def test_petsc_options_reach_the_solver():
+    problem, g = column(4, options_prefix="other_", petsc_options={"pc_factor_mat_solver_type": "petsc"})
+    g.value[1] = -0.25
+    problem.step()
+    pc = problem.system._snes.getKSP().getPC()
+    assert pc.getFactorSolverType() == "petsc"
+    default, g = column(4)
+    g.value[1] = -0.25
+    default.step()
+    assert default.system._snes.getKSP().getPC().getFactorSolverType() == "mumps"
+
+
+def test_bad_arguments():
+    with pytest.raises(ParameterError, match="tolerance = 0"):
+        column(4, tolerance=0)
+    with pytest.raises(ParameterError, match="max_iterations = 0"):
+        column(4, max_iterations=0)
+
+
+def test_residuals_are_pure():
+    """Evaluating the residual, as often as one likes, changes no field of the points."""
+    problem, g = column(8)
+    g.value[1] = -0.25
+    problem.step()
+    before = state(problem.points)
+    system = problem.system
+    system.activate(1.0)
+    matrix = system.tangent_matrix()
+    x, f = matrix.createVecs()
+    x.array[:] = np.random.default_rng(0).uniform(-0.1, 0.1, x.array.size)
+    values = []
+    for _ in range(3):
+        system._residual(None, x, f)
+        values.append(f.array.copy())
+    assert np.array_equal(values[0], values[2])
+    for name, fields in problem.points.fields.items():
+        assert np.array_equal(fields, before[name])
+
+
+def test_prolongation_equals_the_matrix_product():
+    """Ties taken into the stencils and blocks give Cᵀ K C and Cᵀ f."""
+    from scipy import sparse
+
+    for ghost in (False, True):
+        plain, g = column(8, ghost=ghost)
+        g.value[1] = -0.25
+        plain.step()
+        size = plain.system.unknowns.row_of.shape[0]
+        K = plain.stiffness()
+        full = dense(K)
+        nodes = plain.system.unknowns.nodes
+        rows = plain.system.unknowns.row_of
+        x = plain.system.spaces[0].function_space.tabulate_dof_coordinates()
+        top = nodes[np.argsort(x[nodes, 1])[-2:]]
+        pairs = {}
+        for a in top:  # the uppermost nodes continue the line of the two below them
+            below = [b for b in nodes if abs(x[b, 0] - x[a, 0]) < 1e-9 and b != a]
+            below.sort(key=lambda b: -x[b, 1])
+            pairs[a] = {below[0]: 2.0, below[1]: -1.0}
+
+        def tie(active, size=size, pairs=pairs):
+            C = sparse.lil_matrix((size, size))
+            C.setdiag(1.0)
+            for a, weights in pairs.items():
+                C[a, a] = 0.0
+                for b, w in weights.items():
+                    C[a, b] = w
+            C = C.tocsr()
+            C.eliminate_zeros()
+            return C
+
+        tied, g2 = column(8, ghost=ghost, prolongation=tie)
+        for name, values in plain.points.fields.items():
+            tied.points.fields[name][...] = values
+        reduced = dense(tied.stiffness())
+        new_rows = tied.system.unknowns.row_of
+        C = np.zeros((full.shape[0], reduced.shape[0]))
+        for a in nodes:
+            for i in range(2):
+                if rows[a, i] < 0:
+                    continue
+                if a in pairs:
+                    for b, w in pairs[a].items():
+                        C[rows[a, i], new_rows[b, i]] = w
+                else:
+                    C[rows[a, i], new_rows[a, i]] = 1.0
+        np.testing.assert_allclose(reduced, C.T @ full @ C, atol=1e-9 * np.abs(full).max())
+        g2.value[1] = -0.5
+        assert tied.step().parts >= 1
