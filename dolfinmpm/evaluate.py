@@ -103,7 +103,9 @@ class PointEvaluator:
             n = len(self._value)
             for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
                 self._data["value", k][:] = self._value[:, first:last]
-                self._data["gradient", k][:] = self._gradient[:, first:last].reshape(n, -1)
+                self._data["gradient", k][:] = self._gradient[:, first:last].reshape(
+                    n, (last - first) * self._gradient.shape[2]
+                )
 
     @property
     def value(self) -> Array:
