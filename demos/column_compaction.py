@@ -35,7 +35,6 @@ from scipy.special import lambertw
 
 import dolfinmpm as mpm
 
-
 # %% [markdown]
 # ## The scene
 # Square or cubic cells of side $l_0/N$. The last axis is the vertical one.
@@ -62,6 +61,21 @@ def background(dimension, columns, elements, h):
         return mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), tuple(corner)], cells, kind)
     kind = mesh.CellType.hexahedron
     return mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), tuple(corner)], cells, kind)
+
+
+def picture(path, x0, x, stress, height, weight, modulus):
+    """Stress and position of the points over their original height, beside the exact ones."""
+    up = x.shape[1] - 1
+    Y = np.linspace(0, height, 200)
+    with mpm.figure(path, width=6.5, height=2.8, ncols=2) as (_, (left, right)):
+        left.plot(stress[:, up, up] / 1e3, x0[:, up], ".", label="material points")
+        left.plot(-weight * (height - Y) / 1e3, Y, label="exact")
+        left.set(xlabel="vertical Cauchy stress (kPa)", ylabel="original height Y (m)")
+        right.plot(x[:, up], x0[:, up], ".", label="material points")
+        right.plot(exact_position(Y, height, modulus, weight), Y, label="exact")
+        right.set(xlabel="final height y (m)", ylabel="original height Y (m)")
+        for axes in (left, right):
+            axes.legend()
 
 
 def arguments():
@@ -162,7 +176,8 @@ figures = {
     "seconds_solve": solved - ready,
 }
 say(
-    f"{args.basis}, {args.elements} elements high, {figures['points']} points, {comm.size} rank(s): "
+    f"{args.basis}, {args.elements} elements high, {figures['points']} points, "
+    f"{comm.size} rank(s): "
     f"error {error:.5e}, height {figures['height']:.4f} m (exact {figures['height_exact']:.4f} m), "
     f"{sum(iterations)} Newton iterations in {args.steps} steps, "
     f"{figures['seconds_solve']:.2f} s after {figures['seconds_setup']:.2f} s of set-up"
@@ -188,8 +203,9 @@ if args.points_file:
 if not args.no_plot:
     with mpm.ParaView(args.output / "column_compaction.pvd", points) as file:
         file.write(1.0)
-    rows = points.gather("x0", "x", "stress", "l")
+    mpm.plot(points, args.output / "column_compaction_points.png")
+    rows = points.gather("x0", "x", "stress")
     if rows is not None:
-        picture(args, rows, height, weight, modulus)
+        picture(args.output / "column_compaction.png", *rows, height, weight, modulus)
 
 finish(args, figures)

@@ -99,9 +99,7 @@ class GhostFacets:
         per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
         self._cell_facets = of_cells.array.reshape(-1, per_cell)
 
-    def select(
-        self, active: npt.NDArray[np.bool_], numbering: Numbering
-    ) -> npt.NDArray[np.int32]:
+    def select(self, active: npt.NDArray[np.bool_], numbering: Numbering) -> npt.NDArray[np.int32]:
         """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
 
         Args:
@@ -109,9 +107,7 @@ class GhostFacets:
             numbering: Numbering of the cells.
         """
         boundary = np.zeros(numbering.size, bool)
-        _mark_boundary(
-            active, self._owned_cells, self._cell_facets, self._facet_cells, boundary
-        )
+        _mark_boundary(active, self._owned_cells, self._cell_facets, self._facet_cells, boundary)
         boundary = numbering.share_flags(boundary)
         rows = np.empty((0, 4), np.int32)
         for _ in range(2):  # first count, then fill

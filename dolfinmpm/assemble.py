@@ -1,4 +1,4 @@
-"""Sums over the points' stencils, straight into the vector and the matrix of the active unknowns."""
+"""Sums over the points' stencils, straight into the vector and the matrix of the unknowns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from petsc4py import PETSc
 
 from dolfinmpm._compat import preallocate_coo, set_values_coo
 from dolfinmpm.basis import Stencils
-from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.unknowns import Unknowns
 
 __all__ = ["Matrix", "Pattern", "add_blocks", "add_stiffness", "add_vector", "multiply_blocks"]
@@ -182,9 +181,7 @@ def multiply_blocks(rows, columns, blocks, u, out):
 
 
 @numba.njit(cache=True)
-def _couple(
-    active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours
-):
+def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours):
     """Neighbours of every active node, in increasing order; only counts if the array is empty."""
     n = active.size
     # groups of every node
@@ -250,7 +247,7 @@ def _covers(start, neighbours, new_start, new_neighbours):
 
 @numba.njit(cache=True)
 def _expand(start, neighbours, rows, indptr, indices):
-    """Unknowns of a graph of nodes; rows (active nodes, components) holds -1 where there is none."""
+    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none."""
     nc = rows.shape[1]
     for a in range(start.size - 1):
         count = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,7 @@ class Condition:
 
 
 def _sides(gdim: int) -> dict[str, tuple[int, int]]:
-    """Side → (axis, 0 for the lower and 1 for the upper end); bottom and top are on the last axis."""
+    """Side → (axis, 0 for its lower or 1 for its upper end); bottom, top are on the last axis."""
     last = gdim - 1
     sides = {"left": (0, 0), "right": (0, 1), "bottom": (last, 0), "top": (last, 1)}
     if gdim == 3:
@@ -114,7 +115,7 @@ def prescribed(
     nodes, name = _nodes(space, where)
     # UFL expressions are callable too
     constant = isinstance(value, fem.Constant)
-    given = value
+    given: Any = value
     if callable(value) and not constant:
         given = value(_node_coordinates(space)[nodes].T)
     if not constant:
@@ -177,7 +178,8 @@ def apply_conditions(
         matching = [k for k, space in enumerate(spaces) if space is condition.space]
         if not matching:
             raise ParameterError(
-                f"the condition at '{condition.where}' is on a space that the problem does not solve"
+                f"the condition at '{condition.where}' is on a space that the problem does not "
+                "solve for"
             )
         column = starts[matching[0]] + condition.component
         nodes = condition.nodes

@@ -97,7 +97,7 @@ class PointEvaluator:
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
     def interpolate(self, u: Array) -> None:
-        """Values and gradients of the nodal increments, shape (nodes, components), at the points."""
+        """Values and gradients at the points of nodal increments, shape (nodes, components)."""
         gather(self._stencils, u, self._value, self._gradient)
         if len(self._starts) > 2:
             n = len(self._value)
@@ -192,9 +192,7 @@ class PointUpdates:
         FormError: An expression cannot be evaluated at the points.
     """
 
-    def __init__(
-        self, updates: dict[str, Expr], spaces: Sequence[Space], points: MaterialPoints
-    ):
+    def __init__(self, updates: dict[str, Expr], spaces: Sequence[Space], points: MaterialPoints):
         self._slots = Slots(spaces, points)
         self._programs: dict[str, Program] = {}
         self._points = points

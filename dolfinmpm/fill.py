@@ -19,7 +19,6 @@ from dolfinmpm.errors import (
     ParameterError,
     ShapeOutsideGridError,
     UnsupportedGridError,
-    raise_together,
 )
 from dolfinmpm.grid import Lattice, lattice_of, require_lattice
 from dolfinmpm.locate import destinations
@@ -119,17 +118,17 @@ def _divide_lattice(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
     ijk = lattice.cell_ijk[: _owned(grid)]
     lower = np.column_stack([lattice.lines[d][ijk[:, d]] for d in range(gdim)])
     upper = np.column_stack([lattice.lines[d][ijk[:, d] + 1] for d in range(gdim)])
-    if shape.low is not None:
+    if shape.low is not None and shape.high is not None:
         near = np.all((upper >= shape.low) & (lower <= shape.high), axis=1)
     else:
         near = np.ones(len(ijk), bool)
     cells = np.flatnonzero(near).astype(np.int32)
     parts = np.array(list(itertools.product(range(n), repeat=gdim)))
     size = (upper[cells] - lower[cells])[:, None] / n
-    low = (lower[cells][:, None] + parts * size).reshape(-1, gdim)
-    high = (lower[cells][:, None] + (parts + 1) * size).reshape(-1, gdim)
+    low: Array = (lower[cells][:, None] + parts * size).reshape(-1, gdim)
+    high: Array = (lower[cells][:, None] + (parts + 1) * size).reshape(-1, gdim)
     cell = np.repeat(cells, len(parts))
-    if isinstance(shape, Box):
+    if isinstance(shape, Box) and shape.low is not None and shape.high is not None:
         # what rounding left between a face of the box and a face of a part is no overlap
         slack = _SLIVER * (high - low)
         low = np.where(np.abs(low - shape.low) > slack, np.maximum(low, shape.low), low)
@@ -171,7 +170,9 @@ def _divide_cells(grid: Mesh, shape: Shape, n: int):
         dN = np.empty((len(xi), 2**gdim, gdim))
         for j in range(gdim):
             others = [i for i in range(gdim) if i != j]
-            factors = np.where(bits[:, others], xi[:, None][..., others], 1 - xi[:, None][..., others])
+            factors = np.where(
+                bits[:, others], xi[:, None][..., others], 1 - xi[:, None][..., others]
+            )
             dN[..., j] = slopes[:, j] * np.prod(factors, axis=2)
         share = 1.0
     else:

@@ -20,9 +20,8 @@ from dolfinmpm.errors import UnsupportedGridError
 __all__ = ["Lattice", "cell_size", "lattice_of"]
 
 
-
 def once_per_grid(function: Callable) -> Callable:
-    """Keep what a function of a grid returns on the grid itself, so that both are freed together."""
+    """Keep what a function of a grid returns on the grid itself, to be freed with it."""
 
     @functools.wraps(function)
     def wrapper(grid, *args):
@@ -96,7 +95,7 @@ def lattice_of(grid: Mesh) -> Lattice | None:
     kind = grid.topology.cell_type
     if kind not in _BOX_CELLS or grid.topology.dim != gdim or geometry_degree(grid) != 1:
         return None
-    x = grid.geometry.x[:, :gdim]
+    x = np.asarray(grid.geometry.x[:, :gdim], float)
     vertices = geometry_dofmap(grid)
     # a rank without cells takes part in every call all the same
     low = comm.allgather(x.min(axis=0) if x.size else np.full(gdim, math.inf))

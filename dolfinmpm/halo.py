@@ -27,7 +27,7 @@ __all__ = ["LatticeHalo", "Numbering"]
 class Numbering:
     """Owned and ghost indices of nodes or cells on this rank."""
 
-    def __init__(self, comm: MPI.Comm, index_map: IndexMap):
+    def __init__(self, comm: MPI.Intracomm, index_map: IndexMap):
         self.comm = comm
         self.index_map = index_map
         self.owned = index_map.size_local

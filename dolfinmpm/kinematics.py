@@ -46,7 +46,6 @@ def _call_law(typingctx, address, parameters, strain, old, new, stress, tangent)
     return signature, generate
 
 
-
 @functools.cache
 def _stress_kernel(d: int):
     """The loop over the points in d dimensions, which Numba unrolls for that d."""
@@ -55,7 +54,7 @@ def _stress_kernel(d: int):
     def kernel(
         law, parameters, H, F_n, be_n, internal_n, S, A, want_tangent, commit, be, internal, sigma
     ):
-        dF, dFinv = np.zeros((3, 3)), np.zeros((3, 3))
+        dF = np.zeros((3, 3))
         small, small_inv = np.empty((d, d)), np.empty((d, d))
         bn, b, Q, B = np.zeros((3, 3)), np.zeros((3, 3)), np.eye(3), np.empty((d, d))
         work = np.empty((d, 3))
@@ -280,7 +279,7 @@ def momentum(law: Law | NeoHookean, points: MaterialPoints, u, v) -> ufl.Form:
 
 
 @numba.njit(cache=True)
-def _stretches(F, l0, l):
+def _stretches(F, l0, lengths):
     d = F.shape[1]
     C, Q, values = np.empty((d, d)), np.empty((d, d)), np.empty(d)
     for p in range(F.shape[0]):
@@ -294,7 +293,7 @@ def _stretches(F, l0, l):
             stretch = 0.0
             for a in range(d):
                 stretch += math.sqrt(values[a]) * Q[i, a] * Q[i, a]
-            l[p, i] = l0[p, i] * stretch
+            lengths[p, i] = l0[p, i] * stretch
 
 
 def update_domains(F: Array, l0: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +61,7 @@ class _MeshLocator:
         self._gdim = grid.geometry.dim
         self._coordinates = np.ascontiguousarray(grid.geometry.x[:, : self._gdim])
         self._kind = kind_of(grid)
-        self._tree = None
+        self._tree: Any = None
 
     def _contained(self, x, cells):
         result = np.empty(len(x), bool)

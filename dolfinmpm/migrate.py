@@ -46,9 +46,7 @@ def migrate(points, to: Destinations) -> int:
     arriving = np.empty_like(counts)
     comm.Alltoall(counts, arriving)
     received = np.empty((arriving.sum(), width), np.uint8)
-    comm.Alltoallv(
-        [np.ascontiguousarray(packed), counts * width], [received, arriving * width]
-    )
+    comm.Alltoallv([np.ascontiguousarray(packed), counts * width], [received, arriving * width])
     staying = to.rank == comm.rank
     start = 0
     for name, values in rows.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numba
@@ -63,7 +64,7 @@ class _Block:
             GHOST_FACETS in (i if isinstance(i, tuple) else (i,))
             for i in (integral.subdomain_id() for integral in form.integrals())
         )
-        self._form: fem.Form | None = None
+        self._form: Any = None
         self._matrix: Any = None
 
     def attach(self, facets: npt.NDArray[np.int32] | None) -> None:
@@ -128,9 +129,7 @@ class OrdinaryAssembler:
         self._jacobian = [[block(terms.jacobian[i][j], i, j) for j in count] for i in count]
         self.linear = terms.linear
         self._all = [
-            b
-            for b in (*self._external, *self._internal, *sum(self._jacobian, []))
-            if b is not None
+            b for b in chain(self._external, self._internal, *self._jacobian) if b is not None
         ]
         self.has_ghost = any(b.has_ghost for b in self._all)
         self.has_jacobian = any(b is not None for row in self._jacobian for b in row)

@@ -94,7 +94,7 @@ class MaterialPoints:
         density: float | npt.NDArray[np.float64],
     ):
         self.grid = grid
-        self.comm: MPI.Comm = grid.comm
+        self.comm: MPI.Intracomm = grid.comm
         self.number = next(_numbers)
         n, d = x.shape
         self.gdim = d
@@ -201,7 +201,7 @@ class MaterialPoints:
         target[:] = given
 
     def migrate(self, to: Destinations) -> int:
-        """Hand points over to the ranks that own their cells; returns how many moved. Collective."""
+        """Hand points to the ranks that own their cells; returns how many moved. Collective."""
         return migrate(self, to)
 
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:

@@ -99,7 +99,8 @@ class Prolongation:
         nodes = np.concatenate([pieces[0].indices[indptr[p] : indptr[p + 1]] for p in first])
         node_start = running_sum(np.diff(indptr)[first], np.int32)
         return Stencils(
-            s.order, s.groups, node_start, nodes.astype(np.int32), indptr[s.groups].astype(np.int64),
+            s.order, s.groups, node_start, nodes.astype(np.int32),
+            indptr[s.groups].astype(np.int64),
             pieces[0].data, np.column_stack([piece.data for piece in pieces[1:]]),
             s.cell_start, s.cells,
         )  # fmt: skip

@@ -50,9 +50,10 @@ class Shape:
         return Shape(lambda x: self.contains(x) | other.contains(x), low, high)
 
     def __and__(self, other: Shape) -> Shape:
-        boxed = [s for s in (self, other) if s.low is not None]
-        low = np.max([s.low for s in boxed], axis=0) if boxed else None
-        high = np.min([s.high for s in boxed], axis=0) if boxed else None
+        lows = [s.low for s in (self, other) if s.low is not None]
+        highs = [s.high for s in (self, other) if s.high is not None]
+        low = np.max(lows, axis=0) if lows else None
+        high = np.min(highs, axis=0) if highs else None
         return Shape(lambda x: self.contains(x) & other.contains(x), low, high)
 
     def __sub__(self, other: Shape) -> Shape:
@@ -78,9 +79,7 @@ class Box(Shape):
                 f"Box needs a lower and a higher corner, got {low} and {high}; "
                 "each coordinate of the second must be larger"
             )
-        super().__init__(
-            lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper
-        )
+        super().__init__(lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper)
 
 
 class Ball(Shape):

@@ -23,14 +23,12 @@ def basis_of(grid: Mesh, name: str) -> Basis:
     """The basis of that name on the grid, one for all fields that use it. Collective."""
     scalar = fem.functionspace(grid, ("Lagrange", 1))
     node_map = scalar.dofmap.index_map
-    if name == "gimp":
-        lattice = require_lattice(grid, 'basis="gimp"')
-    else:
-        lattice = lattice_of(grid)
+    gimp = name == "gimp"
+    lattice = require_lattice(grid, 'basis="gimp"') if gimp else lattice_of(grid)
     if lattice is None:
         return LinearBasis(grid, node_map, scalar.dofmap.list)
     x = scalar.tabulate_dof_coordinates()[:, : grid.geometry.dim]
-    return LatticeBasis(grid, lattice, name == "gimp", node_map, x)
+    return LatticeBasis(grid, lattice, gimp, node_map, x)
 
 
 class Space:

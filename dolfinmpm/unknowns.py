@@ -33,7 +33,7 @@ class Unknowns:
     """
 
     def __init__(self, numbering: Numbering, components: int):
-        self.comm: MPI.Comm = numbering.comm
+        self.comm: MPI.Intracomm = numbering.comm
         self.numbering = numbering
         self.components = components
         shape = (numbering.size, components)
@@ -41,9 +41,9 @@ class Unknowns:
         self.fixed = np.zeros(shape, bool)
         self.prescribed = np.zeros(shape)
         self.compact = np.zeros(numbering.size, np.int32)
-        self.nodes = np.empty(0, np.int32)
+        self.nodes: npt.NDArray[np.int32] = np.empty(0, np.int32)
         self.owned = self.local = self.total = 0
-        self.to_global = np.empty(0, np.int32)
+        self.to_global: npt.NDArray[np.int32] = np.empty(0, np.int32)
 
     def activate(self, nodes: npt.NDArray[np.int32]) -> bool:
         """Number the unknowns of these nodes; returns whether they changed anywhere. Collective.

@@ -39,7 +39,7 @@ def _cell_of(line, uniform, x):
 
 @numba.njit(cache=True)
 def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, low, count):
-    """First overlapped cell and number of them a direction; returns whether all are in the table."""
+    """First overlapped cell and number of them a direction; returns whether the table has all."""
     inside = True
     for p in range(x.shape[0]):
         for d in range(x.shape[1]):
@@ -202,9 +202,7 @@ class LatticeBasis:
         half = points["l"] if self.averaged else np.zeros_like(x)
         return self.stencils_at(x, half)
 
-    def stencils_at(
-        self, x: npt.NDArray[np.float64], half: npt.NDArray[np.float64]
-    ) -> Stencils:
+    def stencils_at(self, x: npt.NDArray[np.float64], half: npt.NDArray[np.float64]) -> Stencils:
         """Stencils at positions x (m) with half-lengths (m), both (points, gdim). Collective."""
         comm, halo = self.grid.comm, self.halo
         low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
@@ -237,7 +235,10 @@ class LatticeBasis:
         groups = group_starts(key[order])
         spans = count[order[groups[:-1]]].astype(np.int64)
         nodes_each, cells_each = np.prod(spans + 1, axis=1), np.prod(spans, axis=1)
-        node_start, cell_start = running_sum(nodes_each, np.int32), running_sum(cells_each, np.int32)
+        node_start, cell_start = (
+            running_sum(nodes_each, np.int32),
+            running_sum(cells_each, np.int32),
+        )
         value_start = running_sum(nodes_each * np.diff(groups), np.int64)
         s = Stencils(
             order, groups, node_start, np.empty(node_start[-1], np.int32), value_start,

@@ -80,7 +80,8 @@ class LinearBasis:
         groups = group_starts(cells[order].astype(np.int64))
         number, m = groups.size - 1, self._vertices.shape[1]
         s = Stencils(
-            order, groups, running_sum(np.full(number, m), np.int32), np.empty(number * m, np.int32),
+            order, groups,
+            running_sum(np.full(number, m), np.int32), np.empty(number * m, np.int32),
             running_sum(np.diff(groups).astype(np.int64) * m, np.int64),
             np.empty(len(x) * m), np.empty((len(x) * m, x.shape[1])),
             np.arange(number + 1, dtype=np.int32), cells[order[groups[:-1]]],

@@ -96,6 +96,4 @@ def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArra
         value: Written: Σ N_a u_a, shape (points, components).
         gradient: Written: Σ u_a ⊗ ∇N_a, shape (points, components, gdim).
     """
-    _gather(
-        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient
-    )
+    _gather(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient)

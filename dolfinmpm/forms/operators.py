@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 class PointwiseLaw(Protocol):
-    """What an operator calls: a function of its operand at every point, and of the points' state."""
+    """What an operator calls: a function of its operand and state at every point."""
 
     def evaluate(self, operand: Array, value: Array, tangent: Array | None) -> int:
         """Value, and the tangent if an array is given; returns the failed point or -1.

@@ -132,7 +132,6 @@ def compile_program(
         function, keep = jit_expression(grid.comm, vector, middle)
     except Exception as error:
         raise FormError(
-            "FFCx cannot compile the pointwise integrand "
-            f"{str(vector)[:500]}: {error}"
+            f"FFCx cannot compile the pointwise integrand {str(vector)[:500]}: {error}"
         ) from error
     return Program(function, len(expressions), inputs, keep)

@@ -18,7 +18,7 @@ from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
-from ufl.classes import Argument, CoefficientDerivative, Coefficient, Sum, Zero
+from ufl.classes import Argument, Coefficient, CoefficientDerivative, Sum, Zero
 from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
@@ -141,8 +141,7 @@ class Slots(MultiFunction):
             if o == space.test:
                 return k
         raise FormError(
-            f"'{o}' is not the test function of a space that the problem solves for; "
-            "use Space.test"
+            f"'{o}' is not the test function of a space that the problem solves for; use Space.test"
         )
 
     def _check_points(self, o) -> None:
@@ -393,14 +392,12 @@ def _tangent(fluxes, slots: Slots, operands: Sequence[Expr]) -> tuple[Program, b
             if not gradient_only:
                 rows.append((k, 0, i))
             rows += [(k, 1, (*i, j)) for j in range(points.gdim)]
-    components = [
-        _at(blocks[(k, s), (m, r)], (*i, *j)) for k, s, i in rows for m, r, j in rows
-    ]
+    components = [_at(blocks[(k, s), (m, r)], (*i, *j)) for k, s, i in rows for m, r, j in rows]
     return compile_program(points.grid, components, slots.sources), gradient_only
 
 
 def _without_zeros(form: ufl.Form) -> ufl.Form | None:
-    """The form less the integrals of zero, which UFL keeps as sums of zeros; None if nothing is left."""
+    """The form less the integrals of zero that UFL keeps; None if nothing is left."""
     kept = []
     for integral in expand_derivatives(form).integrals():
         terms = [t for t in _summands(integral.integrand()) if ufl.algorithms.extract_arguments(t)]
@@ -414,9 +411,7 @@ def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
     parts: dict[bool, list[Any]] = {False: [], True: []}
     for integral in integrals:
         for varies in parts:
-            terms = [
-                t for t in _summands(integral.integrand()) if _varies(t, increments) == varies
-            ]
+            terms = [t for t in _summands(integral.integrand()) if _varies(t, increments) == varies]
             if terms:
                 parts[varies].append(integral.reconstruct(sum(terms[1:], start=terms[0])))
 

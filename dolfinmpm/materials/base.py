@@ -54,7 +54,7 @@ class Parameter:
         """Raise ParameterError unless the value is admissible."""
         inside = self.low <= value <= self.high if self.closed else self.low < value < self.high
         if not (math.isfinite(value) and inside):
-            left, right = "[]" if self.closed else "()"
+            left, right = ("[", "]") if self.closed else ("(", ")")
             raise ParameterError(
                 f"{law}: {name} = {value} {self.unit} must be in "
                 f"{left}{self.low}, {self.high}{right}".replace("  ", " ")

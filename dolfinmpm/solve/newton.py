@@ -71,7 +71,7 @@ class NewtonSystem:
         prefix: str,
         options: dict[str, Any],
     ):
-        self.comm: MPI.Comm = points.comm
+        self.comm: MPI.Intracomm = points.comm
         self.spaces = list(spaces)
         self.basis = spaces[0].basis
         self.components = sum(space.components for space in spaces)
@@ -122,9 +122,9 @@ class NewtonSystem:
         self._shared = dict(zip(("u", "r", "external", "lift"), vectors))
         shape = (self._numbering.size, self.components)
         self._u, self._r, self._external, self._lift = (v.array.reshape(shape) for v in vectors)
-        self._touched = np.empty(0, np.int32)
-        self._pattern: Pattern | None = None
-        self._matrix: Matrix | None = None
+        self._touched: npt.NDArray[np.int32] = np.empty(0, np.int32)
+        self._pattern: Any = None
+        self._matrix: Any = None
         self._attached: npt.NDArray[np.int32] | None = None
         self._set_conditions(1.0)
 
@@ -137,7 +137,6 @@ class NewtonSystem:
                 shared.array[:] = values.ravel()
                 shared.scatter_forward()
                 values[:] = shared.array.reshape(values.shape)
-
 
     def activate(self, share: float) -> None:
         """Stencils, unknowns, facets and matrix for where the points are now. Collective.
@@ -164,7 +163,8 @@ class NewtonSystem:
                 values[self._touched] = 0.0
             self._touched = nodes
         self.evaluator.start_step(stencils)
-        rows = columns = np.empty(0, np.int32)
+        rows: npt.NDArray[np.int32] = np.empty(0, np.int32)
+        columns = rows
         if self.ordinary:
             self._attach()
             rows, columns = self._couplings()
@@ -195,6 +195,7 @@ class NewtonSystem:
         return self.comm.allreduce(int(flags[: self.basis.cells.owned].sum()), op=MPI.SUM)
 
     def _attach(self) -> None:
+        assert self.ordinary is not None
         facets = None
         if self._facets is not None:
             active = active_cells(self._cells, self.basis.cells)
@@ -209,8 +210,9 @@ class NewtonSystem:
         # what is linear in the increments is assembled once a step
         self._blocks = self._ordinary_blocks() if self.ordinary.linear else None
 
-    def _ordinary_blocks(self):
+    def _ordinary_blocks(self) -> tuple[Any, Any, Any]:
         """Rows, columns and blocks of the ordinary terms, on the solver's nodes."""
+        assert self.ordinary is not None
         ordinary = self.ordinary
         blocks = ordinary.rows, ordinary.columns, ordinary.jacobian()
         return blocks if self._C is None else self._C.reduce(*blocks, self.components)

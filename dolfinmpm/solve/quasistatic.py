@@ -127,7 +127,7 @@ class QuasiStatic:
                 f"{max_halvings} at least 0"
             )
         self.points = points
-        self.comm: MPI.Comm = points.comm
+        self.comm: MPI.Intracomm = points.comm
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
         parts = split(form, spaces, points)
@@ -204,7 +204,7 @@ class QuasiStatic:
         points, evaluator, d = self.points, self.system.evaluator, self.points.gdim
         new = evaluator.commit()
         new |= self._updates.run(evaluator)
-        bad = np.empty(0, int)
+        bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
         if self._moves:
             dF = evaluator.gradient[:, :d] + np.eye(d)
             new["F"] = np.ascontiguousarray(dF @ points["F"])
@@ -235,8 +235,8 @@ class QuasiStatic:
         p = lost[0]
         return PointsOutsideGridError(
             f"{lost.size} material points would leave the grid in step {len(self.history) + 1}; "
-            f"point {self.points['id'][p]} goes from {self.points['x'][p]} m to {x[p]} m. The state "
-            "is that before it: enlarge the grid or hold the points with boundary conditions"
+            f"point {self.points['id'][p]} goes from {self.points['x'][p]} m to {x[p]} m. The "
+            "state is that before it: enlarge the grid or hold the points with boundary conditions"
         )
 
     def _failure(self, reason: str, done: float, share: float) -> str:

@@ -17,7 +17,7 @@ COMM = MPI.COMM_WORLD
 
 
 def sums(points, *names):
-    """Sums over all points of the fields and their squares, weighted so that order does not matter."""
+    """Weighted sums over all points of the fields and their squares."""
     figures = {}
     for name in names:
         values = points[name].reshape(len(points), int(np.prod(points[name].shape[1:])))

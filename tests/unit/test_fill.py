@@ -92,9 +92,9 @@ def test_other_bad_arguments():
         mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, density=1.0, aligned="both")
     with pytest.raises(ParameterError, match="each coordinate"):
         mpm.Box((0, 1), (1, 1))
+    box, triangles = mpm.Box((0, 0), (1, 1)), unit_grid("triangle")
     with pytest.raises(UnsupportedGridError, match="rectangular"):
-        box = mpm.Box((0, 0), (1, 1))
-        mpm.fill(unit_grid("triangle"), box, 2, density=1.0, aligned="body")
+        mpm.fill(triangles, box, 2, density=1.0, aligned="body")
 
 
 def test_fields_keep_their_shape():

@@ -65,7 +65,7 @@ def test_a_derivative_through_a_law(scene):
 
 
 def test_other_points_and_other_test_functions(scene):
-    grid, points, V = scene
+    grid = scene[0]
     other = mpm.fill(grid, mpm.Box((0, 0), (1, 0.7)), 2, 1.0)
     refused(scene, lambda p, u, v: ufl.inner(u, v) * other.dX, "does not move")
     refused(scene, lambda p, u, v: other.density * ufl.inner(u, v) * p.dX, "other material points")
@@ -80,7 +80,7 @@ def test_restrictions_and_unbound_constants(scene):
 
 
 def test_not_a_form_and_not_an_increment(scene):
-    grid, points, V = scene
+    _, points, V = scene
     with pytest.raises(FormError, match="must be a UFL form"):
         mpm.QuasiStatic(3.0, V.increment, points)
     w = fem.Function(V.function_space)
@@ -110,7 +110,9 @@ def test_functions_at_points_are_exact_where_they_can_be(scene):
     problem.step()
     x, y = points["x"].T
     np.testing.assert_allclose(points["value"], x**2 + 3 * x * y, atol=1e-12)
-    np.testing.assert_allclose(points["slope"], np.stack([2 * x + 3 * y, 3 * x], axis=1), atol=1e-11)
+    np.testing.assert_allclose(
+        points["slope"], np.stack([2 * x + 3 * y, 3 * x], axis=1), atol=1e-11
+    )
 
 
 def test_updates_accumulate_and_have_the_right_shape(scene):

@@ -98,9 +98,13 @@ def test_a_law_without_a_stress_halves_the_step():
     bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 0.6), 1, push)
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.3), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
-    with pytest.raises((ConvergenceError, PointsOutsideGridError)):
+
+    def push_through():
         for _ in range(30):
             problem.step()
+
+    with pytest.raises((ConvergenceError, PointsOutsideGridError)):
+        push_through()
     assert all(np.isfinite(values).all() for values in points.fields.values())
     assert points["x"].min() >= 0
 
@@ -130,7 +134,7 @@ def test_conflicting_conditions():
     F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
     agreeing = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "bottom")
     mpm.QuasiStatic(F, V.increment, points, agreeing)
-    with pytest.raises(ConflictingConditionsError, match="by 'bottom' and as 0.1 by 'left'"):
+    with pytest.raises(ConflictingConditionsError, match=r"by 'bottom' and as 0\.1 by 'left'"):
         mpm.QuasiStatic(
             F, V.increment, points, mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, 0.1)
         )
@@ -187,7 +191,9 @@ def test_without_ghost_terms_no_facets_are_searched():
 
 
 def test_petsc_options_reach_the_solver():
-    problem, g = column(4, options_prefix="other_", petsc_options={"pc_factor_mat_solver_type": "petsc"})
+    problem, g = column(
+        4, options_prefix="other_", petsc_options={"pc_factor_mat_solver_type": "petsc"}
+    )
     g.value[1] = -0.25
     problem.step()
     pc = problem.system._snes.getKSP().getPC()

@@ -19,8 +19,8 @@ COMM = MPI.COMM_WORLD
 
 
 def column(
-    n, basis="gimp", dimension=2, per_cell=2, steps=40, E=10e3, nu=0.0, rho=80.0, g=10.0, ghost=None,
-    cell=None, height=50.0, law=mpm.materials.Hencky,
+    n, basis="gimp", dimension=2, per_cell=2, steps=40, E=10e3, nu=0.0, rho=80.0, g=10.0,
+    ghost=None, cell=None, height=50.0, law=mpm.materials.Hencky,
 ):  # fmt: skip
     """Solve; returns (problem, error)."""
     h = height / n
@@ -85,8 +85,10 @@ def test_neo_hookean_points_carry_the_exact_stress_too():
     np.testing.assert_allclose(stress, np.swapaxes(stress, 1, 2), atol=1e-9)
 
 
-@pytest.mark.parametrize(("E", "nu", "rho", "g", "height"),
-                         [(1e6, 0.3, 2000.0, 9.81, 20.0), (5e3, 0.2, 40.0, 10.0, 50.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("E", "nu", "rho", "g", "height"),
+    [(1e6, 0.3, 2000.0, 9.81, 20.0), (5e3, 0.2, 40.0, 10.0, 50.0)],
+)
 def test_other_materials(E, nu, rho, g, height):
     _, error = column(32, E=E, nu=nu, rho=rho, g=g, height=height)
     assert error < 3e-3
@@ -130,7 +132,7 @@ def test_newton_converges_quadratically():
 
 @pytest.mark.parametrize("cell", [mesh.CellType.triangle, mesh.CellType.quadrilateral])
 def test_standard_mpm_before_cells_are_crossed(cell):
-    """While no point crosses a cell, stress is constant in it: off by a quarter of a cell's weight."""
+    """While no point crosses a cell, stress is constant in it: a quarter of its weight off."""
     for n in (8, 16):
         _, error = column(n, "linear", E=1e7, steps=2, cell=cell)
         assert error == pytest.approx(1 / (4 * n), rel=0.03)

@@ -105,7 +105,9 @@ def condition_of_a_cut(scaling, cut=1e-6, h=1.0):
     F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, u, v)
     if scaling:
         F += mpm.ghost(points, u, v, gamma=1 / 30, scaling=scaling)
-    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom"))
+    problem = mpm.QuasiStatic(
+        F, u, points, mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    )
     return np.linalg.cond(dense(problem.stiffness()))
 
 

@@ -1,0 +1,385 @@
+"""Time series of material points and background grid that ParaView opens."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, plot
+
+from dolfinmpm.errors import ParameterError, raise_together
+from dolfinmpm.points import MaterialPoints
+
+__all__ = ["ParaView"]
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+class ParaView:
+    """Time series of the material points, and of the background grid, for ParaView.
+
+    `output/column.pvd` is the series of the points and `output/column_grid.pvd` that
+    of the grid. Each lists, for every time, an index of one compressed piece a rank
+    in the folder `output/column/`. Both are complete after every write, so that a
+    run that was broken off can still be opened. Parent folders are created; files
+    of an earlier run are replaced.
+
+    The points carry, with two components padded to three and 2 × 2 tensors to nine
+    (F_zz is 1 then, the rest 0), d being the dimension of space:
+
+    =============  ==========  =======  =======================================
+    name           components  unit     meaning
+    =============  ==========  =======  =======================================
+    id             1           -        number of the point
+    displacement   3           m        x - x0
+    x0             3           m        first position
+    V, V0          1           m^d      volume, now and at first
+    density        1           kg/m^d   mass per initial volume
+    F              9           -        deformation gradient
+    l, l0          3           m        half-lengths of the GIMP domain
+    stress         9           Pa       Cauchy stress
+    any other one  as it is    its own  as `points.add_field` was told
+    =============  ==========  =======  =======================================
+
+    The unit is also in the file, as the array's UNITS_LABEL. The grid's cells carry
+    `active`: 1 where a material point is in the cell, else 0.
+
+    Args:
+        path: The series of the points; ends in ".pvd".
+        points: Material points.
+        fields: Names of the points' fields to write; all of the table by default.
+        increments: Lagrange or piecewise constant functions on the grid, such as
+            `Space.increment` (m), that are written with `active` every time. Without
+            any, the mesh alone is written, once.
+        active: Write the grid with `active` every time even without increments.
+
+    Raises:
+        ParameterError: The path does not end in ".pvd", the points have no field of
+            a name, or an increment cannot be written.
+        OSError: The folder or the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        points: MaterialPoints,
+        fields: Sequence[str] | None = None,
+        increments: fem.Function | Sequence[fem.Function] = (),
+        *,
+        active: bool = False,
+    ):
+        # a missing package must be told before a run, not at its first write
+        import vtkmodules.vtkIOXML  # noqa: F401
+
+        self.path = Path(path)
+        self.points = points
+        self.comm = points.comm
+        self._fields = [fields] if isinstance(fields, str) else fields
+        self._increments = [increments] if isinstance(increments, fem.Function) else [*increments]
+        self._grid_each_time = bool(self._increments) or active
+        self._times: list[float] = []
+        raise_together(self.comm, self._wrong_arguments())
+        self._mesh = _GridMesh(points.grid, self._increments)
+        error = None
+        if self.comm.rank == 0:
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._write_series()
+            except OSError as cause:
+                error = OSError(f"cannot write {self.path}: {cause}")
+        raise_together(self.comm, error)
+
+    def __enter__(self) -> ParaView:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nothing is left to do: the files are complete after every write."""
+
+    def write(self, time: float) -> None:
+        """Write the present state of the points, and of the grid. Collective.
+
+        Args:
+            time: Time (s), or the share of the load; more than at the last write.
+
+        Raises:
+            ParameterError: The time is not finite or not after the last one.
+            OSError: A file cannot be written.
+        """
+        error = None
+        if not math.isfinite(time):
+            error = ParameterError(f"time = {time} must be finite")
+        elif self._times and time <= self._times[-1]:
+            error = ParameterError(f"time = {time} must be after the last, {self._times[-1]}")
+        raise_together(self.comm, error)
+        number = len(self._times)
+        self._write_points(f"points_{number:06d}")
+        if self._grid_each_time or number == 0:
+            self._write_grid(f"grid_{number:06d}")
+        self._times.append(float(time))
+        self._on_root(self._write_series)
+
+    @property
+    def _folder(self) -> Path:
+        return self.path.with_suffix("")
+
+    def _wrong_arguments(self) -> ParameterError | None:
+        if self.path.suffix != ".pvd":
+            return ParameterError(f"the path of a ParaView series ends in .pvd, got '{self.path}'")
+        known = [*self.points.fields, "displacement"]
+        for name in self._fields or ():
+            if name not in known:
+                return ParameterError(
+                    f"material points have no field '{name}' to write; they have "
+                    f"{', '.join(known)}"
+                )
+        names = [function.name for function in self._increments]
+        for function in self._increments:
+            if function.function_space.mesh is not self.points.grid:
+                return ParameterError(f"'{function.name}' lives on another grid than the points")
+            if names.count(function.name) > 1:
+                return ParameterError(
+                    f"{names.count(function.name)} increments are named '{function.name}'; "
+                    "give each its own, as in u.name = 'displacement_increment'"
+                )
+        return None
+
+    def _point_data(self) -> tuple[Arrays, dict[str, str]]:
+        """The arrays to write, shape (points, components), and their units."""
+        points = self.points
+        names = self._fields
+        if names is None:
+            others = [name for name in points.fields if name not in ("id", "cell", "x")]
+            names = ["id", "displacement", *others]
+        arrays, units = {}, {}
+        for name in names:
+            derived = name == "displacement" and name not in points.fields
+            values = points["x"] - points["x0"] if derived else points[name]
+            arrays[name] = _padded(values, 1.0 if name == "F" else 0.0)
+            unit = "m" if derived else getattr(getattr(points, name, None), "unit", "")
+            units[name] = unit.replace("^d", f"^{points.gdim}")
+        return arrays, units
+
+    def _write_points(self, stem: str) -> None:
+        from vtkmodules.vtkCommonDataModel import vtkPolyData
+
+        piece = vtkPolyData()
+        piece.SetPoints(_vtk_points(_padded(self.points["x"])))
+        # without a vertex cell each, most filters would see no points
+        piece.SetVerts(_vtk_cells(np.arange(len(self.points))[:, None]))
+        arrays, units = self._point_data()
+        self._write(stem, "vtp", piece, arrays, {}, units)
+
+    def _write_grid(self, stem: str) -> None:
+        point_data, cell_data = self._mesh.data(self._increments)
+        if self._grid_each_time:
+            active = np.zeros(self._mesh.cells, np.uint8)
+            active[self.points["cell"]] = 1
+            cell_data["active"] = active[:, None]
+        self._write(stem, "vtu", self._mesh.vtk(), point_data, cell_data, {})
+
+    def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
+        """One piece a rank, and their index on rank 0. Collective."""
+        from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+        for target, arrays in (
+            (piece.GetPointData(), point_data),
+            (piece.GetCellData(), cell_data),
+        ):
+            for name, values in arrays.items():
+                target.AddArray(_vtk_array(values, name, units.get(name, "")))
+        writer = vtkXMLPolyDataWriter() if kind == "vtp" else vtkXMLUnstructuredGridWriter()
+        file = self._folder / f"{stem}_{self.comm.rank}.{kind}"
+        writer.SetFileName(str(file))
+        writer.SetInputData(piece)
+        writer.SetDataModeToAppended()
+        writer.EncodeAppendedDataOff()
+        writer.SetHeaderTypeToUInt64()
+        # zlib takes eight times longer to make floating-point numbers a fifth smaller
+        writer.SetCompressorTypeToLZ4()
+        writer.AddObserver("ErrorEvent", lambda *_: None)
+        error = None
+        if not writer.Write():
+            error = OSError(f"cannot write {file}; is the folder writable and the disk not full?")
+        raise_together(self.comm, error)
+        files = [f"{stem}_{rank}.{kind}" for rank in range(self.comm.size)]
+        index = _index(kind, files, point_data, cell_data, units)
+        self._on_root(_replace, self._folder / f"{stem}.p{kind}", index)
+
+    def _write_series(self) -> None:
+        folder = self._folder.name
+        times = self._times if self._grid_each_time else self._times[:1]
+        grid_path = self.path.with_name(f"{folder}_grid.pvd")
+        for path, times, stem, kind in (
+            (grid_path, times, "grid", "pvtu"),
+            (self.path, self._times, "points", "pvtp"),
+        ):
+            files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
+            _replace(path, _series(times, files))
+
+    def _on_root(self, action, *arguments) -> None:
+        error = None
+        if self.comm.rank == 0:
+            try:
+                action(*arguments)
+            except OSError as cause:
+                error = OSError(f"cannot write the series {self.path}: {cause}")
+        raise_together(self.comm, error)
+
+
+class _GridMesh:
+    """This rank's own cells with the nodes of the increments, or without any those of the grid.
+
+    Raises:
+        ParameterError: The increments have no nodes, or not the same ones.
+    """
+
+    def __init__(self, grid, functions: Sequence[fem.Function]):
+        self.cells = grid.topology.index_map(grid.topology.dim).size_local
+        nodal = [f.function_space for f in functions if not _cellwise(f)]
+        space = nodal[0] if nodal else fem.functionspace(grid, ("Lagrange", 1))
+        error = None
+        try:
+            topology, types, x = plot.vtk_mesh(space)
+        except RuntimeError as cause:
+            error = ParameterError(f"the increments cannot be written: {cause}")
+        for function in functions if error is None else ():
+            other = function.function_space
+            if not _cellwise(function) and not np.array_equal(other.dofmap.list, space.dofmap.list):
+                error = ParameterError(
+                    f"'{function.name}' has other nodes than '{functions[0].name}'; interpolate "
+                    "it, or write it with a ParaView of its own"
+                )
+        raise_together(grid.comm, error)
+        rows = topology.reshape(self.cells, -1)[:, 1:] if self.cells else np.empty((0, 1), int)
+        # nodes of ghost cells only would float about as loose points
+        self._nodes, connectivity = np.unique(rows, return_inverse=True)
+        self._connectivity = connectivity.reshape(rows.shape)
+        self._x = np.ascontiguousarray(x[self._nodes])
+        self._type = int(types[0]) if self.cells else 0
+
+    def vtk(self):
+        """The mesh as VTK takes it, without data."""
+        from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
+
+        result = vtkUnstructuredGrid()
+        result.SetPoints(_vtk_points(self._x))
+        result.SetCells(self._type, _vtk_cells(self._connectivity))
+        return result
+
+    def data(self, functions: Sequence[fem.Function]) -> tuple[Arrays, Arrays]:
+        """Nodal and cell-wise values of the functions."""
+        nodal, cellwise = {}, {}
+        for function in functions:
+            dofmap = function.function_space.dofmap
+            values = function.x.array.reshape(-1, dofmap.index_map_bs)
+            if _cellwise(function):
+                target, values = cellwise, values[dofmap.list[: self.cells, 0]]
+            else:
+                target, values = nodal, values[self._nodes]
+            target[function.name] = _padded(values.reshape(-1, *function.ufl_shape))
+        return nodal, cellwise
+
+
+def _cellwise(function: fem.Function) -> bool:
+    return function.function_space.ufl_element().degree == 0
+
+
+def _padded(values: npt.NDArray[Any], zz: float = 0.0) -> npt.NDArray[Any]:
+    """Values as ParaView takes them, shape (n, components): vectors of 3, tensors of 9."""
+    n, shape = len(values), values.shape[1:]
+    size = math.prod(shape)
+    if len(shape) in (1, 2) and max(shape) <= 3 and len(set(shape)) == 1:
+        full = np.zeros((n, *(3,) * len(shape)), values.dtype)
+        if len(shape) == 2 and shape[0] < 3:
+            full[:, range(shape[0], 3), range(shape[0], 3)] = zz
+        full[(slice(None), *map(slice, shape))] = values
+        values, size = full, 3 ** len(shape)
+    return np.ascontiguousarray(values.reshape(n, size))
+
+
+def _vtk_array(values: npt.NDArray[Any], name: str, unit: str):
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkDataArray
+
+    array = numpy_to_vtk(values, deep=1)
+    array.SetName(name)
+    for component, label in enumerate(_labels(values)):
+        array.SetComponentName(component, label)
+    if unit:
+        array.GetInformation().Set(vtkDataArray.UNITS_LABEL(), unit)
+    return array
+
+
+def _vtk_points(x: npt.NDArray[np.float64]):
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints
+
+    result = vtkPoints()
+    result.SetData(numpy_to_vtk(x, deep=1))
+    return result
+
+
+def _vtk_cells(connectivity: npt.NDArray[np.int64]):
+    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonDataModel import vtkCellArray
+
+    number, per_cell = connectivity.shape
+    ends = numpy_to_vtkIdTypeArray(np.arange(number + 1) * per_cell, deep=1)
+    result = vtkCellArray()
+    result.SetData(ends, numpy_to_vtkIdTypeArray(connectivity.ravel(), deep=1))
+    result.ConvertTo32BitStorage()
+    return result
+
+
+def _labels(values: npt.NDArray[Any]) -> Sequence[str]:
+    return {3: "xyz", 9: [i + j for i in "xyz" for j in "xyz"]}.get(values.shape[1], ())
+
+
+_KINDS = {"f": "Float", "i": "Int", "u": "UInt"}
+
+
+def _declared(name: str, values: npt.NDArray[Any], unit: str = "") -> str:
+    kind = f"{_KINDS[values.dtype.kind]}{8 * values.dtype.itemsize}"
+    labels = "".join(f' ComponentName{k}="{label}"' for k, label in enumerate(_labels(values)))
+    key = f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{escape(unit)}</InformationKey>'
+    return (
+        f'<PDataArray type="{kind}" Name={quoteattr(name)} '
+        f'NumberOfComponents="{values.shape[1]}"{labels}>{key if unit else ""}</PDataArray>'
+    )
+
+
+def _index(kind: str, files: list[str], point_data: Arrays, cell_data: Arrays, units) -> str:
+    """Text of the file that lists the ranks' pieces."""
+    name = {"vtp": "PPolyData", "vtu": "PUnstructuredGrid"}[kind]
+    lines = [
+        '<?xml version="1.0"?>',
+        f'<VTKFile type="{name}" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
+        f'<{name} GhostLevel="0">',
+    ]
+    for section, arrays in (("PPointData", point_data), ("PCellData", cell_data)):
+        declared = [_declared(array, values, units.get(array, "")) for array, values in arrays.items()]
+        lines += [f"<{section}>", *declared, f"</{section}>"]
+    lines += ["<PPoints>", _declared("Points", np.empty((0, 3))), "</PPoints>"]
+    lines += [f"<Piece Source={quoteattr(file)}/>" for file in files]
+    return "\n".join([*lines, f"</{name}>", "</VTKFile>", ""])
+
+
+def _series(times: Iterable[float], files: Iterable[str]) -> str:
+    """Text of the file that lists the times."""
+    sets = [f'<DataSet timestep="{t!r}" part="0" file={quoteattr(f)}/>' for t, f in zip(times, files)]
+    head = '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'
+    lines = ['<?xml version="1.0"?>', head, "<Collection>", *sets, "</Collection>", "</VTKFile>"]
+    return "\n".join([*lines, ""])
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file so that at no moment half of it is on disk."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
