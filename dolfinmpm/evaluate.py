@@ -23,6 +23,9 @@ __all__ = ["PointEvaluator", "PointUpdates"]
 
 Array = npt.NDArray[np.float64]
 
+# Points that laws and programs work on at a time: their tangents fit into the cache.
+_CHUNK = 2048
+
 
 def _function_values(function: fem.Function, gradient: bool, points: MaterialPoints) -> Array:
     """A DOLFINx function, or its gradient, at the points."""
@@ -82,11 +85,6 @@ class PointEvaluator:
             self._data["gradient", k] = (
                 self._gradient.reshape(n, nc * d) if whole else np.empty((n, (last - first) * d))
             )
-        for k, operator in enumerate(self._terms.operators):
-            size = int(np.prod(operator.ufl_shape))
-            inner = int(np.prod(operator.operand.ufl_shape))
-            self._data["operator", k] = np.empty((n, size))
-            self._data["operator tangent", k] = np.empty((n, size, inner))
         for k, (function, gradient) in enumerate(self._terms.functions):
             self._data["function", k] = _function_values(function, gradient, points)
         self.update_constants()
@@ -126,23 +124,34 @@ class PointEvaluator:
             return values
         return self._data[source]
 
-    def _run_operators(self, tangent: bool) -> bool:
+    def _run(self, program: Program, out: Array, tangent: bool) -> bool:
+        """Run operators and program, some thousand points at a time; returns whether it could."""
         self.failed_point = -1
-        for k, operator in enumerate(self._terms.operators):
-            slope = self._data["operator tangent", k] if tangent else None
-            bad = operator.law.evaluate(self.operand(k), self._data["operator", k], slope)
-            if bad >= 0:
-                self.failed_point = bad
-                return False
+        operators = self._terms.operators
+        n = len(self._points)
+        chunk = _CHUNK if operators else max(n, 1)
+        operands = [self.operand(k) for k in range(len(operators))]
+        for first in range(0, n, chunk):
+            last = min(first + chunk, n)
+            for k, operator in enumerate(operators):
+                operand, size = operands[k][first:last], int(np.prod(operator.ufl_shape))
+                value, slope = np.empty((last - first, size)), None
+                self._data["operator", k] = value
+                if tangent:
+                    slope = np.empty((last - first, size, operand.shape[1]))
+                    self._data["operator tangent", k] = slope
+                bad = operator.law.evaluate(operand, value, slope, first)
+                if bad >= 0:
+                    self.failed_point = first + bad
+                    return False
+            program.run(self._data, out[first:last], first)
         return True
 
     def flux(self) -> Array | None:
         """Flux of the internal terms, or None where a law found no stress."""
         out = np.zeros((len(self._points), self._components * (1 + self._points.gdim)))
-        if self._terms.internal is not None:
-            if not self._run_operators(False):
-                return None
-            self._terms.internal.run(self._data, out)
+        if self._terms.internal is not None and not self._run(self._terms.internal, out, False):
+            return None
         return out
 
     def external_flux(self) -> Array | None:
@@ -157,9 +166,8 @@ class PointEvaluator:
         """Tangent of the internal terms, or None if there are none."""
         if self._terms.tangent is None:
             return None
-        self._run_operators(True)
         out = np.empty((len(self._points), self._terms.tangent.size))
-        self._terms.tangent.run(self._data, out)
+        self._run(self._terms.tangent, out, True)
         return out
 
     def commit(self) -> dict[str, Array]:

@@ -63,4 +63,4 @@ def _bar(number: int, label: str):
         from tqdm import tqdm
     except ImportError:
         return None
-    return tqdm(total=number, desc=label or None, unit="step")
+    return tqdm(total=number, desc=label or None, unit="step", file=sys.stderr)

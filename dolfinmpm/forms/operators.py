@@ -20,15 +20,19 @@ Array = npt.NDArray[np.float64]
 class PointwiseLaw(Protocol):
     """What an operator calls: a function of its operand and state at every point."""
 
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None) -> int:
-        """Value, and the tangent if an array is given; returns the failed point or -1.
+    def evaluate(self, operand: Array, value: Array, tangent: Array | None, first: int) -> int:
+        """Value, and the tangent if an array is given, at some consecutive points.
 
         Must not change the state: the solver calls it as often as it likes.
 
         Args:
-            operand: shape (points, size of the operand).
-            value: Written, shape (points, size of the value).
-            tangent: Written, shape (points, size of the value, size of the operand).
+            operand: shape (n, size of the operand).
+            value: Written, shape (n, size of the value).
+            tangent: Written, shape (n, size of the value, size of the operand).
+            first: The first of the n points.
+
+        Returns:
+            The first of the n points where it failed, counted from 0, or -1.
         """
 
     def commit(self, operand: Array) -> dict[str, Array]:

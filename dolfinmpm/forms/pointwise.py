@@ -91,13 +91,15 @@ class Program:
     inputs: tuple[Any, ...]
     keep: Any
 
-    def run(self, data: Mapping[Any, Array], out: Array) -> None:
-        """Evaluate at every point.
+    def run(self, data: Mapping[Any, Array], out: Array, first: int = 0) -> None:
+        """Evaluate at some points.
 
         Args:
             data: For every input a C-contiguous float64 array: of shape
-                (points, ...) or, for one value at all points, (1, ...).
-            out: Written, shape (points, size).
+                (all points, ...), (len(out), ...) for the points evaluated, or
+                (1, ...) for one value at all points.
+            out: Written, shape (points evaluated, size).
+            first: The first of the points evaluated.
         """
         n = len(out)
         addresses = np.empty(len(self.inputs), np.intp)
@@ -106,9 +108,11 @@ class Program:
         arrays = [data[key] for key in self.inputs]
         for s, values in enumerate(arrays):
             size = values.size // len(values) if len(values) else 0
-            addresses[s] = values.ctypes.data
+            everywhere = len(values) > n or (first == 0 and len(values) == n)
+            varies = len(values) != 1
+            addresses[s] = values.ctypes.data + (8 * size * first if everywhere and varies else 0)
             sizes[s] = size
-            strides[s] = size if len(values) == n and n != 1 else 0
+            strides[s] = size if varies else 0
         _run(self.function, addresses, strides, sizes, out)
 
 

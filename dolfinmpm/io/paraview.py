@@ -96,6 +96,7 @@ class ParaView:
         raise_together(self.comm, error)
 
     def __enter__(self) -> ParaView:
+        """The writer itself."""
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -135,8 +136,7 @@ class ParaView:
         for name in self._fields or ():
             if name not in known:
                 return ParameterError(
-                    f"material points have no field '{name}' to write; they have "
-                    f"{', '.join(known)}"
+                    f"material points have no field '{name}' to write; they have {', '.join(known)}"
                 )
         names = [function.name for function in self._increments]
         for function in self._increments:
@@ -204,7 +204,7 @@ class ParaView:
         writer.SetCompressorTypeToLZ4()
         writer.AddObserver("ErrorEvent", lambda *_: None)
         error = None
-        if not writer.Write():
+        if not writer.Write() or writer.GetErrorCode():
             error = OSError(f"cannot write {file}; is the folder writable and the disk not full?")
         raise_together(self.comm, error)
         files = [f"{stem}_{rank}.{kind}" for rank in range(self.comm.size)]
@@ -274,15 +274,14 @@ class _GridMesh:
 
     def data(self, functions: Sequence[fem.Function]) -> tuple[Arrays, Arrays]:
         """Nodal and cell-wise values of the functions."""
-        nodal, cellwise = {}, {}
+        nodal: Arrays = {}
+        cellwise: Arrays = {}
         for function in functions:
-            dofmap = function.function_space.dofmap
+            dofmap, whole = function.function_space.dofmap, _cellwise(function)
             values = function.x.array.reshape(-1, dofmap.index_map_bs)
-            if _cellwise(function):
-                target, values = cellwise, values[dofmap.list[: self.cells, 0]]
-            else:
-                target, values = nodal, values[self._nodes]
-            target[function.name] = _padded(values.reshape(-1, *function.ufl_shape))
+            rows = dofmap.list[: self.cells, 0] if whole else self._nodes
+            target = cellwise if whole else nodal
+            target[function.name] = _padded(values[rows].reshape(-1, *function.ufl_shape))
         return nodal, cellwise
 
 
@@ -347,10 +346,11 @@ _KINDS = {"f": "Float", "i": "Int", "u": "UInt"}
 def _declared(name: str, values: npt.NDArray[Any], unit: str = "") -> str:
     kind = f"{_KINDS[values.dtype.kind]}{8 * values.dtype.itemsize}"
     labels = "".join(f' ComponentName{k}="{label}"' for k, label in enumerate(_labels(values)))
-    key = f'<InformationKey name="UNITS_LABEL" location="vtkDataArray">{escape(unit)}</InformationKey>'
+    key = '<InformationKey name="UNITS_LABEL" location="vtkDataArray">'
+    key = f"{key}{escape(unit)}</InformationKey>" if unit else ""
     return (
         f'<PDataArray type="{kind}" Name={quoteattr(name)} '
-        f'NumberOfComponents="{values.shape[1]}"{labels}>{key if unit else ""}</PDataArray>'
+        f'NumberOfComponents="{values.shape[1]}"{labels}>{key}</PDataArray>'
     )
 
 
@@ -363,7 +363,7 @@ def _index(kind: str, files: list[str], point_data: Arrays, cell_data: Arrays, u
         f'<{name} GhostLevel="0">',
     ]
     for section, arrays in (("PPointData", point_data), ("PCellData", cell_data)):
-        declared = [_declared(array, values, units.get(array, "")) for array, values in arrays.items()]
+        declared = (_declared(key, values, units.get(key, "")) for key, values in arrays.items())
         lines += [f"<{section}>", *declared, f"</{section}>"]
     lines += ["<PPoints>", _declared("Points", np.empty((0, 3))), "</PPoints>"]
     lines += [f"<Piece Source={quoteattr(file)}/>" for file in files]
@@ -372,7 +372,10 @@ def _index(kind: str, files: list[str], point_data: Arrays, cell_data: Arrays, u
 
 def _series(times: Iterable[float], files: Iterable[str]) -> str:
     """Text of the file that lists the times."""
-    sets = [f'<DataSet timestep="{t!r}" part="0" file={quoteattr(f)}/>' for t, f in zip(times, files)]
+    sets = [
+        f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>'
+        for time, file in zip(times, files)
+    ]
     head = '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'
     lines = ['<?xml version="1.0"?>', head, "<Collection>", *sets, "</Collection>", "</VTKFile>"]
     return "\n".join([*lines, ""])

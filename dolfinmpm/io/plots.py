@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,7 +134,7 @@ def plot(
         dpi: Dots per inch.
 
     Raises:
-        ParameterError: An argument is not of the kind above, or no point is cut.
+        ParameterError: An argument is not of the kind above, or no point is seen.
         OSError: The file cannot be written.
     """
     if draw is None:
@@ -145,13 +146,13 @@ def plot(
     gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
     error: Exception | None = None
     if gathered is not None:
-        x, F, l, l0, values = gathered
+        x, F, half, half0, values = gathered
         unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
         scalars, symbol = _scalar(x - values if derived else values, component, points.gdim)
         scale, prefix = _prefix(scalars, limits) if unit == "Pa" else (1.0, "")
         unit = prefix + unit.replace("^d", f"^{points.gdim}")
         # columns are the half-edges of the points' domains
-        edges = l[:, None] * np.eye(points.gdim) if draw == "domains" else F * l0[:, None]
+        edges = half[:, None] * np.eye(points.gdim) if draw == "domains" else F * half0[:, None]
         scene = _Scene(
             x, edges, scalars / scale, label or _label(colour, symbol, unit), draw == "dots", lines,
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
@@ -223,7 +224,9 @@ class _Scene:
         from matplotlib.collections import LineCollection, PolyCollection
         from matplotlib.figure import Figure
 
-        factors, labels = _stretched(box, self.max_aspect, names)
+        drawn: Any
+        factors, told = _stretched(box, self.max_aspect)
+        labels = [f"${name}$ (m){text and ', '}{text}" for name, text in zip(names, told)]
         sides = (box[:, 1] - box[:, 0]) * factors
         upright = sides[1] > 0.8 * sides[0]
         room = np.array(self.size) - ((0.9, 0.0) if upright else (0.0, 0.8))
@@ -232,22 +235,24 @@ class _Scene:
         result = Figure(figsize=(width, height))
         ax = result.add_axes((0, 0, 1, 1))
         ax.set(xlim=box[0], ylim=box[1], xlabel=labels[0], ylabel=labels[1])
-        _ticks(ax.xaxis, width, 0.4)
-        _ticks(ax.yaxis, height, 0.3)
+        _ticks(ax.xaxis, width / 0.4)
+        _ticks(ax.yaxis, height / 0.3)
         if self.lines is not None:
             inches = np.linalg.norm(np.diff(self.lines, axis=1) * per_length, axis=-1).sum()
             if inches <= 2 * _MOST_LINES_PER_INCH * width * height:
-                look = {"colors": "black", "alpha": 0.2, "linewidths": 0.4}
-                ax.add_collection(LineCollection(self.lines, zorder=0 if self.dots else 2, **look))
+                drawn = LineCollection([*self.lines], colors="black", alpha=0.2, linewidths=0.4)
+                drawn.set_zorder(0 if self.dots else 2)
+                ax.add_collection(drawn)
         if self.dots:
             half = (np.abs(self.edges).sum(axis=2) * per_length).min(axis=1)
-            drawn = ax.scatter(*self.x.T, s=_dot(half), linewidths=0)
+            drawn = ax.scatter(self.x[:, 0], self.x[:, 1], s=_dot(half), linewidths=0)
         else:
             x, a, b = self.x, self.edges[:, :, 0], self.edges[:, :, 1]
             corners = np.stack([x - a - b, x + a - b, x + a + b, x - a + b], axis=1)
             # smooth edges and whole pixels would let the paper shine through between neighbours
-            drawn = PolyCollection(corners, linewidths=0, antialiased=False, snap=False)
+            drawn = PolyCollection([*corners], linewidths=0, antialiased=False, snap=False)
             ax.add_collection(drawn)
+        drawn.set_rasterized(True)
         if upright:
             bar = result.add_axes((1 + 0.1 / width, 0, 0.1 / width, 1))
         else:
@@ -258,19 +263,23 @@ class _Scene:
     def _space(self, box: Array, names: list[str]):
         from matplotlib.figure import Figure
 
-        factors, labels = _stretched(box, self.max_aspect, names)
+        factors, told = _stretched(box, self.max_aspect)
         sides = (box[:, 1] - box[:, 0]) * factors
         width = min(self.size)
-        per_length = factors * 0.5 * width / np.linalg.norm(sides)
         result = Figure(figsize=(width, width))
-        ax = result.add_axes((0, 0, 1, 1), projection="3d")
-        ax.set(xlim=box[0], ylim=box[1], zlim=box[2], xlabel=labels[0], ylabel=labels[1])
-        ax.set_zlabel(labels[2])
-        # 0.8 leaves room for the labels, which Matplotlib does not count
-        ax.set_box_aspect(sides, zoom=0.8)
-        for axis, side in zip((ax.xaxis, ax.yaxis, ax.zaxis), sides):
-            _ticks(axis, 0.5 * width * side / np.linalg.norm(sides), 0.4)
+        ax: Any = result.add_axes((0, 0, 1, 1), projection="3d")
+        ax.set(xlim=box[0], ylim=box[1], zlim=box[2])
+        # less than 1 leaves room for the labels, which Matplotlib does not count
+        ax.set_box_aspect(tuple(sides), zoom=0.75)
+        per_length = factors * 0.65 * width / np.linalg.norm(sides)
+        inches = (box[:, 1] - box[:, 0]) * per_length
+        for axis, name, length in zip((ax.xaxis, ax.yaxis, ax.zaxis), names, inches):
+            axis.set_label_text(f"${name}$ (m)")
             axis.set_pane_color((1, 1, 1, 0))
+            # the first number of y would stand on the last of x
+            _ticks(axis, length / 0.5, prune="lower" if name == "y" else None)
+        notes = (f"${name}$ {text}" for name, text in zip(names, told) if text)
+        ax.text2D(0.5, 0.95, ", ".join(notes), transform=ax.transAxes, ha="center")
         half = 1.5 * (np.abs(self.edges).sum(axis=2) * per_length).max(axis=1)
         drawn = ax.scatter(*self.x.T, s=_dot(half), linewidths=0, depthshade=False)
         self._colour(drawn, result.add_axes((1, 0.15, 0.1 / width, 0.7)), "vertical")
@@ -287,7 +296,7 @@ class _Scene:
             extend = "neither"
         if not high > low:
             low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
-        drawn.set(array=self.values, cmap=self.cmap, clim=(low, high), rasterized=True)
+        drawn.set(array=self.values, cmap=self.cmap, clim=(low, high))
         bar = drawn.figure.colorbar(drawn, cax=axes, orientation=orientation, extend=extend)
         bar.set_label(self.label)
         bar.outline.set_linewidth(0.6)
@@ -312,7 +321,8 @@ def _wrong(points, path, colour, component, draw, cut, view, derived) -> Paramet
     if cut is not None and (points.gdim != 3 or cut[0] not in _AXES):
         return ParameterError(f'cut = {cut!r} must be as ("y", 0.5), for points in 3D')
     axes = points.gdim - (cut is not None)
-    if view not in ("grid", "points") and (isinstance(view, str) or np.shape(view) != (axes, 2)):
+    fits = view in ("grid", "points") if isinstance(view, str) else np.shape(view) == (axes, 2)
+    if not fits:
         return ParameterError(f'view = {view!r} must be "grid", "points" or {axes} ranges (m)')
     if not Path(path).suffix:
         return ParameterError(f"the path of a picture ends in .png, .pdf, ..., got '{path}'")
@@ -339,7 +349,7 @@ def _scalar(values: Array, component, gdim: int) -> tuple[Array, str]:
 
 
 def _label(name: str, index: str, unit: str) -> str:
-    unit = "".join(f"$^{part[0]}${part[1:]}" if k else part for k, part in enumerate(unit.split("^")))
+    unit = re.sub(r"\^(\d+)", r"$^{\1}$", unit)
     name = name.replace("_", " ")
     if index in ("mean", "Mises", "magnitude"):
         symbol = {"mean": "mean ", "Mises": "von Mises ", "magnitude": ""}[index] + name
@@ -374,9 +384,7 @@ def _grid_lines(grid, cut) -> Array | None:
     if lattice is not None and (dim == 2 or cut is not None):
         kept = [d for d in range(dim) if cut is None or _AXES[d] != cut[0]]
         a, b = (lattice.lines[d] for d in kept)
-        return np.array(
-            [((s, b[0]), (s, b[-1])) for s in a] + [((a[0], s), (a[-1], s)) for s in b]
-        )
+        return np.array([((s, b[0]), (s, b[-1])) for s in a] + [((a[0], s), (a[-1], s)) for s in b])
     cells = grid.topology.index_map(grid.topology.dim)
     if dim == 3 or cells.size_global > _MOST_CELLS:
         return None
@@ -386,34 +394,33 @@ def _grid_lines(grid, cut) -> Array | None:
     if pieces is None:
         return None
     ends = np.concatenate([piece.reshape(-1, 2, 2) for piece in pieces])
-    swap = (ends[:, 0, 0] > ends[:, 1, 0]) | (
-        (ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1])
-    )
-    ends[swap] = ends[swap, ::-1]
+    # an edge of two cells, in opposite directions, is drawn once
+    first, last = ends[:, 0], ends[:, 1]
+    turned = (first[:, 0] > last[:, 0]) | ((first[:, 0] == last[:, 0]) & (first[:, 1] > last[:, 1]))
+    ends[turned] = ends[turned, ::-1]
     return np.unique(ends, axis=0)
 
 
-def _stretched(box: Array, max_aspect: float, names) -> tuple[Array, list[str]]:
-    """Factors by which each axis is drawn longer, and the axes' labels that tell them."""
+def _stretched(box: Array, max_aspect: float) -> tuple[Array, list[str]]:
+    """Factors by which each axis is drawn longer, and what tells the reader so."""
     sides = box[:, 1] - box[:, 0]
     factors = np.ones(len(sides))
     for k, ratio in enumerate(sides.max() / sides / max_aspect):
         if ratio > 1:
             digit = 10.0 ** math.floor(math.log10(ratio))
             factors[k] = next(m * digit for m in (1, 2, 5, 10) if m * digit >= ratio * (1 - 1e-9))
-    told = [f", stretched {f:g}×" if f > 1 else "" for f in factors]
-    return factors, [f"${name}$ (m){text}" for name, text in zip(names, told)]
+    return factors, [f"stretched {f:g}×" if f > 1 else "" for f in factors]
 
 
-def _ticks(axis, inches: float, apart: float) -> None:
+def _ticks(axis, room: float, prune: str | None = None) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    number = max(1, min(8, int(inches / apart)))
-    axis.set_major_locator(MaxNLocator(nbins=number, steps=[1, 2, 5, 10]))
+    number = max(1, min(8, int(room)))
+    axis.set_major_locator(MaxNLocator(nbins=number, steps=[1, 2, 5, 10], prune=prune))
 
 
 def _dot(half: Array) -> float:
-    """Area of a dot (point²) a little narrower than most domains, whose half-widths are in inch."""
+    """Area of a dot (point²) a little narrower than most domains, half-widths in inch."""
     return float(np.clip((0.9 * 72 * 2 * np.median(half)) ** 2, 0.3, 40.0))
 
 

@@ -173,11 +173,13 @@ class NewtonSystem:
         # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
         kept = pattern is old and self._matrix is not None
         if not self.comm.allreduce(kept, op=MPI.LAND):
+            # the old matrix and its factors go before the new ones come: they are most of the memory
+            self._snes.reset()
+            self._matrix = None
             self._pattern = pattern
             self._matrix = Matrix(pattern, self.unknowns)
             size = (self.unknowns.owned, self.unknowns.total)
             self._x = PETSc.Vec().createMPI(size, comm=self.comm)
-            self._snes.reset()
             self._snes.setFunction(self._residual, self._x.duplicate())
             self._snes.setJacobian(self._jacobian, self._matrix.petsc)
             self._snes.setConvergenceTest(self._test)

@@ -1,0 +1,109 @@
+"""Loads with a progress bar, and the report on the installation."""
+
+from __future__ import annotations
+
+import io
+import platform
+import runpy
+import sys
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import dolfinmpm
+from dolfinmpm.errors import ParameterError
+from dolfinmpm.info import _blas, _which_blas, info
+from dolfinmpm.progress import steps
+
+ROOT = MPI.COMM_WORLD.rank == 0
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("number", [1, 3, 7, 49, np.int64(40)])
+def test_loads_end_exactly_at_one(number):
+    loads = list(steps(number))
+    assert len(loads) == number
+    assert loads[-1] == 1.0
+    np.testing.assert_allclose(np.diff([0.0, *loads]), 1 / number)
+
+
+@pytest.mark.parametrize(
+    ("stream", "setting", "drawn"),
+    [
+        (io.StringIO, "", False),
+        (io.StringIO, "1", True),
+        (Terminal, "", True),
+        (Terminal, "0", False),
+    ],
+)
+def test_bar_is_drawn_only_where_it_is_seen(monkeypatch, stream, setting, drawn):
+    monkeypatch.setattr(sys, "stderr", stream())
+    monkeypatch.setenv("DOLFINMPM_PROGRESS", setting)
+    assert list(steps(2, label="gravity")) == [0.5, 1.0]
+    text = sys.stderr.getvalue()
+    assert ("gravity" in text and "2/2" in text) if drawn and ROOT else text == ""
+
+
+def test_bar_is_closed_when_the_loop_is_left(monkeypatch):
+    monkeypatch.setenv("DOLFINMPM_PROGRESS", "1")
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    for load in (loads := steps(4)):
+        if load == 0.5:
+            break
+    loads.close()
+    assert sys.stderr.getvalue().endswith("\n") or not ROOT
+
+
+def test_a_bar_is_not_needed(monkeypatch):
+    monkeypatch.setenv("DOLFINMPM_PROGRESS", "1")
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    assert list(steps(2)) == [0.5, 1.0]
+
+
+@pytest.mark.parametrize("number", [0, -3, 2.0, "4", None, True])
+def test_wrong_number_is_told_before_the_first_step(number):
+    with pytest.raises(ParameterError, match="number of steps = "):
+        steps(number)
+
+
+def test_info_tells_versions():
+    report = info()
+    lines = dict(line.split(maxsplit=1) for line in report.splitlines())
+    assert lines["dolfinmpm"] == dolfinmpm.__version__
+    assert lines["Python"] == platform.python_version()
+    assert np.__version__ in lines["NumPy"]
+    assert "MUMPS" in lines["PETSc"]
+    assert lines["ranks"] == str(MPI.COMM_WORLD.size)
+    assert {"DOLFINx", "UFL", "FFCx", "Basix", "SLEPc", "MPI", "Numba", "BLAS"} <= lines.keys()
+    assert repr(report) == str(report)
+
+
+@pytest.mark.parametrize(
+    ("libraries", "found"),
+    [
+        (["/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1"], "reference BLAS"),
+        (["/usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3"], "OpenBLAS"),
+        (["/opt/conda/lib/libopenblasp-r0.3.29.so"], "OpenBLAS"),
+        (["/opt/intel/lib/libmkl_core.so.2"], "MKL"),
+        (["/usr/lib/libc.so.6", "/p/numpy.libs/libscipy_openblas64_.so"], "not found"),
+        (["/p/numpy.libs/libscipy_openblas64_.so", "/lib/blas/libblas.so.3"], "reference BLAS"),
+        (["/usr/lib/openblas-pthread/libopenblasp.so", "/lib/blas/libblas.so.3"], "reference BLAS"),
+    ],
+)
+def test_blas_is_known_by_its_library(libraries, found):
+    assert _which_blas(libraries).startswith(found)
+
+
+def test_blas_of_other_systems():
+    assert _blas("/no/such/file") == "not known on this system"
+
+
+def test_module_prints_the_report(capsys):
+    runpy.run_module("dolfinmpm", run_name="__main__")
+    printed = capsys.readouterr().out
+    assert printed.strip() == (info() if ROOT else "")
