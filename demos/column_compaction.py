@@ -109,6 +109,11 @@ h, height = args.initial_height / args.elements, args.initial_height
 weight = args.density * args.gravity
 modulus = args.modulus * (1 - args.poisson) / ((1 + args.poisson) * (1 - 2 * args.poisson))
 rise = 0
+if weight * height / modulus <= -np.exp(-1):
+    raise SystemExit(
+        f"no equilibrium: density * gravity * height / M = {weight * height / modulus:.4g} must be "
+        "above -1/e; a longer or heavier hanging column tears under Hencky's law"
+    )
 if weight < 0:
     # a hanging column grows; the grid must hold it
     top = exact_position(np.array(height), height, modulus, weight)

@@ -213,10 +213,10 @@ class ParaView:
 
     def _write_series(self) -> None:
         folder = self._folder.name
-        times = self._times if self._grid_each_time else self._times[:1]
+        grid_times = self._times if self._grid_each_time else self._times[:1]
         grid_path = self.path.with_name(f"{folder}_grid.pvd")
         for path, times, stem, kind in (
-            (grid_path, times, "grid", "pvtu"),
+            (grid_path, grid_times, "grid", "pvtu"),
             (self.path, self._times, "points", "pvtp"),
         ):
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))

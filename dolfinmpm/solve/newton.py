@@ -123,6 +123,7 @@ class NewtonSystem:
         shape = (self._numbering.size, self.components)
         self._u, self._r, self._external, self._lift = (v.array.reshape(shape) for v in vectors)
         self._touched: npt.NDArray[np.int32] = np.empty(0, np.int32)
+        self._filled: npt.NDArray[np.int32] = np.empty(0, np.int32)
         self._pattern: Any = None
         self._matrix: Any = None
         self._attached: npt.NDArray[np.int32] | None = None
@@ -173,7 +174,7 @@ class NewtonSystem:
         # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
         kept = pattern is old and self._matrix is not None
         if not self.comm.allreduce(kept, op=MPI.LAND):
-            # the old matrix and its factors go before the new ones come: they are most of the memory
+            # the old matrix and its factors go before the new ones come: they are the largest
             self._snes.reset()
             self._matrix = None
             self._pattern = pattern
@@ -263,10 +264,11 @@ class NewtonSystem:
         start = 0
         for space in self.spaces:
             values = space.increment.x.array.reshape(-1, space.components)
-            values[:] = 0.0
+            values[self._filled] = 0.0
             known = nodes[nodes < len(values)]
             values[known] = u[known, start : start + space.components]
             start += space.components
+        self._filled = known
 
     def _add_internal(self) -> None:
         """Internal forces at the present increments, summed over ranks. Collective."""

@@ -224,6 +224,7 @@ class QuasiStatic:
             raise_together(self.comm, self._outside(new["x"], destination.rank))
         for name, values in new.items():
             points.fields[name][...] = values
+        self.system.fill_functions()
         if destination is not None:
             self._record.migrated += points.migrate(destination)
         return None

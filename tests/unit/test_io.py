@@ -86,7 +86,7 @@ def test_points_are_read_back(folder):
     assert output.GetNumberOfPoints() == output.GetNumberOfVerts() == points.total == 16
     x, x0 = vtk_to_numpy(output.GetPoints().GetData()), array(data, "x0")
     assert np.array_equal(np.sort(array(data, "id")), np.arange(16))
-    np.testing.assert_allclose(x, x0 + [0.01, 0, 0])
+    np.testing.assert_allclose(x, x0 + np.array([0.01, 0, 0]))
     np.testing.assert_allclose(array(data, "displacement"), np.tile([0.01, 0, 0], (16, 1)))
     np.testing.assert_allclose(array(data, "stress")[:, 4], -1e3 * x0[:, 0])
     assert np.array_equal(array(data, "F"), np.tile([1, 0.25, 0, 0, 1, 0, 0, 0, 1.0], (16, 1)))
@@ -219,7 +219,7 @@ def test_times_must_increase_and_files_be_writable(folder):
     if COMM.rank == 0:
         (folder / "a" / "points_000001_0.vtp").mkdir()
     COMM.barrier()
-    with pytest.raises(OSError, match="points_000001_0.vtp"):
+    with pytest.raises(OSError, match=r"points_000001_0\.vtp"):
         out.write(2.0)
     assert listed(folder / "a.pvd")[0] == [1.0]
 

@@ -204,6 +204,20 @@ def test_petsc_options_reach_the_solver():
     assert default.system._snes.getKSP().getPC().getFactorSolverType() == "mumps"
 
 
+def test_the_increment_can_be_read_after_a_step():
+    problem, g = column(4)
+    g.value[1] = -0.25
+    x = problem.points["x"].copy()
+    problem.step()
+    u = problem.system.spaces[0].increment
+    moved = np.zeros((len(x), 3))
+    moved[:, :2] = x
+    # all domains were inside one cell, where the average of u is u at the middle
+    values = u.eval(moved, problem.points["cell"])
+    np.testing.assert_allclose(values, problem.points["x"] - x, atol=1e-12)
+    assert np.abs(values).max() > 0
+
+
 def test_bad_arguments():
     with pytest.raises(ParameterError, match="tolerance = 0"):
         column(4, tolerance=0)
