@@ -61,7 +61,7 @@ def _sides(gdim: int) -> dict[str, tuple[int, int]]:
 
 
 def _node_coordinates(space: Space) -> npt.NDArray[np.float64]:
-    return space.function_space.tabulate_dof_coordinates()
+    return space.basis.node_coordinates()
 
 
 def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:

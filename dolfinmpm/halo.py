@@ -58,7 +58,8 @@ class LatticeHalo:
         cells: Numbering of the cells.
         origin: Lattice position of the first cell of the tables, shape (gdim,).
         node_table: Local node index by lattice position less origin, -1 where
-            the node is not known here; one more than cell_table a direction.
+            the node is not known here; `degree` more than cell_table a direction.
+        node_ijk: Lattice position of every node known here, shape (nodes, gdim).
         cell_table: Local cell index by lattice position less origin, -1 likewise.
     """
 
@@ -67,6 +68,7 @@ class LatticeHalo:
     cells: Numbering
     origin: npt.NDArray[np.int32]
     node_table: npt.NDArray[np.int32]
+    node_ijk: npt.NDArray[np.int32]
     cell_table: npt.NDArray[np.int32]
 
 
@@ -110,14 +112,20 @@ def _extend(comm, index_map, ijk, shape, needed):
 
 
 def build_halo(
-    grid: Mesh, lattice: Lattice, node_map: IndexMap, node_ijk: npt.NDArray[np.int32], layers: int
+    grid: Mesh,
+    lattice: Lattice,
+    degree: int,
+    node_map: IndexMap,
+    node_ijk: npt.NDArray[np.int32],
+    layers: int,
 ) -> LatticeHalo:
     """Numberings and tables for points that reach `layers` cells beyond their own. Collective.
 
     Args:
         grid: Background grid.
         lattice: Its lattice.
-        node_map: Index map of the nodes of the grid's linear Lagrange space.
+        degree: Degree of the functions: a cell has degree + 1 nodes a direction.
+        node_map: Index map of the nodes.
         node_ijk: Lattice position of every node of that map, shape (nodes, gdim).
         layers: Layers of cells that are to be known around the owned cells.
     """
@@ -138,16 +146,16 @@ def build_halo(
         mask = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
         mask = ndimage.maximum_filter(mask, size=2 * layers + 1, mode="constant")
-        node_mask = np.zeros(stop - origin + 1, bool)
-        for corner in np.ndindex(*(2,) * gdim):
+        node_mask = np.zeros(stop - origin + degree, bool)
+        for corner in np.ndindex(*(degree + 1,) * gdim):
             node_mask[tuple(slice(c, c + n) for c, n in zip(corner, mask.shape))] |= mask
         cells, cell_ijk = _extend(comm, cell_map, cell_ijk, shape, np.argwhere(mask) + origin)
         nodes, node_ijk = _extend(
-            comm, node_map, node_ijk, shape + 1, np.argwhere(node_mask) + origin
+            comm, node_map, node_ijk, shape + degree, np.argwhere(node_mask) + origin
         )
-    node_table = np.full(stop - origin + 1, -1, np.int32)
+    node_table = np.full(stop - origin + degree, -1, np.int32)
     cell_table = np.full(stop - origin, -1, np.int32)
     for table, positions in ((node_table, node_ijk), (cell_table, cell_ijk)):
         inside = np.all((positions >= origin) & (positions < origin + table.shape), axis=1)
         table[tuple((positions[inside] - origin).T)] = np.flatnonzero(inside)
-    return LatticeHalo(layers, nodes, cells, origin, node_table, cell_table)
+    return LatticeHalo(layers, nodes, cells, origin, node_table, node_ijk, cell_table)

@@ -15,7 +15,38 @@ from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import group_starts, running_sum
 from dolfinmpm.errors import ParameterError
 
-__all__ = ["Prolongation"]
+__all__ = ["Prolongation", "reduce_blocks"]
+
+
+def reduce_blocks(matrix: sparse.csr_matrix, rows, columns, blocks):
+    """Tᵀ A T of a matrix A given by blocks between nodes; returned in the same form.
+
+    Args:
+        matrix: T, shape (nodes of A, nodes of the result).
+        rows: Node of each block's row, shape (n,).
+        columns: Node of each block's column, shape (n,).
+        blocks: The blocks, shape (n, components, components).
+    """
+    components = blocks.shape[1]
+    inner = np.arange(components)
+    # only what A touches takes part, however large the grid is
+    touched, place = np.unique(np.concatenate([rows, columns]), return_inverse=True)
+    part = matrix[touched]
+    kept, local = np.unique(part.indices, return_inverse=True)
+    part = sparse.csr_matrix((part.data, local, part.indptr), shape=(touched.size, kept.size))
+    rows, columns = place[: rows.size], place[rows.size :]
+    size = touched.size * components
+    i = (rows[:, None, None] * components + inner[:, None]) + 0 * inner
+    j = (columns[:, None, None] * components + inner) + 0 * inner[:, None]
+    whole = sparse.csr_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
+    T = sparse.kron(part, sparse.identity(components), format="csr")
+    reduced = sparse.bsr_matrix(T.T @ whole @ T, blocksize=(components, components))
+    new_rows = np.repeat(np.arange(reduced.indptr.size - 1), np.diff(reduced.indptr))
+    return (
+        kept[new_rows].astype(np.int32),
+        kept[reduced.indices].astype(np.int32),
+        np.ascontiguousarray(reduced.data),
+    )
 
 
 class Prolongation:
@@ -52,29 +83,6 @@ class Prolongation:
     def expand(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Values of all nodes, u = C x, both of shape (nodes, components)."""
         return self.matrix @ x
-
-    def reduce(self, rows, columns, blocks, components: int):
-        """Cᵀ A C of a matrix given by blocks; returns it in the same form.
-
-        Args:
-            rows: Node of each block's row, shape (n,).
-            columns: Node of each block's column, shape (n,).
-            blocks: The blocks, shape (n, components, components).
-            components: Components a node.
-        """
-        size = self.matrix.shape[0] * components
-        inner = np.arange(components)
-        i = (rows[:, None, None] * components + inner[:, None]) + 0 * inner
-        j = (columns[:, None, None] * components + inner) + 0 * inner[:, None]
-        whole = sparse.csr_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
-        C = sparse.kron(self.matrix, sparse.identity(components), format="csr")
-        reduced = sparse.bsr_matrix(C.T @ whole @ C, blocksize=(components, components))
-        new_rows = np.repeat(np.arange(reduced.indptr.size - 1), np.diff(reduced.indptr))
-        return new_rows.astype(np.int32), reduced.indices.astype(np.int32), reduced.data
-
-    def reduce_vector(self, f: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Cᵀ f, both of shape (nodes, components)."""
-        return self.matrix.T @ f
 
     def stencils(self, s: Stencils) -> Stencils:
         """Stencils on the nodes that remain, N C and ∇N C."""

@@ -2,33 +2,84 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
+from scipy import sparse
 
 from dolfinmpm._compat import geometry_degree
 from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis.bspline import number_functions
 from dolfinmpm.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid import lattice_of, once_per_grid, require_lattice
 
 __all__ = ["Space"]
 
 Basis = LatticeBasis | LinearBasis
-_BASES = ("linear", "gimp")
+_DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
+
+
+@dataclass(frozen=True)
+class _BasisOnGrid:
+    """A basis, and the scalar Lagrange space of its degree."""
+
+    basis: Basis
+    lagrange: fem.FunctionSpace
 
 
 @once_per_grid
-def basis_of(grid: Mesh, name: str) -> Basis:
+def _basis_of(grid: Mesh, name: str) -> _BasisOnGrid:
     """The basis of that name on the grid, one for all fields that use it. Collective."""
-    scalar = fem.functionspace(grid, ("Lagrange", 1))
-    node_map = scalar.dofmap.index_map
-    gimp = name == "gimp"
-    lattice = require_lattice(grid, 'basis="gimp"') if gimp else lattice_of(grid)
+    degree = _DEGREES[name]
+    scalar = fem.functionspace(grid, ("Lagrange", degree))
+    node_map, x = scalar.dofmap.index_map, scalar.tabulate_dof_coordinates()
+    needs_lattice = name != "linear"
+    lattice = require_lattice(grid, f'basis="{name}"') if needs_lattice else lattice_of(grid)
     if lattice is None:
-        return LinearBasis(grid, node_map, scalar.dofmap.list)
-    x = scalar.tabulate_dof_coordinates()[:, : grid.geometry.dim]
-    return LatticeBasis(grid, lattice, gimp, node_map, x)
+        return _BasisOnGrid(LinearBasis(grid, node_map, scalar.dofmap.list, x), scalar)
+    if degree == 1:
+        ijk = lattice.index(x[:, : grid.geometry.dim])
+    else:
+        node_map, ijk = number_functions(grid, lattice, degree)
+    basis = LatticeBasis(grid, lattice, degree, name == "gimp", node_map, ijk)
+    return _BasisOnGrid(basis, scalar)
+
+
+def extraction(space: Space) -> sparse.csr_matrix | None:
+    """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
+
+    A spline is a polynomial of the space's degree in every cell, so that nothing
+    is lost and UFL terms over cells and facets act on splines through E.
+
+    Returns:
+        E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
+        both are the same.
+    """
+    basis = space.basis
+    if basis.degree == 1 or not isinstance(basis, LatticeBasis):
+        return None
+    V = space.function_space
+    x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
+    cells = V.dofmap.list
+    # any cell that a node is in will do, for splines are continuous
+    cell_of = np.zeros(len(x), np.int64)
+    cell_of[cells.ravel()] = np.repeat(np.arange(len(cells)), cells.shape[1])
+    low = (basis.lattice.cell_ijk[cell_of] - basis.halo.origin).astype(np.int32)
+    s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
+    assert s is not None
+    sizes = np.repeat(np.diff(s.node_start), np.diff(s.groups))
+    columns = np.concatenate(
+        [np.empty(0, np.int32)]
+        + [
+            np.tile(s.nodes[a:b], k)
+            for a, b, k in zip(s.node_start[:-1], s.node_start[1:], np.diff(s.groups))
+        ]
+    )
+    rows = np.repeat(s.order, sizes)
+    return sparse.csr_matrix((s.N, (rows, columns)), shape=(len(x), basis.nodes.size))
 
 
 class Space:
@@ -36,15 +87,17 @@ class Space:
 
     Args:
         grid: Background grid.
-        basis: "linear" (standard material point method, any grid) or "gimp"
-            (generalised interpolation, rectangular grids).
+        basis: "linear" (standard material point method, any grid), "gimp"
+            (generalised interpolation), "bspline2" or "bspline3" (quadratic or
+            cubic B-splines); all but the first need a rectangular grid.
         shape: Shape of the field's value; a vector of the dimension of space by
             default, () for a scalar such as a pore pressure.
 
     Attributes:
         increment: The step's increment, a function for UFL.
         test: The test function.
-        function_space: The DOLFINx space that both live in.
+        function_space: The DOLFINx space that both live in: Lagrange functions of
+            the basis's degree.
 
     Raises:
         ParameterError: The basis is not known.
@@ -52,8 +105,8 @@ class Space:
     """
 
     def __init__(self, grid: Mesh, basis: str = "linear", shape: tuple[int, ...] | None = None):
-        if basis not in _BASES:
-            known = ", ".join(f'"{name}"' for name in _BASES)
+        if basis not in _DEGREES:
+            known = ", ".join(f'"{name}"' for name in _DEGREES)
             raise ParameterError(f"basis = {basis!r} must be one of {known}")
         if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
             raise UnsupportedGridError(
@@ -61,19 +114,18 @@ class Space:
                 f"{geometry_degree(grid)}, dimension {grid.topology.dim} in {grid.geometry.dim}D"
             )
         self.grid = grid
-        self.basis = basis_of(grid, basis)
+        on_grid = _basis_of(grid, basis)
+        self.basis: Basis = on_grid.basis
         gdim = grid.geometry.dim
         shape = (gdim,) if shape is None else tuple(shape)
-        element = ("Lagrange", 1, shape) if shape else ("Lagrange", 1)
+        element = (
+            ("Lagrange", self.basis.degree, shape) if shape else ("Lagrange", self.basis.degree)
+        )
         self.function_space = fem.functionspace(grid, element)
         self.components = int(np.prod(shape, dtype=int))
         self.increment = fem.Function(self.function_space, name="increment")
         self.increment._dolfinmpm_space = self
         self.test = ufl.TestFunction(self.function_space)
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
-        nodes = self.function_space.dofmap.index_map
-        numbered_alike = nodes.size_local == self.basis.nodes.owned and np.array_equal(
-            self.function_space.dofmap.list, fem.functionspace(grid, ("Lagrange", 1)).dofmap.list
-        )
-        if not numbered_alike:
+        if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")

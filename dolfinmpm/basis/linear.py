@@ -55,19 +55,26 @@ class LinearBasis:
             or hexahedra.
         node_map: Index map of the grid's linear Lagrange space.
         dofs: Its nodes by cell, shape (cells, nodes of a cell).
+        node_x: Their positions (m), shape (nodes, 3).
     """
 
-    order = 1
-    name = "linear"
+    degree = 1
+    continuity = 0
+    averaged = False
 
-    def __init__(self, grid: Mesh, node_map, dofs):
+    def __init__(self, grid: Mesh, node_map, dofs, node_x):
         self.grid = grid
         self.nodes = Numbering(grid.comm, node_map)
         self.cells = Numbering(grid.comm, grid.topology.index_map(grid.topology.dim))
         self._dofs = dofs
+        self._node_x = node_x
         self._vertices = geometry_dofmap(grid)
         self._coordinates = np.ascontiguousarray(grid.geometry.x[:, : grid.geometry.dim])
         self._kind = kind_of(grid)
+
+    def node_coordinates(self):
+        """Positions of the nodes (m), shape (nodes, 3)."""
+        return self._node_x
 
     def stencils(self, points) -> Stencils:
         """Stencils of the points where they are now.

@@ -28,8 +28,8 @@ from dolfinmpm.evaluate import PointEvaluator
 from dolfinmpm.forms.split import SplitForm
 from dolfinmpm.ordinary import OrdinaryAssembler
 from dolfinmpm.points import MaterialPoints
-from dolfinmpm.prolong import Prolongation
-from dolfinmpm.space import Space
+from dolfinmpm.prolong import Prolongation, reduce_blocks
+from dolfinmpm.space import Space, extraction
 from dolfinmpm.unknowns import Unknowns
 
 __all__ = ["NewtonSystem", "Prolongate"]
@@ -127,6 +127,7 @@ class NewtonSystem:
         self._pattern: Any = None
         self._matrix: Any = None
         self._attached: npt.NDArray[np.int32] | None = None
+        self._extraction = extraction(self.spaces[0])
         self._set_conditions(1.0)
 
     def _set_conditions(self, share: float) -> None:
@@ -151,12 +152,13 @@ class NewtonSystem:
             self._set_conditions(share)
         nodes = active_nodes(stencils, self._numbering)
         self._cells = stencils
-        self._C: Prolongation | None = None
+        # u_Lagrange = T x: what splines and ties make of the solver's unknowns
+        self._T = self._extraction
         if self._prolongate is not None:
-            self._C = Prolongation(self._prolongate(nodes))
-            self._all_nodes = nodes
-            stencils = self._C.stencils(stencils)
-            nodes = nodes[~self._C.tied[nodes]]
+            C = Prolongation(self._prolongate(nodes))
+            self._T = C.matrix if self._T is None else self._T @ C.matrix
+            stencils = C.stencils(stencils)
+            nodes = nodes[~C.tied[nodes]]
         self._stencils = stencils
         changed = self.unknowns.activate(nodes)
         if changed:
@@ -218,7 +220,7 @@ class NewtonSystem:
         assert self.ordinary is not None
         ordinary = self.ordinary
         blocks = ordinary.rows, ordinary.columns, ordinary.jacobian()
-        return blocks if self._C is None else self._C.reduce(*blocks, self.components)
+        return blocks if self._T is None else reduce_blocks(self._T, *blocks)
 
     def _couplings(self):
         """Pairs of active nodes that the ordinary terms couple."""
@@ -240,10 +242,11 @@ class NewtonSystem:
             self._shared["external"].scatter_reverse(InsertMode.add)
 
     def _add_ordinary(self, add: Callable[[Array], None], out: Array) -> None:
-        part = np.zeros_like(out)
+        size = self._numbering.size if self._T is None else self._T.shape[0]
+        part = np.zeros((size, self.components))
         add(part)
-        if self._C is not None:
-            part = self._C.reduce_vector(part)
+        if self._T is not None:
+            part = self._T.T @ part
         nodes = self.unknowns.nodes
         out[nodes] += part[nodes]
 
@@ -259,8 +262,9 @@ class NewtonSystem:
     def fill_functions(self) -> None:
         """Hand the increments to the DOLFINx functions."""
         u, nodes = self._u, self._touched
-        if self._C is not None:
-            u, nodes = self._C.expand(u), self._all_nodes
+        if self._T is not None:
+            u = self._T @ u
+            nodes = np.arange(len(u), dtype=np.int32)
         start = 0
         for space in self.spaces:
             values = space.increment.x.array.reshape(-1, space.components)

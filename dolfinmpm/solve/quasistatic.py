@@ -212,7 +212,7 @@ class QuasiStatic:
             bad = np.flatnonzero(~(J > 0))
             new["V"] = J * points["V0"]
             new["x"] = points["x"] + evaluator.value[:, :d]
-            if getattr(self.system.basis, "averaged", False):
+            if self.system.basis.averaged:
                 new["l"] = update_domains(new["F"], points["l0"])
         finite = all(np.isfinite(values).all() for values in new.values())
         if not self.comm.allreduce(finite and bad.size == 0, op=MPI.LAND):

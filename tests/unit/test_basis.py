@@ -7,9 +7,13 @@ import pytest
 from conftest import unit_grid
 from dolfinx import mesh
 from mpi4py import MPI
+from scipy.interpolate import BSpline
 
 import dolfinmpm as mpm
+from dolfinmpm.basis.bspline import extension_weights, greville, spline_weights
+from dolfinmpm.basis.stencils import gather
 from dolfinmpm.errors import ParameterError, UnsupportedGridError
+from dolfinmpm.space import extraction
 
 
 def everything(grid):
@@ -20,7 +24,7 @@ def everything(grid):
 def check_reproduction(space, points, middle):
     """Sums of N, ∇N, N x and x ⊗ ∇N over the nodes of every point."""
     s = space.basis.stencils(points)
-    nodes = space.function_space.tabulate_dof_coordinates()[:, : points.gdim]
+    nodes = space.basis.node_coordinates()[:, : points.gdim]
     for g in range(s.groups.size - 1):
         x = nodes[s.nodes[s.node_start[g] : s.node_start[g + 1]]]
         for k in range(s.groups[g], s.groups[g + 1]):
@@ -48,6 +52,72 @@ def test_gimp_reproduces_linear_fields_on_any_domain(kind):
     low = np.maximum(points["x"] - points["l"], 0)
     high = np.minimum(points["x"] + points["l"], 1)
     check_reproduction(mpm.Space(grid, "gimp"), points, 0.5 * (low + high))
+
+
+@pytest.mark.parametrize("basis", ["bspline2", "bspline3"])
+@pytest.mark.parametrize("kind", ["interval", "quadrilateral", "hexahedron"])
+def test_splines_reproduce_linear_fields(kind, basis):
+    grid = unit_grid(kind)
+    points = mpm.fill(grid, everything(grid), per_cell=2, density=1.0)
+    check_reproduction(mpm.Space(grid, basis), points, points["x"])
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_splines_are_smooth_and_their_slopes_are_right(degree):
+    """Against SciPy's, on cells of unequal size, the ends included."""
+    line = np.array([0.0, 0.3, 0.5, 1.1, 1.6, 1.7])
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    S, dS = np.empty(64), np.empty(64)
+    for x in np.linspace(0.01, 1.69, 57):
+        cell = int(np.searchsorted(line, x, side="right")) - 1
+        spline_weights(line, cell, degree, x, S, dS)
+        for i in range(degree + 1):
+            exact = BSpline(knots, np.eye(line.size - 1 + degree)[cell + i], degree)
+            assert S[i] == pytest.approx(float(exact(x)), abs=1e-13)
+            assert dS[i] == pytest.approx(float(exact(x, nu=1)), abs=1e-11)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("graded", [False, True])
+def test_extension_continues_polynomials(degree, graded):
+    line = np.linspace(0, 1, 9) ** (1.5 if graded else 1)
+    n = line.size - 1 + degree
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    x = greville(line, degree)
+    for power in range(degree + 1):
+        # coefficients of a polynomial, by interpolation at the Greville points
+        matrix = BSpline.design_matrix(np.clip(x, 0, 1 - 1e-12), knots, degree).toarray()
+        coefficients = np.linalg.solve(matrix, np.clip(x, 0, 1 - 1e-12) ** power)
+        for cell in (0, 3, 7):
+            for function in range(n):
+                weights = extension_weights(line, degree, cell, function)
+                value = weights @ coefficients[cell : cell + degree + 1]
+                assert value == pytest.approx(coefficients[function], abs=1e-8)
+
+
+def test_extension_is_hoellig_s_formula_on_equal_cells():
+    line = np.arange(12.0)
+    for degree in (2, 3):
+        cell, function = 5, 9
+        weights = extension_weights(line, degree, cell, function)
+        for i in range(degree + 1):
+            factors = [(function - cell - m) / (i - m) for m in range(degree + 1) if m != i]
+            assert weights[i] == pytest.approx(np.prod(factors), rel=1e-9)
+
+
+def test_extraction_gives_the_same_function():
+    """A spline and its Lagrange form agree at random points, in value and gradient."""
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, everything(grid), per_cell=3, density=1.0)
+    for basis in ("bspline2", "bspline3"):
+        V = mpm.Space(grid, basis, shape=())
+        u = np.random.default_rng(2).uniform(-1, 1, (V.basis.nodes.size, 1))
+        V.increment.x.array[:] = (extraction(V) @ u)[:, 0]
+        value, gradient = np.empty((len(points), 1)), np.empty((len(points), 1, 2))
+        gather(V.basis.stencils(points), u, value, gradient)
+        x = np.zeros((len(points), 3))
+        x[:, :2] = points["x"]
+        np.testing.assert_allclose(V.increment.eval(x, points["cell"]), value, atol=1e-12)
 
 
 def test_gimp_on_a_graded_grid():

@@ -1,0 +1,115 @@
+"""B-splines with open knots in one direction, and their numbering on a rectangular grid.
+
+A line of n cells carries n + p functions of degree p; cell c sees c ... c + p. The
+first and last knots are repeated, so that the first and last functions alone
+differ from zero at the ends and essential conditions there are exact (Piegl &
+Tiller 1997, The NURBS Book, §2).
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.common import IndexMap
+from dolfinx.mesh import Mesh
+
+from dolfinmpm._compat import make_index_map
+from dolfinmpm.grid import Lattice
+
+__all__ = ["extension_weights", "greville", "number_functions", "spline_weights"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, inline="always")
+def _knot(line, degree, i):
+    return line[min(max(i - degree, 0), line.size - 1)]
+
+
+@numba.njit(cache=True)
+def spline_weights(line, cell, degree, x, S, dS):
+    """The degree + 1 functions of a cell and their slopes (1/m) at x, by Cox and de Boor."""
+    span = cell + degree
+    for i in range(degree + 1):
+        S[i] = 1.0 if i == 0 else 0.0
+        dS[i] = 0.0
+    for k in range(1, degree + 1):
+        if k == degree:
+            for i in range(degree + 1):
+                slope = 0.0
+                if i > 0:
+                    j = span - degree + i
+                    slope += S[i - 1] / (_knot(line, degree, j + degree) - _knot(line, degree, j))
+                if i < degree:
+                    j = span - degree + i + 1
+                    slope -= S[i] / (_knot(line, degree, j + degree) - _knot(line, degree, j))
+                dS[i] = degree * slope
+        saved = 0.0
+        for i in range(k):
+            right = _knot(line, degree, span + i + 1)
+            left = _knot(line, degree, span + 1 - k + i)
+            share = S[i] / (right - left)
+            S[i] = saved + (right - x) * share
+            saved = (x - left) * share
+        S[k] = saved
+
+
+def greville(line: Array, degree: int) -> Array:
+    """Greville points (m) of the functions: the means of their inner knots."""
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    return np.array([knots[i + 1 : i + degree + 1].mean() for i in range(line.size - 1 + degree)])
+
+
+def _moments(line: Array, degree: int, function: int, origin: float) -> Array:
+    """Coefficients that one function has in 1, (x − origin), ..., (x − origin)^degree.
+
+    By blossoming: the coefficient in a monomial is the mean of the products of as
+    many of the function's inner knots (Ramshaw 1989).
+    """
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    inner = knots[function + 1 : function + degree + 1] - origin
+    # elementary symmetric sums are the coefficients of Π (1 + t z)
+    sums = np.ones(1)
+    for t in inner:
+        sums = np.convolve(sums, [1.0, t])
+    binomials = np.array([np.prod([(degree - j) / (j + 1) for j in range(k)])
+                          for k in range(degree + 1)])  # fmt: skip
+    return sums / binomials
+
+
+def extension_weights(line: Array, degree: int, cell: int, function: int) -> Array:
+    """Coefficient of a function that continues the polynomial of a cell, by the cell's own.
+
+    Reproduces polynomials of the degree for any knots; with equal cells it is
+    Höllig's Π_{μ≠i} (j − l − μ)/(i − l − μ).
+
+    Returns:
+        Weights of the functions cell ... cell + degree, shape (degree + 1,).
+    """
+    h, origin = line[cell + 1] - line[cell], 0.5 * (line[cell] + line[cell + 1])
+    scaled = (line - origin) / h
+    own = np.array([_moments(scaled, degree, cell + i, 0.0) for i in range(degree + 1)])
+    return np.linalg.solve(own.T, _moments(scaled, degree, function, 0.0))
+
+
+def number_functions(
+    grid: Mesh, lattice: Lattice, degree: int
+) -> tuple[IndexMap, npt.NDArray[np.int32]]:
+    """Give every function to the rank that owns the cell in its middle. Collective.
+
+    Returns:
+        Index map without ghosts, and the lattice position of its functions,
+        shape (functions, gdim).
+    """
+    shape = np.array(lattice.shape)
+    owned = grid.topology.index_map(grid.topology.dim).size_local
+    cells = lattice.cell_ijk[:owned]
+    pieces = []
+    # a function is anchored at cell i − ⌊p/2⌋, those at the ends at the first and last cell
+    for shift in np.ndindex(*(degree + 1,) * shape.size):
+        function = cells + np.array(shift)
+        anchor = np.clip(function - degree // 2, 0, shape - 1)
+        pieces.append(function[np.all(anchor == cells, axis=1)])
+    ijk = np.unique(np.concatenate(pieces), axis=0).astype(np.int32)
+    return make_index_map(grid.comm, len(ijk), [], []), ijk

@@ -1,0 +1,259 @@
+"""Bases on rectangular grids: products of functions of one direction each.
+
+Linear functions, their averages over the points' domains (GIMP), and B-splines
+differ in the functions of one direction only.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from dolfinmpm.basis.bspline import greville, spline_weights
+from dolfinmpm.basis.gimp import domain_weights
+from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
+from dolfinmpm.errors import PointsOutsideGridError, raise_together
+from dolfinmpm.grid import Lattice
+from dolfinmpm.halo import LatticeHalo, build_halo
+
+__all__ = ["LatticeBasis"]
+
+# An overlap below this share of a cell is rounding: it must not make a cell active.
+_SNAP = 1e-10
+
+
+@numba.njit(cache=True, inline="always")
+def _cell_of(line, uniform, x):
+    n = line.size - 1
+    if uniform:
+        cell = int(np.floor((x - line[0]) / (line[n] - line[0]) * n))
+    else:
+        cell = np.searchsorted(line, x, side="right") - 1
+    return min(max(cell, 0), n - 1)
+
+
+@numba.njit(cache=True)
+def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, low, count):
+    """First overlapped cell and number of them a direction; returns whether the table has all."""
+    inside = True
+    for p in range(x.shape[0]):
+        for d in range(x.shape[1]):
+            line = lines[line_start[d] : line_start[d + 1]]
+            first = _cell_of(line, uniform, x[p, d] - half[p, d])
+            last = first
+            if half[p, d] > 0.0:
+                last = _cell_of(line, uniform, x[p, d] + half[p, d])
+                left = max(x[p, d] - half[p, d], line[0])
+                right = min(x[p, d] + half[p, d], line[line.size - 1])
+                if last > first and line[first + 1] - left < snap * (line[first + 1] - line[first]):
+                    first += 1
+                if last > first and right - line[last] < snap * (line[last + 1] - line[last]):
+                    last -= 1
+            low[p, d] = first - origin[d]
+            count[p, d] = last - first + 1
+            inside = inside and low[p, d] >= 0 and last - origin[d] < table_shape[d]
+    return inside
+
+
+@numba.njit(cache=True)
+def _keys(low, count, table_shape, key):
+    for p in range(low.shape[0]):
+        k, c = 0, 0
+        for d in range(low.shape[1]):
+            k = k * table_shape[d] + low[p, d]
+            c = c * 64 + count[p, d]
+        # 18 bits are room for 63 cells a direction in 3D
+        key[p] = k * 262144 + c
+
+
+@numba.njit(cache=True)
+def _fill(
+    x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
+    order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
+):  # fmt: skip
+    gdim = x.shape[1]
+    S = np.empty((gdim, 64))
+    dS = np.empty((gdim, 64))
+    index = np.empty(gdim, np.int64)
+    largest = 1
+    for g in range(groups.size - 1):
+        largest = max(largest, node_start[g + 1] - node_start[g])
+    local = np.empty(largest, np.int64)
+    rank = np.empty(largest, np.int64)
+    known = True
+    for g in range(groups.size - 1):
+        p = order[groups[g]]
+        m = node_start[g + 1] - node_start[g]
+        for a in range(m):
+            rest, at = a, 0
+            for d in range(gdim - 1, -1, -1):
+                index[d] = rest % (count[p, d] + degree)
+                rest //= count[p, d] + degree
+            for d in range(gdim):
+                at = at * node_shape[d] + low[p, d] + index[d]
+            local[a] = node_table[at]
+            known = known and local[a] >= 0
+        # nodes in increasing order: assembly walks through the matrix rows once
+        for a in range(m):
+            before = 0
+            for b in range(m):
+                if local[b] < local[a]:
+                    before += 1
+            rank[a] = before
+            nodes[node_start[g] + before] = local[a]
+        for a in range(cell_start[g + 1] - cell_start[g]):
+            rest, at = a, 0
+            for d in range(gdim - 1, -1, -1):
+                index[d] = rest % count[p, d]
+                rest //= count[p, d]
+            for d in range(gdim):
+                at = at * cell_shape[d] + low[p, d] + index[d]
+            cells[cell_start[g] + a] = cell_table[at]
+            known = known and cell_table[at] >= 0
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            for d in range(gdim):
+                line = lines[line_start[d] : line_start[d + 1]]
+                first = origin[d] + low[p, d]
+                if degree == 1:
+                    domain_weights(line, first, count[p, d], x[p, d], half[p, d], S[d], dS[d])
+                else:
+                    spline_weights(line, first, degree, x[p, d], S[d], dS[d])
+            start = value_start[g] + (position - groups[g]) * m
+            for a in range(m):
+                rest = a
+                for d in range(gdim - 1, -1, -1):
+                    index[d] = rest % (count[p, d] + degree)
+                    rest //= count[p, d] + degree
+                product = 1.0
+                for d in range(gdim):
+                    product *= S[d, index[d]]
+                N[start + rank[a]] = product
+                for d in range(gdim):
+                    product = dS[d, index[d]]
+                    for e in range(gdim):
+                        if e != d:
+                            product *= S[e, index[e]]
+                    dN[start + rank[a], d] = product
+    return known
+
+
+class LatticeBasis:
+    """Products of linear functions, of their averages over domains, or of B-splines.
+
+    What is said of nodes holds for B-splines too: a node is then a function.
+
+    Args:
+        grid: Background grid.
+        lattice: Its lattice.
+        degree: Degree of the functions: 1, 2 or 3.
+        averaged: Whether linear functions are averaged over the points' domains.
+        node_map: Index map of the nodes.
+        node_ijk: Lattice position of its nodes, shape (nodes, gdim).
+
+    Attributes:
+        nodes, cells: Numberings of the nodes and cells that are known here.
+        continuity: Highest derivative that is continuous across facets.
+    """
+
+    def __init__(
+        self, grid: Mesh, lattice: Lattice, degree: int, averaged: bool, node_map, node_ijk
+    ):
+        self.grid = grid
+        self.lattice = lattice
+        self.degree = degree
+        self.averaged = averaged
+        self.continuity = degree - 1
+        self._node_map = node_map
+        self._node_ijk = node_ijk
+        self._lines = np.concatenate(lattice.lines)
+        self._line_start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
+        self.extend(1 if averaged or degree > 1 else 0)
+
+    def extend(self, layers: int) -> None:
+        """Know nodes and cells within so many layers of this rank's own cells. Collective."""
+        if hasattr(self, "halo") and layers <= self.halo.layers:
+            return
+        self.halo: LatticeHalo = build_halo(
+            self.grid, self.lattice, self.degree, self._node_map, self._node_ijk, layers
+        )
+        self.nodes = self.halo.nodes
+        self.cells = self.halo.cells
+
+    def node_coordinates(self) -> npt.NDArray[np.float64]:
+        """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
+        x = np.zeros((self.nodes.size, 3))
+        for d, line in enumerate(self.lattice.lines):
+            x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
+        return x
+
+    def stencils(self, points) -> Stencils:
+        """Stencils of the points where they are now. Collective.
+
+        The halo grows, on all ranks together, when a domain reaches beyond it.
+
+        Args:
+            points: Material points; reads x and, for GIMP, the half-lengths l.
+        """
+        x = points["x"]
+        return self.stencils_at(x, points["l"] if self.averaged else np.zeros_like(x))
+
+    def stencils_at(self, x: npt.NDArray[np.float64], half: npt.NDArray[np.float64]) -> Stencils:
+        """Stencils at positions x (m) with half-lengths (m), both (points, gdim). Collective."""
+        comm, halo = self.grid.comm, self.halo
+        low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
+        shape = np.array(halo.cell_table.shape, np.int64)
+        inside = _overlaps(
+            x, half, self._lines, self._line_start, self.lattice.uniform, _SNAP,
+            halo.origin, shape, low, count,
+        )  # fmt: skip
+        error = None
+        if count.size and count.max() > 60:
+            p = int(np.argmax(count.max(axis=1)))
+            error = PointsOutsideGridError(
+                f"the domain of the point at {x[p]} m spans {count[p].max()} cells, at most 60 are "
+                f"possible; its half-lengths are {half[p]} m: use a coarser grid or basis='linear'"
+            )
+        raise_together(comm, error)
+        result = self.stencils_in(x, half, low, count) if inside else None
+        if comm.allreduce(result is None, op=MPI.LOR):
+            self.extend(halo.layers + 1)
+            return self.stencils_at(x, half)
+        assert result is not None
+        return result
+
+    def stencils_in(self, x, half, low, count) -> Stencils | None:
+        """Stencils where the overlapped cells are given; None if a node is not known here.
+
+        Args:
+            x, half: Positions and half-lengths (m), shape (points, gdim).
+            low: Position of the first overlapped cell in the halo's tables, likewise.
+            count: Number of overlapped cells, likewise.
+        """
+        halo, gdim = self.halo, x.shape[1]
+        cell_shape = np.array(halo.cell_table.shape, np.int64)
+        key = np.empty(len(x), np.int64)
+        _keys(low, count, cell_shape, key)
+        order = np.argsort(key, kind="stable").astype(np.int32)
+        groups = group_starts(key[order])
+        spans = count[order[groups[:-1]]].astype(np.int64)
+        nodes_each, cells_each = np.prod(spans + self.degree, axis=1), np.prod(spans, axis=1)
+        node_start = running_sum(nodes_each, np.int32)
+        cell_start = running_sum(cells_each, np.int32)
+        value_start = running_sum(nodes_each * np.diff(groups), np.int64)
+        s = Stencils(
+            order, groups, node_start, np.empty(node_start[-1], np.int32), value_start,
+            np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
+            cell_start, np.empty(cell_start[-1], np.int32),
+        )  # fmt: skip
+        known = _fill(
+            x, half, self._lines, self._line_start, halo.origin,
+            halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
+            halo.cell_table.ravel(), cell_shape,
+            order, groups, low, count, node_start, s.nodes, value_start, s.N, s.dN,
+            cell_start, s.cells, self.degree,
+        )  # fmt: skip
+        return s if known else None
