@@ -27,6 +27,7 @@ from dolfinmpm.errors import (
 )
 from dolfinmpm.evaluate import PointUpdates
 from dolfinmpm.forms.split import split
+from dolfinmpm.grid import cell_size
 from dolfinmpm.kinematics import update_domains
 from dolfinmpm.locate import destinations
 from dolfinmpm.points import MaterialPoints
@@ -143,6 +144,9 @@ class QuasiStatic:
             loads += self.system.ordinary.constants() + self.system.ordinary.functions()
         self._loads = Loads(loads, increments)
         self._moves = increments[0].ufl_shape == (points.gdim,)
+        h = cell_size(points.grid)
+        sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
+        self._cell_size = self.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
         self._share = 1.0
         self._record = StepRecord()
 
@@ -151,7 +155,8 @@ class QuasiStatic:
 
         Raises:
             ConvergenceError: The step did not converge, however small it was made.
-            PointsOutsideGridError: Points would leave the grid.
+            PointsOutsideGridError: Points would leave the grid; if they would leave it by
+                more than a cell, the step is halved first.
 
         After an error the state, and the load, are those of the last converged
         part of the step.
@@ -221,7 +226,12 @@ class QuasiStatic:
         destination = None
         if self._moves:
             destination = destinations(points.grid, new["x"], points["cell"])
-            raise_together(self.comm, self._outside(new["x"], destination.rank))
+            lost = np.flatnonzero(destination.rank < 0)
+            far = np.any(np.abs(evaluator.value[lost, :d]) > self._cell_size)
+            if self.comm.allreduce(bool(far), op=MPI.LOR):
+                # Newton may find a state of equilibrium on the far side of a singular one
+                return "material points would be thrown out of the grid, further than a cell"
+            raise_together(self.comm, self._outside(new["x"], lost))
         for name, values in new.items():
             points.fields[name][...] = values
         self.system.fill_functions()
@@ -229,8 +239,7 @@ class QuasiStatic:
             self._record.migrated += points.migrate(destination)
         return None
 
-    def _outside(self, x, rank) -> PointsOutsideGridError | None:
-        lost = np.flatnonzero(rank < 0)
+    def _outside(self, x, lost) -> PointsOutsideGridError | None:
         if lost.size == 0:
             return None
         p = lost[0]

@@ -1,7 +1,7 @@
 """Self-weight compaction of an elastic column against the exact stress.
 
 The errors are those of AMPLE run as published (Coombs & Augarde 2020, doi
-10.1016/j.advengsoft.2020.102748).
+10.1016/j.advengsoft.2019.102748).
 """
 
 from __future__ import annotations

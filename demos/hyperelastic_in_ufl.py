@@ -1,0 +1,474 @@
+# %% [markdown]
+# # New physics and a new stabilisation, both in UFL
+#
+# A disc of living tissue grows between two plates, most at its core and not at all at its
+# rim, which the core stretches. Nothing about tissue, growth or stabilisation in this
+# script comes from the library: the energy, the growth, the stress and the penalty on cut
+# cells are stated here, in UFL, at the material points. The library splits the form,
+# derives flux and tangent, compiles them and moves the points. To try another energy or
+# another penalty, change its line.
+#
+# The disc is a good touchstone. Its edge cuts the grid's cells in every possible way, and
+# yet its exact deformation is a function of the radius alone.
+
+# %%
+import time
+
+started = time.perf_counter()
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from numpy.polynomial import Chebyshev
+from scene import finish, parser, say
+from scipy import sparse
+from scipy.optimize import least_squares
+
+import dolfinmpm as mpm
+
+
+# %%
+def arguments():
+    """The command line."""
+    options = parser("Growing tissue: energy, growth and stabilisation in UFL.")
+    options.add_argument("--law", choices=("neo-hookean", "gent"), default="neo-hookean")
+    options.add_argument("--stabilisation", choices=("none", "own", "ghost"), default="own")
+    options.add_argument("--gamma", type=float, default=1.0, help="penalty in units of E/90")
+    options.add_argument("--cells", type=int, default=16, help="over the radius")
+    options.add_argument("--points-per-cell", type=int, default=4, help="in each direction")
+    options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
+    options.add_argument("--steps", type=int, default=10)
+    options.add_argument("--radius", type=float, default=1e-3, help="m, at first")
+    options.add_argument("--modulus", type=float, default=1e3, help="Young's modulus (Pa)")
+    options.add_argument("--poisson", type=float, default=0.4)
+    options.add_argument("--stretch-limit", type=float, default=1.0, help="Gent's J_m")
+    options.add_argument("--growth", type=float, default=0.8, help="of lengths, at the core")
+    return options.parse_args()
+
+
+args = arguments()
+radius, h = args.radius, args.radius / args.cells
+mu = args.modulus / (2 * (1 + args.poisson))
+lmbda = args.modulus * args.poisson / ((1 + args.poisson) * (1 - 2 * args.poisson))
+
+# %% [markdown]
+# ## The energy
+# Per volume, as a function of the first invariant $I_1 = \mathrm{tr}\,F^TF$ and of
+# $J = \det F$: the compressible neo-Hookean law, and the one of Gent (1996, doi
+# 10.5254/1.3538357), whose fibres cannot be stretched beyond $I_1 - 3 = J_m$,
+#
+# $$\psi_\mathrm{nH} = \tfrac\mu2 (I_1 - 3) - \mu\ln J + \tfrac\lambda2 (\ln J)^2, \qquad
+#   \psi_\mathrm{G} = -\tfrac\mu2 J_m \ln\Bigl(1 - \frac{I_1 - 3}{J_m}\Bigr)
+#   - \mu\ln J + \tfrac\lambda2 (\ln J)^2 .$$
+#
+# The logarithm is an argument, so that the exact solution at the end can use the same
+# lines with NumPy's.
+
+
+# %%
+def neo_hookean(I1, J, ln):
+    """Compressible neo-Hookean energy (J/m³)."""
+    return mu / 2 * (I1 - 3) - mu * ln(J) + lmbda / 2 * ln(J) ** 2
+
+
+def gent(I1, J, ln):
+    """Gent's energy (J/m³), with a limit to the stretch."""
+    limit = args.stretch_limit
+    return -mu / 2 * limit * ln(1 - (I1 - 3) / limit) - mu * ln(J) + lmbda / 2 * ln(J) ** 2
+
+
+energy = gent if args.law == "gent" else neo_hookean
+
+# %% [markdown]
+# ## The points
+# A quarter of the disc, in a grid that has room for it to grow. Two fields of our own
+# travel with the points: how much each grows, and the energy that it stores. The plates
+# above and below keep the third direction as it is: growth and strain are plane.
+
+# %%
+across = int(np.ceil((1 + max(args.growth, 0.0)) * args.cells)) + 2
+grid = mesh.create_rectangle(
+    MPI.COMM_WORLD,
+    [(0, 0), (across * h, across * h)],
+    (across, across),
+    mesh.CellType.quadrilateral,
+)
+comm = grid.comm
+quarter = mpm.Disc((0, 0), radius) & mpm.Box((0, 0), (radius, radius))
+V = mpm.Space(grid, basis=args.basis)
+u, v = V.increment, V.test
+bcs = mpm.rollers(V, "left", "bottom")
+
+
+def growth_of(R):
+    """Growth of lengths in the end, by initial radius (m)."""
+    return args.growth * (1 - (R / radius) ** 2)
+
+
+def tissue():
+    """Material points of the disc, with the fields `growth` and `energy`."""
+    points = mpm.fill(grid, quarter, per_cell=args.points_per_cell, density=1e3)
+    points.add_field("growth")
+    points["growth"] = growth_of(np.linalg.norm(points["x0"], axis=1))
+    points.add_field("energy", unit="J/m^3")
+    return points
+
+
+# %% [markdown]
+# ## Physics is a line of UFL
+# `points.F` is the deformation gradient at the start of the step and `grad(u)` the
+# gradient of the step's increment: $F = (I + \nabla u)\,F_n$ is the one at its end. Growth
+# by $g$ is a first, stress-free part of it, and only the rest stores energy (Rodriguez,
+# Hoger & McCulloch 1994, doi 10.1016/0021-9290(94)90021-3),
+#
+# $$F = F_e F_g, \qquad F_g = g\,(I - e_z \otimes e_z) + e_z \otimes e_z, \qquad
+#   \Pi = \int \det F_g\; \psi(F_e)\, \mathrm dX .$$
+#
+# A constant takes growth from nothing to its end, so that a step that fails can be halved.
+
+# %%
+progress = fem.Constant(grid, 0.0)
+
+
+def grown_energy(points):
+    """Energy per initial volume, and the deformation gradient that it is a function of."""
+    g = 1 + progress * points.growth
+    F = (ufl.Identity(2) + ufl.grad(u)) * points.F
+    F = ufl.variable(ufl.as_tensor([[F[0, 0], F[0, 1], 0], [F[1, 0], F[1, 1], 0], [0, 0, 1]]))
+    Fe = F * ufl.as_tensor([[1 / g, 0, 0], [0, 1 / g, 0], [0, 0, 1]])
+    return g**2 * energy(ufl.inner(Fe, Fe), ufl.det(Fe), ufl.ln), F
+
+
+# %% [markdown]
+# ## What a step leaves behind is a line of UFL
+# `updates` will name fields of the points, and the expressions to which a converged step
+# sets them. The stress is not typed in by hand: it is that of whatever energy stands above,
+# $\sigma = J^{-1}\, \partial\psi/\partial F \, F^T$.
+
+
+# %%
+def state(psi, F):
+    """Fields of the points that follow from the energy."""
+    stress = ufl.diff(psi, F) * ufl.transpose(F) / ufl.det(F)
+    return {"stress": stress, "energy": psi}
+
+
+# %% [markdown]
+# ## Stabilisation is a line of UFL
+# Cells that the body only touches hold their nodes by next to nothing. `points.dS` are
+# the *ghost facets*, those between an active cell at the body's boundary and any other
+# active cell. A penalty on the jump of the increment's normal derivative across them ties
+# such nodes to their neighbours (Burman 2010, doi 10.1016/j.crma.2010.10.006). A linear
+# motion has no jump and stays free.
+
+# %%
+gamma = args.gamma * args.modulus / 90
+n, size = ufl.FacetNormal(grid), mpm.cell_size(grid)
+
+
+def penalty(points):
+    """Our own ghost penalty."""
+    jump_u, jump_v = ufl.jump(ufl.grad(u), n), ufl.jump(ufl.grad(v), n)
+    return gamma * size * ufl.inner(jump_u, jump_v) * points.dS
+
+
+# %% [markdown]
+# ## Growing
+# `ufl.derivative` makes the weak form of the energy, and the library the tangent of the
+# form. After every step we look at the tangent's condition number, as long as the system
+# is small.
+
+
+# %%
+def condition_number(K):
+    """κ₂ of a PETSc matrix, or None where it has too many rows to be made dense."""
+    if K.size[0] > 1500:
+        return None
+    indptr, columns, values = K.getValuesCSR()
+    rows = comm.gather(sparse.csr_matrix((values, columns, indptr), (len(indptr) - 1, K.size[1])))
+    return comm.bcast(float(np.linalg.cond(sparse.vstack(rows).toarray())) if rows else None)
+
+
+def grow(points, form, updates=None):
+    """Let the disc grow step by step; returns the problem and its condition numbers."""
+    progress.value = 0.0
+    problem = mpm.QuasiStatic(form, u, points, bcs=bcs, updates=updates)
+    conditions = []
+    for share in mpm.steps(args.steps, label="growth"):
+        progress.value = share
+        problem.step()
+        conditions.append(condition_number(problem.stiffness()))
+    return problem, conditions
+
+
+points = tissue()
+psi, F = grown_energy(points)
+form = ufl.derivative(psi * points.dX, u, v)
+if args.stabilisation == "own":
+    form += penalty(points)
+elif args.stabilisation == "ghost":
+    form += mpm.ghost(points, u, v, gamma=3 * gamma)
+ready = time.perf_counter()
+problem, conditions = grow(points, form, state(psi, F))
+
+# %% [markdown]
+# A second disc has no stabilisation, for comparison.
+
+# %%
+bare_points = tissue()
+psi, F = grown_energy(bare_points)
+bare, bare_conditions = grow(bare_points, ufl.derivative(psi * bare_points.dX, u, v), state(psi, F))
+
+# %% [markdown]
+# A third is made of what the library offers: `mpm.materials.NeoHookean` is the energy
+# above, and `mpm.ghost` with $\gamma = E/30$ the penalty above. It must move to the same
+# place, to rounding.
+
+# %%
+from_library = None
+if args.law == "neo-hookean":
+    others = tissue()
+    law = mpm.materials.NeoHookean(E=args.modulus, nu=args.poisson)
+    g = 1 + progress * others.growth
+    Fe = (ufl.Identity(2) + ufl.grad(u)) * others.F / g
+    form = ufl.derivative(g**2 * law.energy(Fe) * others.dX, u, v)
+    if args.stabilisation != "none":
+        form += mpm.ghost(others, u, v, gamma=3 * gamma)
+    grow(others, form)
+    # points that moved alike are on the same ranks; sorted by number, in the same order
+    first, second = np.argsort(points["id"]), np.argsort(others["id"])
+    apart = np.inf
+    if np.array_equal(points["id"][first], others["id"][second]):
+        apart = np.abs(points["x"][first] - others["x"][second]).max(initial=0.0)
+    from_library = float(comm.allreduce(apart, op=MPI.MAX) / radius)
+
+# %% [markdown]
+# ## The exact solution
+# A ring of radius $R$ moves to $r(R)$ with the principal stretches $\lambda_r = r'$ and
+# $\lambda_\theta = r/R$, which make
+#
+# $$\Pi(r) = \int_0^{R_0} g^2\, \psi\Bigl(\frac{\lambda_r}{g}, \frac{\lambda_\theta}{g}\Bigr)
+#   R\, \mathrm dR$$
+#
+# stationary. A Ritz ansatz $r = R \sum_k c_k T_{2k}(R/R_0)$ with Chebyshev's polynomials
+# solves it to all digits that matter here. Complex steps give the derivatives of the
+# energy by the stretches.
+
+
+# %%
+def slope(function, *at):
+    """Derivative of an analytic function of several numbers by each of them."""
+    step = 1e-30
+    return [
+        np.imag(function(*(x + 1j * step * (i == j) for j, x in enumerate(at)))) / step
+        for i in range(len(at))
+    ]
+
+
+class ExactDisc:
+    """Positions and Cauchy stresses of the disc, by initial radius; energy (J/m) of a quarter."""
+
+    def __init__(self, terms=10):
+        s, weight = np.polynomial.legendre.leggauss(40)
+        s, weight = 0.5 * (s + 1), 0.5 * weight
+        basis = [Chebyshev.basis(2 * k) for k in range(terms)]
+        c = np.eye(terms)[0]
+        ratio = np.array([T(s) for T in basis])
+        along = ratio + np.array([s * T.deriv()(s) for T in basis])
+        for share in np.linspace(0, 1, 11)[1:]:
+            g = 1 + share * growth_of(s * radius)
+
+            def balance(c, g=g):
+                P_r, P_t, _ = slope(lambda *at: self._energy(g, *at), c @ along, c @ ratio, 1.0)
+                return (along * P_r + ratio * P_t) @ (weight * s) / mu
+
+            solution = least_squares(
+                balance, c, jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15
+            )
+            c = solution.x
+        if np.abs(solution.fun).max() > 1e-9:
+            raise RuntimeError(f"no exact solution with growth {args.growth}: {solution.message}")
+        density = self._energy(g, c @ along, c @ ratio, 1.0)
+        self.stored_energy = float(np.pi / 2 * radius**2 * (density @ (weight * s)))
+        self._ratio = sum(a * T for a, T in zip(c, basis))
+
+    @staticmethod
+    def _energy(g, a, b, c):
+        """Energy (J/m³) of the principal stretches a, b and c, the last along the axis."""
+        return g**2 * energy((a**2 + b**2) / g**2 + c**2, a * b * c / g**2, np.log)
+
+    def position(self, R):
+        """Radius r (m) to which the ring of radius R (m) moves."""
+        return R * self._ratio(R / radius)
+
+    def stress(self, R):
+        """Cauchy stresses (Pa) along the radius, around it and along the axis, shape (3, n)."""
+        s, g = R / radius, 1 + growth_of(R)
+        a, b = self._ratio(s) + s * self._ratio.deriv()(s), self._ratio(s)
+        P_r, P_t, P_z = slope(lambda *at: self._energy(g, *at), a, b, np.ones_like(a))
+        return np.array([P_r / b, P_t / a, P_z / (a * b)])
+
+
+exact = ExactDisc()
+grown = float(exact.position(radius))
+
+# %% [markdown]
+# Displacement, stress and stored energy of the points are compared with it, the first two
+# in the mean square over the body.
+
+
+# %%
+def total(points, values):
+    """Sum over all points of values, shape (n,), weighted with their initial volumes."""
+    return comm.allreduce(float(values @ points["V0"]))
+
+
+def polar(points):
+    """Initial radii (m), shape (n,), and the axes along the radius, around and across, as rows."""
+    R = np.linalg.norm(points["x0"], axis=1)
+    axes = np.zeros((len(points), 3, 3))
+    axes[:, 0, :2] = points["x0"] / R[:, None]
+    axes[:, 1, :2] = axes[:, 0, :2] @ np.array([[0, 1], [-1, 0]])
+    axes[:, 2, 2] = 1
+    return R, axes
+
+
+def errors(points):
+    """Relative errors of displacement and stress."""
+    R, axes = polar(points)
+    moved = (exact.position(R) - R)[:, None] * axes[:, 0, :2]
+    stress = np.einsum("ap,pai,paj->pij", exact.stress(R), axes, axes)
+    result = []
+    for found, sought in ((points["x"] - points["x0"], moved), (points["stress"], stress)):
+        square = [(e**2).reshape(len(R), -1).sum(axis=1) for e in (found - sought, sought)]
+        result.append(float(np.sqrt(total(points, square[0]) / total(points, square[1]))))
+    return result
+
+
+displacement_error, stress_error = errors(points)
+bare_displacement_error, bare_stress_error = errors(bare_points)
+
+
+# %%
+def worst(conditions):
+    """The largest, or None where the system was too large."""
+    return None if None in conditions else max(conditions)
+
+
+iterations = [record.iterations for record in problem.history]
+figures = {
+    "displacement_error": displacement_error,
+    "stress_error": stress_error,
+    "area_ratio": total(points, points["V"] / points["V0"]) / total(points, np.ones(len(points))),
+    "area_ratio_exact": (grown / radius) ** 2,
+    "stored_energy": total(points, points["energy"]),
+    "stored_energy_exact": exact.stored_energy,
+    "condition_number": worst(conditions),
+    "bare_condition_number": worst(bare_conditions),
+    "bare_displacement_error": bare_displacement_error,
+    "bare_stress_error": bare_stress_error,
+    "bare_newton_iterations": sum(record.iterations for record in bare.history),
+    "difference_from_library": from_library,
+    "newton_iterations": sum(iterations),
+    "max_newton_iterations": max(iterations),
+    "halvings": sum(record.halvings for record in problem.history),
+    "last_residuals": problem.history[-1].residuals,
+    "points": points.total,
+    "unknowns": problem.history[-1].unknowns,
+    "migrated": sum(record.migrated for record in problem.history),
+    "ranks": comm.size,
+    "seconds_setup": ready - started,
+    "seconds_solve": sum(record.seconds for record in problem.history),
+}
+say(
+    f"{args.law}, {figures['points']} points, {comm.size} rank(s): area x "
+    f"{figures['area_ratio']:.4f} (exact {figures['area_ratio_exact']:.4f}), "
+    f"{sum(iterations)} Newton iterations in {args.steps} steps, {figures['seconds_solve']:.2f} s"
+)
+say(f"stabilisation      {args.stabilisation:>9s}      none")
+for label, name in (
+    ("displacement error", "displacement_error"),
+    ("stress error      ", "stress_error"),
+    ("worst κ(K)        ", "condition_number"),
+    ("Newton iterations ", "newton_iterations"),
+):
+    say(label, *(f"{figures[key] or np.nan:9.3g}" for key in (name, f"bare_{name}")))
+if from_library is not None:
+    say(f"farthest from the library's own law and penalty: {from_library:.1e} of the radius")
+
+# %% [markdown]
+# ## Picture
+# Left, every point as the parallelogram that its part of the body has become, with the
+# stress around the centre: the core is pressed, the rim is stretched. The dashed lines are
+# the edge at first and in the end. In the middle, the points' stresses beside the exact
+# ones. Right, what the penalty is for.
+
+
+# %%
+def picture(path, x0, x, F, l0, stress):
+    """Draw the grown disc, its stresses by radius and the condition numbers by step."""
+    from matplotlib.collections import PolyCollection
+
+    mm, kPa = 1e3, 1e-3
+    R = np.linalg.norm(x0, axis=1)
+    e = x0 / R[:, None]
+    t = e @ np.array([[0, 1], [-1, 0]])
+    along, around = (np.einsum("pi,pij,pj->p", a, stress[:, :2, :2], a) * kPa for a in (e, t))
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
+    small = None not in conditions + bare_conditions
+    panels = {"ncols": 3 if small else 2, "width_ratios": (1.15, 1, 0.9)[: 3 if small else 2]}
+    with mpm.figure(path, 7.2 if small else 5.0, 2.4, **panels) as (figure, axes):
+        left, middle = axes[:2]
+        top = np.percentile(np.abs(around), 99.5)
+        drawn = PolyCollection(
+            [*(mm * parts)], array=around, cmap="RdBu_r", clim=(-top, top), linewidths=0,
+            antialiased=False, snap=False, rasterized=True,
+        )  # fmt: skip
+        left.add_collection(drawn)
+        lines = np.arange(across + 1) * h * mm
+        left.vlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
+        left.hlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
+        angle = np.linspace(0, np.pi / 2, 91)
+        for r in (radius, grown):
+            left.plot(mm * r * np.cos(angle), mm * r * np.sin(angle), "k--", lw=0.6)
+        side = (0, mm * (grown + 1.5 * h))
+        left.grid(visible=False)
+        left.set(aspect="equal", xlabel="$x$ (mm)", ylabel="$y$ (mm)", xlim=side, ylim=side)
+        figure.colorbar(drawn, ax=left, label="stress around the centre (kPa)")
+
+        s = np.linspace(1e-3, 1, 101) * radius
+        for values, curve, name in zip(
+            (along, around), exact.stress(s) * kPa, ("along the radius", "around the centre")
+        ):
+            (dots,) = middle.plot(R * mm, values, ".", ms=1, alpha=0.5, rasterized=True)
+            middle.plot([], [], ".", color=dots.get_color(), label=name)
+            middle.plot(s * mm, curve, "k", lw=0.8)
+        middle.plot([], [], "k", lw=0.8, label="exact")
+        low, high = np.percentile(np.concatenate([along, around]), (0.05, 99.95))
+        room = 0.1 * (high - low)
+        middle.set(xlabel="initial radius (mm)", ylabel="stress (kPa)")
+        middle.set(xlim=(0, 1.02 * radius * mm), ylim=(low - room, high + room))
+        middle.legend()
+        if not small:
+            return
+        right = axes[2]
+        share = np.arange(1, args.steps + 1) / args.steps
+        right.semilogy(share, bare_conditions, "s-", color="0.5", label="no stabilisation")
+        if args.stabilisation != "none":
+            right.semilogy(share, conditions, "o-", color="C2", label="ghost penalty")
+        # room for the legend
+        right.set_ylim(0.3 * min(conditions), 3e3 * max(bare_conditions))
+        right.set(xlabel="share of growth", ylabel="condition number of the tangent")
+        right.legend(loc="upper left")
+
+
+if not args.no_plot:
+    with mpm.ParaView(args.output / "hyperelastic_in_ufl.pvd", points) as file:
+        file.write(1.0)
+    rows = points.gather("x0", "x", "F", "l0", "stress")
+    if rows is not None:
+        picture(args.output / "hyperelastic_in_ufl.png", *rows)
+
+finish(args, figures)

@@ -1,0 +1,102 @@
+"""Growing tissue, stated in UFL by `demos/hyperelastic_in_ufl.py`, against its exact solution."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@functools.cache
+def demo(*options: str, ranks: int = 1) -> dict:
+    """Figures of the demo, run by an interpreter of its own."""
+    # what this process's own MPI put into the environment must not reach the launcher's
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
+    clean["OMP_NUM_THREADS"] = "1"
+    clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
+    script = [sys.executable, str(ROOT / "demos" / "hyperelastic_in_ufl.py")]
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    command = [*launcher, *script, "--json", "-", "--no-plot", *options]
+    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def assert_exact(figures, displacement, stress, rest):
+    assert figures["displacement_error"] < displacement
+    assert figures["stress_error"] < stress
+    assert figures["area_ratio"] == pytest.approx(figures["area_ratio_exact"], rel=rest)
+    assert figures["stored_energy"] == pytest.approx(figures["stored_energy_exact"], rel=rest)
+    assert figures["halvings"] == 0
+    assert figures["max_newton_iterations"] <= 5
+
+
+def test_the_disc_grows_to_its_exact_shape():
+    assert_exact(demo(), 1e-3, 0.08, 3e-3)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--law", "gent"),
+        ("--growth", "0.4"),
+        ("--growth=-0.3",),
+        ("--poisson", "0", "--modulus", "7e5", "--radius", "3"),
+    ],
+)
+def test_other_energies_and_other_growth(options):
+    assert_exact(demo(*options), 3e-3, 0.13, 8e-3)
+
+
+def test_the_error_falls_with_refinement():
+    errors = [
+        [demo("--cells", str(n))[name] for name in ("displacement_error", "stress_error")]
+        for n in (8, 16, 32)
+    ]
+    coarse, middle, fine = errors
+    assert coarse[0] > 1.5 * middle[0] > 2 * fine[0]
+    assert coarse[1] > 1.1 * middle[1] > 1.2 * fine[1]
+
+
+def test_ones_own_energy_and_penalty_are_those_of_the_library():
+    assert demo()["difference_from_library"] < 1e-13
+    ghost = demo("--stabilisation", "ghost")
+    assert ghost["difference_from_library"] < 1e-13
+    for name in ("displacement_error", "stress_error", "stored_energy", "condition_number"):
+        assert ghost[name] == pytest.approx(demo()[name], rel=1e-8)
+
+
+def test_what_the_penalty_is_for():
+    figures = demo()
+    assert figures["condition_number"] < 3e3
+    assert figures["bare_condition_number"] > 1e6
+    # and it does not cost accuracy
+    assert figures["displacement_error"] < figures["bare_displacement_error"]
+    assert figures["stress_error"] < figures["bare_stress_error"]
+    assert figures["newton_iterations"] <= figures["bare_newton_iterations"]
+    bare = demo("--stabilisation", "none")
+    for name in ("displacement_error", "stress_error", "newton_iterations"):
+        assert bare[name] == pytest.approx(figures[f"bare_{name}"], rel=1e-6)
+
+
+@pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_figures_do_not_depend_on_the_ranks(ranks):
+    one, many = demo(), demo(ranks=ranks)
+    assert many["ranks"] == ranks
+    assert many["migrated"] > 0
+    assert many["points"] == one["points"]
+    assert many["difference_from_library"] < 1e-13
+    for name in ("displacement_error", "stress_error", "area_ratio", "stored_energy"):
+        assert many[name] == pytest.approx(one[name], rel=1e-9)
+    assert many["condition_number"] == pytest.approx(one["condition_number"], rel=1e-6)
+    np.testing.assert_allclose(many["area_ratio_exact"], one["area_ratio_exact"], rtol=1e-12)
