@@ -1,6 +1,6 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
-from dolfinmpm import materials
+from dolfinmpm import materials, study
 from dolfinmpm.boundary import fixed, prescribed, rollers
 from dolfinmpm.fill import fill
 from dolfinmpm.grid import cell_size
@@ -12,7 +12,7 @@ from dolfinmpm.progress import steps
 from dolfinmpm.shapes import Ball, Box, Disc, Polygon, Shape, Where
 from dolfinmpm.solve import QuasiStatic
 from dolfinmpm.space import Space
-from dolfinmpm.stabilise import ghost
+from dolfinmpm.stabilise import Stabilisation, ghost, soft
 
 __version__ = "0.1.0"
 
@@ -26,6 +26,7 @@ __all__ = [
     "QuasiStatic",
     "Shape",
     "Space",
+    "Stabilisation",
     "Where",
     "cell_size",
     "figure",
@@ -38,5 +39,7 @@ __all__ = [
     "plot",
     "prescribed",
     "rollers",
+    "soft",
     "steps",
+    "study",
 ]

@@ -137,7 +137,8 @@ def require_lattice(grid: Mesh, what: str) -> Lattice:
     return lattice
 
 
-def _cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
+@once_per_grid
+def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
     """Volume of every local cell, shape (cells,); exact for straight-sided cells."""
     space = fem.functionspace(grid, ("DG", 0))
     form = fem.form(ufl.TestFunction(space) * ufl.dx)
@@ -159,7 +160,7 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     """
     gdim = grid.topology.dim
     simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
-    sizes = (_cell_volumes(grid) * (math.factorial(gdim) if simplex else 1)) ** (1 / gdim)
+    sizes = (cell_volumes(grid) * (math.factorial(gdim) if simplex else 1)) ** (1 / gdim)
     least = grid.comm.allreduce(sizes.min(initial=math.inf), op=MPI.MIN)
     largest = grid.comm.allreduce(sizes.max(initial=0.0), op=MPI.MAX)
     if largest - least <= 1e-9 * largest:

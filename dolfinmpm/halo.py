@@ -60,6 +60,7 @@ class LatticeHalo:
         node_table: Local node index by lattice position less origin, -1 where
             the node is not known here; `degree` more than cell_table a direction.
         node_ijk: Lattice position of every node known here, shape (nodes, gdim).
+        cell_ijk: Lattice position of every cell known here, likewise.
         cell_table: Local cell index by lattice position less origin, -1 likewise.
     """
 
@@ -69,6 +70,7 @@ class LatticeHalo:
     origin: npt.NDArray[np.int32]
     node_table: npt.NDArray[np.int32]
     node_ijk: npt.NDArray[np.int32]
+    cell_ijk: npt.NDArray[np.int32]
     cell_table: npt.NDArray[np.int32]
 
 
@@ -158,4 +160,4 @@ def build_halo(
     for table, positions in ((node_table, node_ijk), (cell_table, cell_ijk)):
         inside = np.all((positions >= origin) & (positions < origin + table.shape), axis=1)
         table[tuple((positions[inside] - origin).T)] = np.flatnonzero(inside)
-    return LatticeHalo(layers, nodes, cells, origin, node_table, node_ijk, cell_table)
+    return LatticeHalo(layers, nodes, cells, origin, node_table, node_ijk, cell_ijk, cell_table)

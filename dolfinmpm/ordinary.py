@@ -15,7 +15,7 @@ from dolfinx.fem import IntegralType
 
 from dolfinmpm._compat import compile_form, create_form, create_matrix, integration_domains
 from dolfinmpm.forms.split import OrdinaryTerms
-from dolfinmpm.points import GHOST_FACETS
+from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.space import Space
 
 __all__ = ["OrdinaryAssembler"]
@@ -28,6 +28,7 @@ _KINDS = {
 }
 
 Array = npt.NDArray[np.float64]
+Entities = dict[int, npt.NDArray[np.int32]]
 
 
 @numba.njit(cache=True)
@@ -54,26 +55,28 @@ class _Block:
         for integral in form.integrals():
             kind, given = integral.integral_type(), integral.subdomain_id()
             ids = given if isinstance(given, tuple) else (given,)
-            numbers = sorted({i for i in ids if i not in ("everywhere", "otherwise", GHOST_FACETS)})
+            own = ("everywhere", "otherwise", GHOST_FACETS, ACTIVE_CELLS)
+            numbers = sorted({i for i in ids if i not in own})
             domains = self._fixed.setdefault(_KINDS[kind], [])
             if numbers:
                 found = integration_domains(_KINDS[kind], data[kind][0], numbers)
                 known = {number for number, _ in domains}
                 domains += [(number, rows) for number, rows in found if number not in known]
-        self.has_ghost = any(
-            GHOST_FACETS in (i if isinstance(i, tuple) else (i,))
-            for i in (integral.subdomain_id() for integral in form.integrals())
-        )
+        ids = [integral.subdomain_id() for integral in form.integrals()]
+        flat = {i for group in ids for i in (group if isinstance(group, tuple) else (group,))}
+        self.moving = flat & {GHOST_FACETS, ACTIVE_CELLS}
         self._form: Any = None
         self._matrix: Any = None
 
-    def attach(self, facets: npt.NDArray[np.int32] | None) -> None:
-        """Integrate over these ghost facets from now on."""
-        if self._form is not None and not self.has_ghost:
+    def attach(self, entities: Entities) -> None:
+        """Integrate over these ghost facets and active cells from now on."""
+        if self._form is not None and not self.moving:
             return
         domains = {kind: list(rows) for kind, rows in self._fixed.items()}
-        if self.has_ghost:
-            domains.setdefault(IntegralType.interior_facet, []).append((GHOST_FACETS, facets))
+        for number in self.moving:
+            facets = number == GHOST_FACETS
+            kind = IntegralType.interior_facet if facets else IntegralType.cell
+            domains.setdefault(kind, []).append((number, entities[number]))
         spaces = [space.function_space for space in self._spaces]
         self._form = create_form(
             self._compiled, spaces, self._grid, domains, self._coefficients, self._constants
@@ -131,7 +134,7 @@ class OrdinaryAssembler:
         self._all = [
             b for b in chain(self._external, self._internal, *self._jacobian) if b is not None
         ]
-        self.has_ghost = any(b.has_ghost for b in self._all)
+        self.moving = set().union(*(b.moving for b in self._all))
         self.has_jacobian = any(b is not None for row in self._jacobian for b in row)
 
     def constants(self) -> list[fem.Constant]:
@@ -142,10 +145,10 @@ class OrdinaryAssembler:
         """DOLFINx functions in the terms."""
         return [c for b in self._all for c in b._coefficients]
 
-    def attach(self, facets: npt.NDArray[np.int32] | None) -> None:
-        """Integrate over these ghost facets from now on."""
+    def attach(self, entities: Entities) -> None:
+        """Integrate over these ghost facets and active cells, by subdomain id, from now on."""
         for b in self._all:
-            b.attach(facets)
+            b.attach(entities)
         structure = [
             (i, j, b)
             for i, row in enumerate(self._jacobian)

@@ -21,8 +21,9 @@ __all__ = ["MaterialPoints", "PointField"]
 
 _numbers = itertools.count(1)
 
-# The interior facets that ghost penalty acts on carry this subdomain id.
+# Subdomain ids of the facets that ghost penalty acts on, and of the active cells.
 GHOST_FACETS = 990_001
+ACTIVE_CELLS = 990_002
 
 
 class PointField(ufl.Coefficient):
@@ -56,6 +57,10 @@ class MaterialPoints:
 
     `points["name"]` is a field's array on this rank, `points.name` the same field
     for UFL. Every field moves with its point when the point changes rank.
+
+    Measures for UFL: `points.dX` and `points.dx` sum over the points, with their
+    first volume or that at the start of the step; `points.dS` integrates over the
+    ghost facets and `points.dC` over the whole of the active cells.
 
     Fields from the start (n points on this rank, d dimensions):
 
@@ -124,8 +129,9 @@ class MaterialPoints:
         domain = grid.ufl_domain()
         self.dX = ufl.Measure("dc", domain=domain, metadata=self._mark("V0"))
         self.dx = ufl.Measure("dc", domain=domain, metadata=self._mark("V"))
-        # the facets themselves are found by the solver, which knows the active cells
+        # facets and cells themselves are found by the solver, which knows the active cells
         self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS)
+        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
 
     def _mark(self, volume: str) -> dict[str, Any]:
         return {"points": self.number, "volume": volume}

@@ -5,13 +5,16 @@ from __future__ import annotations
 import operator
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 from mpi4py import MPI
 
 from dolfinmpm.errors import ParameterError
 
-__all__ = ["steps"]
+__all__ = ["progress", "steps"]
+
+Item = TypeVar("Item")
 
 
 def steps(number: int, label: str = "") -> Iterator[float]:
@@ -38,14 +41,15 @@ def steps(number: int, label: str = "") -> Iterator[float]:
     if count < 1:
         raise ParameterError(f"number of steps = {number!r} must be a whole number of at least 1")
     # checked here, not in the generator, whose first line runs at the first step only
-    return _iterate(count, label)
+    return progress([k / count for k in range(1, count + 1)], label)
 
 
-def _iterate(number: int, label: str) -> Iterator[float]:
-    bar = _bar(number, label)
+def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:
+    """The items one after the other, with a progress bar on rank 0 as `steps` draws it."""
+    bar = _bar(len(items), label)
     try:
-        for k in range(1, number + 1):
-            yield k / number
+        for item in items:
+            yield item
             if bar is not None:
                 bar.update()
     finally:

@@ -66,11 +66,11 @@ class LinearBasis:
         self.grid = grid
         self.nodes = Numbering(grid.comm, node_map)
         self.cells = Numbering(grid.comm, grid.topology.index_map(grid.topology.dim))
-        self._dofs = dofs
+        self.dofs = dofs
         self._node_x = node_x
         self._vertices = geometry_dofmap(grid)
         self._coordinates = np.ascontiguousarray(grid.geometry.x[:, : grid.geometry.dim])
-        self._kind = kind_of(grid)
+        self.kind = kind_of(grid)
 
     def node_coordinates(self):
         """Positions of the nodes (m), shape (nodes, 3)."""
@@ -94,7 +94,7 @@ class LinearBasis:
             np.arange(number + 1, dtype=np.int32), cells[order[groups[:-1]]],
         )  # fmt: skip
         _fill(
-            self._kind, self._vertices, self._coordinates, self._dofs, x, cells, order, groups,
+            self.kind, self._vertices, self._coordinates, self.dofs, x, cells, order, groups,
             s.nodes, s.N, s.dN,
         )  # fmt: skip
         return s

@@ -25,17 +25,18 @@ from dolfinmpm.assemble import (
 from dolfinmpm.basis import Stencils
 from dolfinmpm.boundary import Condition, apply_conditions
 from dolfinmpm.evaluate import PointEvaluator
-from dolfinmpm.forms.split import SplitForm
+from dolfinmpm.forms.split import OrdinaryTerms, SplitForm
 from dolfinmpm.ordinary import OrdinaryAssembler
-from dolfinmpm.points import MaterialPoints
+from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.prolong import Prolongation, reduce_blocks
 from dolfinmpm.space import Space, extraction
+from dolfinmpm.stabilise import Stabilisation
 from dolfinmpm.unknowns import Unknowns
 
 __all__ = ["NewtonSystem", "Prolongate"]
 
 Array = npt.NDArray[np.float64]
-Prolongate = Callable[[npt.NDArray[np.int32]], sparse.spmatrix]
+Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
 
 _REASONS = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
 
@@ -54,7 +55,9 @@ class NewtonSystem:
         bcs: Essential conditions.
         tolerance: Relative out-of-balance force to reach.
         max_iterations: Newton iterations allowed.
-        prolongate: Function of the active nodes that returns C, or None.
+        prolongate: Function of stencils and active nodes that returns C, or None.
+        stabilisation: Remedy against small cuts; its terms are in the form already.
+        tangent_terms: Terms of the tangent only, or None.
         prefix: Prefix of the PETSc options.
         options: PETSc options without it.
     """
@@ -68,6 +71,8 @@ class NewtonSystem:
         tolerance: float,
         max_iterations: int,
         prolongate: Prolongate | None,
+        stabilisation: Stabilisation,
+        tangent_terms: OrdinaryTerms | None,
         prefix: str,
         options: dict[str, Any],
     ):
@@ -77,18 +82,21 @@ class NewtonSystem:
         self.components = sum(space.components for space in spaces)
         self.evaluator = PointEvaluator(form.points, spaces, points)
         self.ordinary = OrdinaryAssembler(form.ordinary, spaces) if form.has_ordinary else None
+        self._tangent_only = OrdinaryAssembler(tangent_terms, spaces) if tangent_terms else None
         self.residuals: list[float] = []
         self.iterations = 0
         self._points = points
+        self._stabilisation = stabilisation
+        stabilisation.prepare(self.basis)
         self._bcs = list(bcs)
         self._tolerance = tolerance
         self._max_iterations = max_iterations
         self._prolongate = prolongate
         changing = any(condition.changes for condition in bcs)
         self._changing = self.comm.allreduce(changing, op=MPI.LOR)
-        self._facets = None
-        if self.ordinary and self.ordinary.has_ghost:
-            self._facets = ghost_facets(points.grid)
+        self._assemblers = [a for a in (self.ordinary, self._tangent_only) if a]
+        self._moving = set().union(*(a.moving for a in self._assemblers))
+        self._facets = ghost_facets(points.grid) if GHOST_FACETS in self._moving else None
         self._numbering: Any = None
         self._configure(prefix, options)
         self._set_numbering()
@@ -127,10 +135,12 @@ class NewtonSystem:
         shape = (self._numbering.size, self.components)
         self._u, self._r, self._external, self._lift = (v.array.reshape(shape) for v in vectors)
         self._touched: npt.NDArray[np.int32] = np.empty(0, np.int32)
+        self._blocks: Any = None
+        self._soft: Any = None
         self._filled: npt.NDArray[np.int32] = np.empty(0, np.int32)
         self._pattern: Any = None
         self._matrix: Any = None
-        self._attached: npt.NDArray[np.int32] | None = None
+        self._attached: dict[int, npt.NDArray[np.int32]] | None = None
         self._extraction = extraction(self.spaces[0])
         self._set_conditions(1.0)
 
@@ -158,8 +168,10 @@ class NewtonSystem:
         self._cells = stencils
         # u_Lagrange = T x: what splines and ties make of the solver's unknowns
         self._T = self._extraction
-        if self._prolongate is not None:
-            C = Prolongation(self._prolongate(nodes))
+        self._penalty = None
+        tie = self._ties(stencils, nodes)
+        if tie is not None:
+            C = Prolongation(tie)
             self._T = C.matrix if self._T is None else self._T @ C.matrix
             stencils = C.stencils(stencils)
             nodes = nodes[~C.tied[nodes]]
@@ -170,11 +182,9 @@ class NewtonSystem:
                 values[self._touched] = 0.0
             self._touched = nodes
         self.evaluator.start_step(stencils)
-        rows: npt.NDArray[np.int32] = np.empty(0, np.int32)
-        columns = rows
-        if self.ordinary:
+        if self._assemblers:
             self._attach()
-            rows, columns = self._couplings()
+        rows, columns = self._couplings()
         old = None if changed else self._pattern
         pattern = Pattern.build(stencils, self.unknowns, rows, columns, old)
         # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
@@ -209,32 +219,55 @@ class NewtonSystem:
         flags = active_cells(self._cells, self.basis.cells)
         return self.comm.allreduce(int(flags[: self.basis.cells.owned].sum()), op=MPI.SUM)
 
+    def _ties(self, stencils: Stencils, nodes) -> sparse.csr_matrix | None:
+        """C of nodes that follow others; a weak one becomes a penalty instead. Collective."""
+        remedy, fixed = self._stabilisation, self.unknowns.fixed
+        C = remedy.ties(self._points, self.basis, stencils, nodes, fixed)
+        if C is not None and remedy.kind == "weak-aggregation":
+            owned = nodes[: np.searchsorted(nodes, self._numbering.owned)]
+            self._penalty = remedy.penalty(self._points, C, owned, self.components)
+            C = None
+        if self._prolongate is not None:
+            own = sparse.csr_matrix(self._prolongate(stencils, nodes))
+            C = own if C is None else C @ own
+        return C
+
     def _attach(self) -> None:
-        assert self.ordinary is not None
-        facets = None
-        if self._facets is not None:
+        """Let DOLFINx integrate over the facets and cells that are active now. Collective."""
+        entities: dict[int, npt.NDArray[np.int32]] = {}
+        if self._moving:
             active = active_cells(self._cells, self.basis.cells)
-            facets = self._facets.select(active, self.basis.cells)
-        same = self._attached is not None and (
-            facets is None or np.array_equal(facets, self._attached)
+            if self._facets is not None:
+                entities[GHOST_FACETS] = self._facets.select(active, self.basis.cells)
+            if ACTIVE_CELLS in self._moving:
+                owned = np.flatnonzero(active[: self.basis.cells.owned])
+                entities[ACTIVE_CELLS] = owned.astype(np.int32)
+        same = self._attached is not None and all(
+            np.array_equal(rows, self._attached[number]) for number, rows in entities.items()
         )
         # every rank keeps its forms or none does: creating them is collective
         if not self.comm.allreduce(same, op=MPI.LAND):
-            self.ordinary.attach(facets)
-            self._attached = np.empty(0, np.int32) if facets is None else facets
+            for assembler in self._assemblers:
+                assembler.attach(entities)
+            self._attached = entities
         # what is linear in the increments is assembled once a step
-        self._blocks = self._ordinary_blocks() if self.ordinary.linear else None
+        linear = self.ordinary is not None and self.ordinary.linear
+        self._blocks = self._reduced(self.ordinary) if linear else None
+        self._soft = self._reduced(self._tangent_only) if self._tangent_only else None
 
-    def _ordinary_blocks(self) -> tuple[Any, Any, Any]:
-        """Rows, columns and blocks of the ordinary terms, on the solver's nodes."""
-        assert self.ordinary is not None
-        ordinary = self.ordinary
-        blocks = ordinary.rows, ordinary.columns, ordinary.jacobian()
+    def _reduced(self, assembler: OrdinaryAssembler | None) -> tuple[Any, Any, Any]:
+        """Rows, columns and blocks of ordinary terms, on the solver's nodes."""
+        assert assembler is not None
+        blocks = assembler.rows, assembler.columns, assembler.jacobian()
         return blocks if self._T is None else reduce_blocks(self._T, *blocks)
 
     def _couplings(self):
-        """Pairs of active nodes that the ordinary terms couple."""
-        rows, columns, _ = self._blocks or self._ordinary_blocks()
+        """Pairs of active nodes that terms other than the points' couple."""
+        sets = [b for b in (self._blocks, self._penalty, self._soft) if b is not None]
+        if self.ordinary and self._blocks is None:
+            sets.append(self._reduced(self.ordinary))
+        rows = np.concatenate([np.empty(0, np.int32), *(b[0] for b in sets)])
+        columns = np.concatenate([np.empty(0, np.int32), *(b[1] for b in sets)])
         active = np.zeros(self._numbering.size, bool)
         active[self.unknowns.nodes] = True
         keep = active[rows] & active[columns]
@@ -294,12 +327,12 @@ class NewtonSystem:
             r[self._touched] = math.nan
         else:
             add_vector(self._stencils, flux, r)
-        if self.ordinary:
-            if not self.ordinary.linear:
-                self.fill_functions()
-                self._add_ordinary(self.ordinary.add_internal, r)
-            elif self.ordinary.has_jacobian:
-                multiply_blocks(*self._blocks, self._u, r)
+        for blocks in (self._blocks, self._penalty):
+            if blocks is not None:
+                multiply_blocks(*blocks, self._u, r)
+        if self.ordinary and not self.ordinary.linear:
+            self.fill_functions()
+            self._add_ordinary(self.ordinary.add_internal, r)
         if self.comm.size > 1:
             self._shared["r"].scatter_reverse(InsertMode.add)
 
@@ -318,11 +351,13 @@ class NewtonSystem:
         data = self._matrix.data
         data[:] = 0.0
         self._lift[self._touched] = 0.0
-        if self.ordinary and self.ordinary.has_jacobian:
-            if not self.ordinary.linear:
-                self.fill_functions()
-            blocks = self._blocks or self._ordinary_blocks()
-            add_blocks(*blocks, self.unknowns, self._pattern, data, self._lift)
+        sets = [self._blocks, self._penalty, self._soft]
+        if self.ordinary and not self.ordinary.linear:
+            self.fill_functions()
+            sets.append(self._reduced(self.ordinary))
+        for blocks in sets:
+            if blocks is not None:
+                add_blocks(*blocks, self.unknowns, self._pattern, data, self._lift)
         tangent = self.evaluator.tangent()
         if tangent is not None:
             add_stiffness(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinmpm.boundary import Condition
@@ -34,6 +35,7 @@ from dolfinmpm.points import MaterialPoints
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
 from dolfinmpm.space import Space
+from dolfinmpm.stabilise import Stabilisation
 
 __all__ = ["QuasiStatic", "StepRecord"]
 
@@ -85,13 +87,18 @@ class QuasiStatic:
         max_halvings: Halvings before a step is given up.
         updates: Fields of the points that a converged step sets to UFL
             expressions of state and increment, by name.
-        prolongation: Function of the active nodes that returns a matrix C, shape
-            (nodes, nodes), by which some nodes' values follow from others'.
+        stabilisation: Remedy against small cuts: a `Stabilisation`, or the name of
+            one with its usual parameters.
+        prolongation: Function of stencils and active nodes that returns a matrix C,
+            shape (nodes, nodes), by which some nodes' values follow from others'.
         options_prefix: Prefix of the PETSc options that change the solver.
         petsc_options: Such options, without the prefix.
 
     Attributes:
         history: One record a step.
+        bcs: The essential conditions.
+        stabilisation: The remedy with all its parameters.
+        system: The nonlinear system of the present step.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -110,6 +117,7 @@ class QuasiStatic:
         max_iterations: int = 20,
         max_halvings: int = 10,
         updates: dict[str, Expr] | None = None,
+        stabilisation: Stabilisation | str = "none",
         prolongation: Prolongate | None = None,
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
@@ -131,10 +139,16 @@ class QuasiStatic:
         self.comm: MPI.Intracomm = points.comm
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
-        parts = split(form, spaces, points)
+        self.bcs = list(bcs)
+        self.stabilisation = remedy = _with_modulus(stabilisation, form)
+        trial = increments[0], spaces[0].test
+        extra = remedy.force_terms(points, *trial)
+        parts = split(form if extra is None else form + extra, spaces, points)
+        tangent = remedy.tangent_terms(points, *trial)
+        tangent_terms = None if tangent is None else split(tangent, spaces, points).ordinary
         self.system = NewtonSystem(
-            parts, spaces, points, bcs, tolerance, max_iterations, prolongation,
-            options_prefix, petsc_options or {},
+            parts, spaces, points, bcs, tolerance, max_iterations, prolongation, remedy,
+            tangent_terms, options_prefix, petsc_options or {},
         )  # fmt: skip
         self._tolerance = tolerance
         self._updates = PointUpdates({**points.updates, **(updates or {})}, spaces, points)
@@ -269,6 +283,24 @@ class QuasiStatic:
             f"is {worst}. The state is that at {done:.4g} of the step: take smaller steps or add "
             "stabilisation"
         )
+
+
+def _with_modulus(stabilisation: Stabilisation | str, form: ufl.Form) -> Stabilisation:
+    """The remedy with the moduli of the form's law where it names none."""
+    remedy = Stabilisation(stabilisation) if isinstance(stabilisation, str) else stabilisation
+    if not isinstance(form, ufl.Form):
+        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
+    if not remedy.needs_modulus or remedy.E is not None:
+        return remedy
+    integrands = [integral.integrand() for integral in form.integrals()]
+    for coefficient in (c for i in integrands for c in extract_coefficients(i)):
+        law = getattr(getattr(coefficient, "law", None), "law", None)
+        if law is not None and "E" in law.values:
+            return replace(remedy, E=law.values["E"], nu=law.values.get("nu", 0.0))
+    raise ParameterError(
+        f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
+        f'mpm.Stabilisation("{remedy.kind}", E=...)'
+    )
 
 
 def _space_of(increment: fem.Function) -> Space:

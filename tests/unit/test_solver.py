@@ -266,7 +266,7 @@ def test_prolongation_equals_the_matrix_product():
             below.sort(key=lambda b: -x[b, 1])
             pairs[a] = {below[0]: 2.0, below[1]: -1.0}
 
-        def tie(active, size=size, pairs=pairs):
+        def tie(stencils, active, size=size, pairs=pairs):
             C = sparse.lil_matrix((size, size))
             C.setdiag(1.0)
             for a, weights in pairs.items():

@@ -1,0 +1,326 @@
+"""Studies: condition numbers, critical time steps, and sweeps of a body across the grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy import linalg
+
+from dolfinmpm.errors import ParameterError
+from dolfinmpm.grid import cell_size
+from dolfinmpm.progress import progress
+from dolfinmpm.solve.newton import NewtonSystem
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.stabilise import Stabilisation, ghost
+
+__all__ = [
+    "Conditioning",
+    "condition_number",
+    "conditioning",
+    "critical_step",
+    "observed_orders",
+    "rigid_modes",
+    "sweep",
+]
+
+Array = npt.NDArray[np.float64]
+
+# Up to so many unknowns all eigenvalues are computed; beyond, Lanczos finds the ends.
+DENSE_LIMIT = 1500
+
+
+@numba.njit(cache=True)
+def _jacobi(A, tolerance):
+    """One-sided Jacobi rotations make columns orthogonal, to high relative accuracy.
+
+    (Demmel & Veselić 1992, doi 10.1137/0613074.)
+    """
+    n = A.shape[1]
+    for _ in range(60):
+        worst = 0.0
+        for i in range(n - 1):
+            for j in range(i + 1, n):
+                a = b = c = 0.0
+                for k in range(A.shape[0]):
+                    a += A[k, i] * A[k, i]
+                    b += A[k, j] * A[k, j]
+                    c += A[k, i] * A[k, j]
+                if c == 0.0 or abs(c) <= tolerance * math.sqrt(a) * math.sqrt(b):
+                    continue
+                worst = max(worst, abs(c) / (math.sqrt(a) * math.sqrt(b)))
+                zeta = 0.5 * (b - a) / c
+                t = 1.0 / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+                if zeta < 0.0:
+                    t = -t
+                cosine = 1.0 / math.sqrt(1.0 + t * t)
+                sine = t * cosine
+                for k in range(A.shape[0]):
+                    x, y = A[k, i], A[k, j]
+                    A[k, i] = cosine * x - sine * y
+                    A[k, j] = sine * x + cosine * y
+        if worst <= tolerance:
+            break
+    return A
+
+
+def _definite_spectrum(A: Array) -> Array:
+    """Eigenvalues of a positive definite matrix, the smallest ones with all their digits too.
+
+    After scaling to a unit diagonal the Cholesky factor keeps the graded entries
+    apart, which a direct eigenvalue solver would drown in rounding.
+    """
+    scale = np.sqrt(np.diag(A))
+    try:
+        factor = linalg.cholesky(A / np.outer(scale, scale), lower=True)
+    except linalg.LinAlgError:
+        return np.maximum(linalg.eigvalsh(A), 0.0)
+    rotated = _jacobi(np.ascontiguousarray(factor.T * scale), 1e-14)
+    return np.sort(np.sum(rotated**2, axis=0))
+
+
+def _dense(matrix: PETSc.Mat) -> Array:
+    """All entries of a matrix, on every rank. Collective."""
+    start, indices, values = matrix.getValuesCSR()
+    n = matrix.getSize()[0]
+    rows = np.zeros((start.size - 1, n))
+    for i in range(start.size - 1):
+        rows[i, indices[start[i] : start[i + 1]]] = values[start[i] : start[i + 1]]
+    return np.concatenate(matrix.comm.tompi4py().allgather(rows))
+
+
+def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
+    """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
+
+    Args:
+        matrix: Symmetric, positive semi-definite.
+        kernel: Vectors to be left out, such as rigid modes, shape (owned rows, n).
+
+    Returns:
+        The ratio, or inf where the smallest eigenvalue is zero or negative.
+    """
+    n = matrix.getSize()[0]
+    if n == 0:
+        raise ParameterError("a matrix without rows has no condition number; activate points first")
+    if n > DENSE_LIMIT:
+        low, high = _ends(matrix, kernel)
+    elif kernel is None or kernel.shape[1] == 0:
+        A = _dense(matrix)
+        values = _definite_spectrum(0.5 * (A + A.T))
+        low, high = values[0], values[-1]
+    else:
+        modes = np.concatenate(matrix.comm.tompi4py().allgather(kernel))
+        basis = linalg.null_space(modes.T)
+        A = basis.T @ _dense(matrix) @ basis
+        values = linalg.eigvalsh(0.5 * (A + A.T))
+        low, high = values[0], values[-1]
+    return float(high / low) if low > 0 else math.inf
+
+
+def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
+    """Smallest and largest eigenvalue, by Lanczos iterations; SLEPc. Collective."""
+    from slepc4py import SLEPc
+
+    def solve(which, target=None):
+        eps = SLEPc.EPS().create(matrix.comm)
+        eps.setOperators(matrix)
+        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
+        eps.setDimensions(1)
+        eps.setTolerances(1e-8, 1000)
+        if kernel is not None and kernel.shape[1]:
+            space = []
+            for k in range(kernel.shape[1]):
+                vector = matrix.createVecRight()
+                vector.getArray()[:] = kernel[:, k]
+                space.append(vector)
+            eps.setDeflationSpace(space)
+        eps.setWhichEigenpairs(which)
+        if target is not None:
+            eps.setTarget(target)
+            st = eps.getST()
+            st.setType("sinvert")
+            st.getKSP().setType("preonly")
+            st.getKSP().getPC().setType("lu")
+            st.getKSP().getPC().setFactorSolverType("mumps")
+        eps.solve()
+        return eps.getEigenvalue(0).real if eps.getConverged() else math.nan
+
+    high = solve(SLEPc.EPS.Which.LARGEST_REAL)
+    # a little below zero, so that the kernel does not make the shifted matrix singular
+    low = solve(SLEPc.EPS.Which.TARGET_REAL, -1e-12 * high)
+    return low, high
+
+
+def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool = False) -> float:
+    """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
+
+    Args:
+        stiffness: K, symmetric.
+        mass: M, symmetric and positive definite.
+        lumped: Whether M is replaced by its row sums.
+
+    Returns:
+        The step, or 0 where M is singular.
+    """
+    n = stiffness.getSize()[0]
+    if n > DENSE_LIMIT:
+        return _critical_step_of_many(stiffness, mass, lumped)
+    K, M = _dense(stiffness), _dense(mass)
+    if lumped:
+        M = np.diag(M.sum(axis=1))
+    if np.any(np.diag(M) <= 0):
+        return 0.0
+    # nodes of little mass are scaled up first: it is their ratio to K that counts
+    scale = 1 / np.sqrt(np.diag(M))
+    K, M = (0.5 * np.outer(scale, scale) * (A + A.T) for A in (K, M))
+    try:
+        largest = linalg.eigh(K, M, eigvals_only=True, subset_by_index=(n - 1, n - 1))[0]
+    except linalg.LinAlgError:
+        return 0.0
+    return 2 / math.sqrt(largest) if largest > 0 else math.inf
+
+
+def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) -> float:
+    from slepc4py import SLEPc
+
+    if lumped:
+        sums = mass.createVecLeft()
+        ones = mass.createVecRight()
+        ones.set(1.0)
+        mass.mult(ones, sums)
+        mass = PETSc.Mat().createDiagonal(sums)
+        mass.convert("aij")
+    eps = SLEPc.EPS().create(stiffness.comm)
+    eps.setOperators(stiffness, mass)
+    eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    eps.setDimensions(1)
+    eps.setTolerances(1e-8, 1000)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    st = eps.getST()
+    st.getKSP().setType("preonly")
+    st.getKSP().getPC().setType("lu")
+    st.getKSP().getPC().setFactorSolverType("mumps")
+    eps.solve()
+    if not eps.getConverged():
+        return math.nan
+    largest = eps.getEigenvalue(0).real
+    return 2 / math.sqrt(largest) if largest > 0 else math.inf
+
+
+def rigid_modes(system: NewtonSystem) -> Array:
+    """Translations and rotations in the unknowns of a system, shape (owned unknowns, n).
+
+    Exact for every basis that reproduces linear functions. There are none if
+    conditions hold the body anywhere.
+    """
+    unknowns, d = system.unknowns, system.basis.grid.geometry.dim
+    nodes = unknowns.owned_nodes
+    held = bool(np.any(unknowns.fixed[nodes]))
+    if unknowns.comm.allreduce(held, op=MPI.LOR) or system.components != d:
+        return np.empty((unknowns.owned, 0))
+    x = system.basis.node_coordinates()[nodes, :d]
+    x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
+    modes = [np.broadcast_to(np.eye(d)[i], x.shape) for i in range(d)]
+    for i in range(d):
+        for j in range(i + 1, d):
+            turn = np.zeros_like(x)
+            turn[:, i], turn[:, j] = -x[:, j], x[:, i]
+            modes.append(turn)
+    return np.stack([mode.ravel() for mode in modes], axis=1)
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """Condition numbers and critical steps of a body where it lies.
+
+    Attributes:
+        kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
+        dt_consistent, dt_lumped: Critical steps (s) with either mass.
+        unknowns: Number of unknowns.
+    """
+
+    kappa_K: float
+    kappa_M: float
+    dt_consistent: float
+    dt_lumped: float
+    unknowns: int
+
+
+def conditioning(problem: QuasiStatic, density: float, gamma: float = 1.0) -> Conditioning:
+    """Condition numbers and critical steps of a problem in its present state. Collective.
+
+    The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4, the same
+    ties, a weak tie with ρ h^d. Row sums remove a ghost penalty from the lumped mass,
+    and soft stiffness helps no mass.
+
+    Args:
+        problem: Problem whose tangent is K.
+        density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
+        gamma: Their factor.
+    """
+    stiffness, points, remedy = problem, problem.points, problem.stabilisation
+    space = stiffness.system.spaces[0]
+    u, v = space.increment, space.test
+    form = ufl.inner(points.density * u, v) * points.dX
+    tied: Stabilisation | str = "none"
+    if remedy.kind == "ghost" and gamma > 0:
+        form += ghost(points, u, v, gamma * density / 4, scaling="literal")
+    elif remedy.kind in ("aggregation", "extended"):
+        tied = remedy
+    elif remedy.kind == "weak-aggregation" and gamma > 0:
+        h = cell_size(points.grid)
+        size = float(h.x.array.mean()) if isinstance(h, fem.Function) else float(h.value)
+        tied = replace(remedy, E=density * size**2, gamma=gamma)
+    inertia = QuasiStatic(
+        form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
+    )
+    K, M = stiffness.stiffness(), inertia.stiffness()
+    return Conditioning(
+        condition_number(K, rigid_modes(stiffness.system)),
+        condition_number(M),
+        critical_step(K, M),
+        critical_step(K, M, lumped=True),
+        stiffness.system.unknowns.total,
+    )
+
+
+def sweep(
+    scene: Callable[..., Conditioning], places: Sequence[Any], label: str = ""
+) -> list[dict[str, Any]]:
+    """Evaluate a scene at many places of its body, with a progress bar. Collective.
+
+    Args:
+        scene: Function of a place that returns its conditioning.
+        places: Offsets, angles, or pairs of them.
+        label: Text beside the bar.
+
+    Returns:
+        For every place a dictionary with "place" and the figures.
+    """
+    return [{"place": place, **asdict(scene(place))} for place in progress(places, label)]
+
+
+def worst(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
+    """The worst figures of a sweep: the largest condition numbers and the smallest steps."""
+    rows = list(rows)
+    return {
+        "kappa_K": max(row["kappa_K"] for row in rows),
+        "kappa_M": max(row["kappa_M"] for row in rows),
+        "dt_consistent": min(row["dt_consistent"] for row in rows),
+        "dt_lumped": min(row["dt_lumped"] for row in rows),
+    }
+
+
+def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> list[float]:
+    """Observed orders between successive refinements, ln(e_i/e_{i+1}) / ln(h_i/h_{i+1})."""
+    h, e = np.asarray(sizes, float), np.asarray(errors, float)
+    return list(np.log(e[:-1] / e[1:]) / np.log(h[:-1] / h[1:]))
