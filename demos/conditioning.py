@@ -47,10 +47,9 @@ def block(args, dimension, offset, angle=0.0):
         grid = mesh.create_rectangle(
             MPI.COMM_WORLD, [(0, 0), (n * h, n * h)], (n, n), mesh.CellType.quadrilateral
         )
-        points = mpm.fill_turned(
-            grid, (length, length), (5 * h + offset * h, 5 * h + 0.7 * offset * h), angle,
-            args.points_per_cell, RHO,
-        )  # fmt: skip
+        corner = np.array([3 * h + offset * h, 3 * h + 0.7 * offset * h])
+        body = mpm.TurnedBox(corner, corner + length, angle)
+        points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
     remedy = mpm.Stabilisation(
         args.stabilisation, E=E, nu=NU, gamma=args.gamma_k, threshold=args.threshold,
@@ -79,7 +78,9 @@ def arguments():
     options.add_argument("--gamma-k", type=float, default=1.0, help="penalty of K, units of E/30")
     options.add_argument("--gamma-m", type=float, default=1.0, help="penalty of M, units of ρ/4")
     options.add_argument("--scaling", choices=("scaled", "literal"), default="scaled")
-    options.add_argument("--threshold", type=float, default=1.0, help="filled share of a root cell")
+    options.add_argument(
+        "--threshold", type=float, default=0.995, help="filled share of a root cell"
+    )
     options.add_argument("--spacing", type=float, default=1.0, help="size of the cells h (m)")
     options.add_argument("--points-per-cell", type=int, default=2)
     return options.parse_args()

@@ -9,7 +9,7 @@ from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.kinematics import momentum
 from dolfinmpm.points import MaterialPoints
 from dolfinmpm.progress import steps
-from dolfinmpm.shapes import Ball, Box, Disc, Polygon, Shape, Where
+from dolfinmpm.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.solve import QuasiStatic
 from dolfinmpm.space import Space
 from dolfinmpm.stabilise import Stabilisation, ghost, soft
@@ -27,6 +27,7 @@ __all__ = [
     "Shape",
     "Space",
     "Stabilisation",
+    "TurnedBox",
     "Where",
     "cell_size",
     "figure",

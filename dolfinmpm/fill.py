@@ -23,7 +23,7 @@ from dolfinmpm.errors import (
 from dolfinmpm.grid import Lattice, lattice_of, require_lattice
 from dolfinmpm.locate import destinations
 from dolfinmpm.points import MaterialPoints
-from dolfinmpm.shapes import Box, Shape
+from dolfinmpm.shapes import Box, Shape, TurnedBox
 
 __all__ = ["fill"]
 
@@ -50,9 +50,9 @@ def fill(
         per_cell: Points a cell and direction.
         density: Mass per volume (kg/m^d): a number, or a function of positions in
             DOLFINx's layout, shape (gdim, n), that returns n values.
-        aligned: "grid" divides the cells of the grid; "body" divides a `Box` into
-            parts of the same size that start at its own corner, wherever the
-            grid's lines are.
+        aligned: "grid" divides the cells of the grid; "body" divides a `Box` or a
+            `TurnedBox` into parts of the same size that start at its own corner,
+            wherever the grid's lines are.
 
     Raises:
         ParameterError: `per_cell`, `density` or `aligned` is not what it may be.
@@ -141,14 +141,21 @@ def _divide_lattice(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
 
 
 def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
-    if not isinstance(shape, Box):
-        raise ParameterError(f'aligned="body" needs a Box, got {type(shape).__name__}')
+    box = shape.box if isinstance(shape, TurnedBox) else shape
+    if not isinstance(box, Box):
+        raise ParameterError(
+            f'aligned="body" needs a Box or a TurnedBox, got {type(shape).__name__}'
+        )
+    assert box.low is not None
+    assert box.high is not None
     lines = []
-    for low, high, size in zip(shape.low, shape.high, lattice.spacing):  # type: ignore[arg-type]
+    for low, high, size in zip(box.low, box.high, lattice.spacing):
         number = max(1, round((high - low) / (size / n)))
         lines.append(low + (np.arange(number) + 0.5) * (high - low) / number)
-    half = 0.5 * (shape.high - shape.low) / [line.size for line in lines]  # type: ignore[operator]
+    half = 0.5 * (box.high - box.low) / [line.size for line in lines]
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
+    if isinstance(shape, TurnedBox):
+        x = shape.turn(x)
     # every rank makes all the points and keeps those whose cells it owns
     to = destinations(grid, x)
     mine = to.rank == grid.comm.rank

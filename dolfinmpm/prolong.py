@@ -7,15 +7,57 @@ Cᵀ K C and Cᵀ f already; the matrices of DOLFINx's assemblers are multiplied
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
 from dolfinmpm.basis import Stencils
-from dolfinmpm.basis.stencils import group_starts, running_sum
+from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.errors import ParameterError
 
 __all__ = ["Prolongation", "reduce_blocks"]
+
+
+@numba.njit(cache=True)
+def _tie(
+    groups, node_start, nodes, value_start, N, dN, indptr, indices, weights, place, counts,
+    new_start, new_value_start, new_nodes, new_N, new_dN,
+):  # fmt: skip
+    """Rows of N C and ∇N C of every group; only counts their nodes if the arrays are empty."""
+    gdim = dN.shape[1]
+    for g in range(groups.size - 1):
+        count = 0
+        for at in range(node_start[g], node_start[g + 1]):
+            for k in range(indptr[nodes[at]], indptr[nodes[at] + 1]):
+                if place[indices[k]] < 0:
+                    place[indices[k]] = 0
+                    if new_start.size:
+                        new_nodes[new_start[g] + count] = indices[k]
+                    count += 1
+        counts[g] = count
+        if new_start.size:
+            own = new_nodes[new_start[g] : new_start[g] + count]
+            own.sort()
+            for b in range(count):
+                place[own[b]] = b
+            m = node_start[g + 1] - node_start[g]
+            for position in range(groups[g + 1] - groups[g]):
+                old, new = value_start[g] + position * m, new_value_start[g] + position * count
+                for b in range(count):
+                    new_N[new + b] = 0.0
+                    for d in range(gdim):
+                        new_dN[new + b, d] = 0.0
+                for a in range(m):
+                    node = nodes[node_start[g] + a]
+                    for k in range(indptr[node], indptr[node + 1]):
+                        b = new + place[indices[k]]
+                        new_N[b] += N[old + a] * weights[k]
+                        for d in range(gdim):
+                            new_dN[b, d] += dN[old + a, d] * weights[k]
+        for at in range(node_start[g], node_start[g + 1]):
+            for k in range(indptr[nodes[at]], indptr[nodes[at] + 1]):
+                place[indices[k]] = -1
 
 
 def reduce_blocks(matrix: sparse.csr_matrix, rows, columns, blocks):
@@ -88,27 +130,18 @@ class Prolongation:
         """Stencils on the nodes that remain, N C and ∇N C."""
         if not np.any(self.tied[s.nodes]):
             return s
-        per_group = np.diff(s.groups)
-        sizes = np.repeat(np.diff(s.node_start), per_group)
-        start = running_sum(sizes, np.int64)
-        columns = np.concatenate(
-            [np.tile(s.nodes[a:b], k)
-             for a, b, k in zip(s.node_start[:-1], s.node_start[1:], per_group)]
-        )  # fmt: skip
-        shape = (s.order.size, self.matrix.shape[0])
-        pieces = []
-        for values in (s.N, *s.dN.T):
-            product = sparse.csr_matrix((values, columns, start), shape=shape) @ self.matrix
-            # the structure does not depend on the values: no entry is dropped
-            product.sort_indices()
-            pieces.append(product)
-        first = group_starts(np.repeat(np.arange(per_group.size), per_group))[:-1]
-        indptr = pieces[0].indptr
-        nodes = np.concatenate([pieces[0].indices[indptr[p] : indptr[p + 1]] for p in first])
-        node_start = running_sum(np.diff(indptr)[first], np.int32)
+        C = self.matrix.indptr, self.matrix.indices, self.matrix.data
+        place = np.full(self.matrix.shape[1], -1, np.int32)
+        counts = np.zeros(s.groups.size - 1, np.int64)
+        nothing = np.empty(0, np.int32), np.empty(0), np.empty((0, s.dN.shape[1]))
+        layout = s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN
+        _tie(*layout, *C, place, counts, np.empty(0, np.int32), np.empty(0, np.int64), *nothing)
+        node_start = running_sum(counts, np.int32)
+        value_start = running_sum(counts * np.diff(s.groups), np.int64)
+        nodes = np.empty(node_start[-1], np.int32)
+        N = np.empty(value_start[-1])
+        dN = np.empty((value_start[-1], s.dN.shape[1]))
+        _tie(*layout, *C, place, counts, node_start, value_start, nodes, N, dN)
         return Stencils(
-            s.order, s.groups, node_start, nodes.astype(np.int32),
-            indptr[s.groups].astype(np.int64),
-            pieces[0].data, np.column_stack([piece.data for piece in pieces[1:]]),
-            s.cell_start, s.cells,
-        )  # fmt: skip
+            s.order, s.groups, node_start, nodes, value_start, N, dN, s.cell_start, s.cells
+        )

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.errors import ParameterError
 
-__all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "Where"]
+__all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
 
 Array = npt.NDArray[np.float64]
 
@@ -80,6 +80,44 @@ class Box(Shape):
                 "each coordinate of the second must be larger"
             )
         super().__init__(lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper)
+
+
+class TurnedBox(Shape):
+    """A box in 2D or 3D, turned about its middle in the plane of the first two axes.
+
+    Args:
+        low: Lower corner (m) before it is turned.
+        high: Upper corner (m), likewise.
+        angle: Angle (rad), counter-clockwise.
+
+    Raises:
+        ParameterError: The corners are no box, or have fewer than two coordinates.
+    """
+
+    def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
+        self.box = Box(low, high)
+        assert self.box.low is not None
+        assert self.box.high is not None
+        if len(self.box.low) < 2 or not math.isfinite(angle):
+            raise ParameterError(
+                f"a turned box needs 2 or 3 coordinates and a finite angle, got {low}, {angle}"
+            )
+        self.middle = 0.5 * (self.box.low + self.box.high)
+        self.rotation = np.eye(len(self.middle))
+        self.rotation[:2, :2] = [
+            [math.cos(angle), -math.sin(angle)],
+            [math.sin(angle), math.cos(angle)],
+        ]
+        reach = np.abs(self.rotation) @ (self.box.high - self.middle)
+        super().__init__(
+            lambda x: self.box.contains(self.middle + (x - self.middle) @ self.rotation),
+            self.middle - reach,
+            self.middle + reach,
+        )
+
+    def turn(self, x: Array) -> Array:
+        """Positions (m) of points of the box, shape (n, gdim), after it is turned."""
+        return self.middle + (x - self.middle) @ self.rotation.T
 
 
 class Ball(Shape):

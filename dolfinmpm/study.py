@@ -79,6 +79,8 @@ def _definite_spectrum(A: Array) -> Array:
     After scaling to a unit diagonal the Cholesky factor keeps the graded entries
     apart, which a direct eigenvalue solver would drown in rounding.
     """
+    if np.any(np.diag(A) <= 0):
+        return np.maximum(linalg.eigvalsh(A), 0.0)
     scale = np.sqrt(np.diag(A))
     try:
         factor = linalg.cholesky(A / np.outer(scale, scale), lower=True)

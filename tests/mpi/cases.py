@@ -192,6 +192,45 @@ def driven():
     return run(points, V, F, bcs, [(0.0, 0.0)] * 3, g)[1]
 
 
+def _remedies(basis):
+    """A leaning body with small cuts under every remedy, and its conditioning."""
+    figures = {}
+    for kind in ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 3, 1.0)
+        V = mpm.Space(grid, basis)
+        g = fem.Constant(grid, (0.0, 0.0))
+        F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, V.test) * points.dX
+        remedy = mpm.Stabilisation(kind, E=100.0, nu=0.3)
+        bcs = mpm.fixed(V, "bottom")
+        # soft stiffness makes Newton's method slow near the end
+        tolerance = 1e-5 if kind == "soft" else 1e-9
+        options = {"stabilisation": remedy, "max_iterations": 60, "tolerance": tolerance}
+        loads = [(0.1, -0.5), (0.2, -1.0)]
+        problem, result = run(points, V, F, bcs, loads, g, **options)
+        result.pop("moved")
+        if kind == "soft":
+            result = {"unknowns": result["unknowns"]}
+        result["kappa"] = mpm.study.conditioning(problem, 1.0).kappa_K if kind != "none" else 0.0
+        figures[kind] = result
+    return figures
+
+
+def remedies_gimp():
+    """Remedies with GIMP."""
+    return _remedies("gimp")
+
+
+def remedies_linear():
+    """Remedies with linear functions."""
+    return _remedies("linear")
+
+
+def remedies_bspline2():
+    """Remedies with quadratic splines, whose facet terms act through their extraction."""
+    return _remedies("bspline2")
+
+
 def errors_on_all_ranks():
     """What goes wrong on one rank is raised on all, and nobody waits."""
 

@@ -23,6 +23,9 @@ CASES = (
     "tall",
     "two_fields",
     "driven",
+    "remedies_gimp",
+    "remedies_linear",
+    "remedies_bspline2",
     "errors_on_all_ranks",
 )
 
