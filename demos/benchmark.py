@@ -70,6 +70,7 @@ for basis in args.bases.split(","):
     column(1, 16, basis, ghost)  # compiles, or loads what was compiled before
     for case in args.cases.split(","):
         columns, elements = (int(n) for n in case.split("x"))
+        gc.collect()
         before = memory("VmRSS")
         # from here on the peak is counted anew
         Path("/proc/self/clear_refs").write_text("5")

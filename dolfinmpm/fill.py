@@ -153,7 +153,7 @@ def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
         number = max(1, round((high - low) / (size / n)))
         lines.append(low + (np.arange(number) + 0.5) * (high - low) / number)
     half = 0.5 * (box.high - box.low) / [line.size for line in lines]
-    x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
+    x: Array = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
     if isinstance(shape, TurnedBox):
         x = shape.turn(x)
     # every rank makes all the points and keeps those whose cells it owns

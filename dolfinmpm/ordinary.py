@@ -62,8 +62,8 @@ class _Block:
                 found = integration_domains(_KINDS[kind], data[kind][0], numbers)
                 known = {number for number, _ in domains}
                 domains += [(number, rows) for number, rows in found if number not in known]
-        ids = [integral.subdomain_id() for integral in form.integrals()]
-        flat = {i for group in ids for i in (group if isinstance(group, tuple) else (group,))}
+        groups = [integral.subdomain_id() for integral in form.integrals()]
+        flat = {i for group in groups for i in (group if isinstance(group, tuple) else (group,))}
         self.moving = flat & {GHOST_FACETS, ACTIVE_CELLS}
         self._form: Any = None
         self._matrix: Any = None

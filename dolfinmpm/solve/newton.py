@@ -168,7 +168,7 @@ class NewtonSystem:
         self._cells = stencils
         # u_Lagrange = T x: what splines and ties make of the solver's unknowns
         self._T = self._extraction
-        self._penalty = None
+        self._penalty: Any = None
         tie = self._ties(stencils, nodes)
         if tie is not None:
             C = Prolongation(tie)
@@ -351,13 +351,14 @@ class NewtonSystem:
         data = self._matrix.data
         data[:] = 0.0
         self._lift[self._touched] = 0.0
-        sets = [self._blocks, self._penalty, self._soft]
+        sets: list[Any] = [self._blocks, self._penalty, self._soft]
         if self.ordinary and not self.ordinary.linear:
             self.fill_functions()
             sets.append(self._reduced(self.ordinary))
         for blocks in sets:
             if blocks is not None:
-                add_blocks(*blocks, self.unknowns, self._pattern, data, self._lift)
+                rows, columns, values = blocks
+                add_blocks(rows, columns, values, self.unknowns, self._pattern, data, self._lift)
         tangent = self.evaluator.tangent()
         if tangent is not None:
             add_stiffness(
