@@ -20,13 +20,13 @@ Array = npt.NDArray[np.float64]
 
 
 @numba.njit(cache=True)
-def _add_vector(order, groups, node_start, nodes, value_start, N, dN, flux, out):
+def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux, out):
     components, gdim = out.shape[1], dN.shape[1]
-    for g in range(groups.size - 1):
+    for g in range(begin, end):
         first = node_start[g]
         m = node_start[g + 1] - first
         for position in range(groups[g], groups[g + 1]):
-            p = order[position]
+            p = position - groups[begin]
             at = value_start[g] + (position - groups[g]) * m
             for a in range(m):
                 for i in range(components):
@@ -36,16 +36,19 @@ def _add_vector(order, groups, node_start, nodes, value_start, N, dN, flux, out)
                     out[nodes[first + a], i] += f
 
 
-def add_vector(s: Stencils, flux: Array, out: Array) -> None:
-    """Add Σ_p (N_a f_p + ∇N_a · q_p) to nodal forces.
+def add_vector(s: Stencils, begin: int, end: int, flux: Array, out: Array) -> None:
+    """Add Σ_p (N_a f_p + ∇N_a · q_p) over the points of some groups to nodal forces.
 
     Args:
         s: Stencils.
+        begin: The first of the groups.
+        end: The group behind the last.
         flux: f and q of every component one after the other, times the point's
-            volume, shape (points, components * (1 + gdim)).
+            volume, in the order of the stencils, shape
+            (points of the groups, components * (1 + gdim)).
         out: Nodal forces (N), shape (nodes, components).
     """
-    _add_vector(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, out)
+    _add_vector(begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, out)
 
 
 @functools.cache
@@ -55,16 +58,16 @@ def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc"})
     def kernel(
-        order, groups, node_start, nodes, value_start, N, dN, T, row_of, indptr, indices, data,
-        prescribed, lift,
+        begin, end, groups, node_start, nodes, value_start, N, dN, T, row_of, indptr, indices,
+        data, prescribed, lift,
     ):  # fmt: skip
         largest = 0
-        for g in range(groups.size - 1):
+        for g in range(begin, end):
             largest = max(largest, node_start[g + 1] - node_start[g])
         phi = np.empty((ns, largest))
         K = np.empty((largest, nc, nc, largest))
         t = np.empty((nc, nc, ns))
-        for g in range(groups.size - 1):
+        for g in range(begin, end):
             first = node_start[g]
             m = node_start[g + 1] - first
             for a in range(m):
@@ -73,7 +76,7 @@ def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                         for b in range(m):
                             K[a, i, k, b] = 0.0
             for position in range(groups[g], groups[g + 1]):
-                p = order[position]
+                p = position - groups[begin]
                 at = value_start[g] + (position - groups[g]) * m
                 for b in range(m):
                     if offset:
@@ -117,14 +120,17 @@ def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
 
 
 def add_stiffness(
-    s: Stencils, tangent: Array, gradient_only: bool, unknowns: Unknowns, pattern: Pattern,
-    data: Array, lift: Array,
+    s: Stencils, begin: int, end: int, tangent: Array, gradient_only: bool, unknowns: Unknowns,
+    pattern: Pattern, data: Array, lift: Array,
 ) -> None:  # fmt: skip
-    """Add Σ_p φ_a · T_p · φ_b to the matrix.
+    """Add Σ_p φ_a · T_p · φ_b over the points of some groups to the matrix.
 
     Args:
         s: Stencils.
-        tangent: T times the point's volume; see `PointTerms.tangent`.
+        begin: The first of the groups.
+        end: The group behind the last.
+        tangent: T times the point's volume, in the order of the stencils; see
+            `PointTerms.tangent`.
         gradient_only: Whether φ is ∇N, or N and ∇N.
         unknowns: Rows of the nodes.
         pattern: Where the matrix has entries.
@@ -134,7 +140,7 @@ def add_stiffness(
     nc = unknowns.components
     ns = s.dN.shape[1] + (0 if gradient_only else 1)
     _stiffness_kernel(nc, ns, gradient_only)(
-        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, tangent,
+        begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, tangent,
         unknowns.row_of, pattern.indptr, pattern.indices, data, unknowns.prescribed, lift,
     )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
+from dolfinmpm.assemble import Pattern, add_stiffness, add_vector
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.errors import FieldShapeError
@@ -18,6 +19,7 @@ from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.split import PointTerms, Slots
 from dolfinmpm.points import MaterialPoints
 from dolfinmpm.space import Space
+from dolfinmpm.unknowns import Unknowns
 
 __all__ = ["PointEvaluator", "PointUpdates"]
 
@@ -124,51 +126,73 @@ class PointEvaluator:
             return values
         return self._data[source]
 
-    def _run(self, program: Program, out: Array, tangent: bool) -> bool:
-        """Run operators and program, some thousand points at a time; returns whether it could."""
+    def _chunks(self) -> Iterator[tuple[int, int]]:
+        """Ranges of groups of some thousand points each."""
+        groups, first = self._stencils.groups, 0
+        while first < groups.size - 1:
+            last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
+            last = max(last, first + 1)
+            yield first, last
+            first = last
+
+    def _run(self, program: Program, tangent: bool) -> Iterator[tuple[int, int, Array]]:
+        """Operators and program, some thousand points at a time, in the order of the stencils.
+
+        Yields the range of groups and the program's values at their points; ends
+        early, with the point in `failed_point`, where a law finds no stress.
+        """
         self.failed_point = -1
         operators = self._terms.operators
-        n = len(self._points)
-        chunk = _CHUNK if operators else max(n, 1)
-        operands = [self.operand(k) for k in range(len(operators))]
-        for first in range(0, n, chunk):
-            last = min(first + chunk, n)
+        whole = [self.operand(k) for k in range(len(operators))]
+        varying = {key for key in program.inputs if not key[0].startswith("operator")}
+        varying = {key for key in varying if key[0] != "constant"}
+        for first, last in self._chunks():
+            s = self._stencils
+            rows = s.order[s.groups[first] : s.groups[last]]
+            data = {key: self._data[key] for key in program.inputs if key[0] == "constant"}
+            for key in varying:
+                data[key] = self._data[key][rows]
             for k, operator in enumerate(operators):
-                operand, size = operands[k][first:last], int(np.prod(operator.ufl_shape))
-                value, slope = np.empty((last - first, size)), None
-                self._data["operator", k] = value
-                if tangent:
-                    slope = np.empty((last - first, size, operand.shape[1]))
-                    self._data["operator tangent", k] = slope
-                bad = operator.law.evaluate(operand, value, slope, first)
+                operand = whole[k][rows]
+                value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
+                slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
+                bad = operator.law.evaluate(operand, value, slope, rows)
                 if bad >= 0:
-                    self.failed_point = first + bad
-                    return False
-            program.run(self._data, out[first:last], first)
-        return True
+                    self.failed_point = int(rows[bad])
+                    return
+                data["operator", k] = value
+                if slope is not None:
+                    data["operator tangent", k] = slope
+            out = np.empty((rows.size, program.size))
+            program.run(data, out)
+            yield first, last, out
 
-    def flux(self) -> Array | None:
-        """Flux of the internal terms, or None where a law found no stress."""
-        out = np.zeros((len(self._points), self._components * (1 + self._points.gdim)))
-        if self._terms.internal is not None and not self._run(self._terms.internal, out, False):
-            return None
-        return out
+    def add_internal(self, out: Array) -> bool:
+        """Add the nodal forces of the internal terms; returns whether every law found a stress.
 
-    def external_flux(self) -> Array | None:
-        """Flux of the terms that do not depend on the increments, or None if there are none."""
-        if self._terms.external is None:
-            return None
-        out = np.empty((len(self._points), self._terms.external.size))
-        self._terms.external.run(self._data, out)
-        return out
+        Args:
+            out: Nodal forces (N), shape (nodes, components).
+        """
+        self.failed_point = -1
+        if self._terms.internal is not None:
+            for first, last, flux in self._run(self._terms.internal, False):
+                add_vector(self._stencils, first, last, flux, out)
+        return self.failed_point < 0
 
-    def tangent(self) -> Array | None:
-        """Tangent of the internal terms, or None if there are none."""
-        if self._terms.tangent is None:
-            return None
-        out = np.empty((len(self._points), self._terms.tangent.size))
-        self._run(self._terms.tangent, out, True)
-        return out
+    def add_external(self, out: Array) -> None:
+        """Add the nodal forces of the terms that do not depend on the increments."""
+        if self._terms.external is not None:
+            for first, last, flux in self._run(self._terms.external, False):
+                add_vector(self._stencils, first, last, flux, out)
+
+    def add_tangent(self, unknowns: Unknowns, pattern: Pattern, data: Array, lift: Array) -> None:
+        """Add the tangent of the internal terms to the matrix; see `add_stiffness`."""
+        if self._terms.tangent is not None:
+            for first, last, tangent in self._run(self._terms.tangent, True):
+                add_stiffness(
+                    self._stencils, first, last, tangent, self._terms.gradient_only, unknowns,
+                    pattern, data, lift,
+                )  # fmt: skip
 
     def commit(self) -> dict[str, Array]:
         """What the laws' fields are at the end of the step."""

@@ -227,20 +227,20 @@ class LargeStrain:
         self._kernel = _stress_kernel(points.gdim)
         self._parameters = law.parameter_array
 
-    def _run(self, operand, S, A, want_tangent, first, be, internal, sigma) -> int:
-        points, here = self.points, slice(first, first + len(operand))
+    def _run(self, operand, S, A, want_tangent, here, be, internal, sigma) -> int:
+        points = self.points
         old = points[self._internal] if self._internal else np.empty((len(points), 0))
         parameters = self._parameters if len(self._parameters) == 1 else self._parameters[here]
         return self._kernel(
-            self.law.address, parameters, operand, points["F"][here], points["be"][here], old[here],
+            self.law.address, parameters, operand, points["F"], points["be"][here], old[here],
             S, A, want_tangent, len(sigma) > 0, be, internal, sigma,
         )  # fmt: skip
 
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None, first: int) -> int:
+    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
         """S and its derivative by ∇ũ; see `PointwiseLaw`."""
         nothing = np.empty((0, 6)), np.empty((0, 0)), np.empty((0, 3, 3))
         A = np.empty((0, 1, 1)) if tangent is None else tangent
-        return self._run(operand, value, A, tangent is not None, first, *nothing)
+        return self._run(operand, value, A, tangent is not None, rows, *nothing)
 
     def commit(self, operand: Array) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
@@ -252,7 +252,7 @@ class LargeStrain:
             new[self._internal] = internal
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
-            self._run(operand, *none, False, 0, new["be"], internal, new["stress"])
+            self._run(operand, *none, False, slice(None), new["be"], internal, new["stress"])
         return new
 
 

@@ -20,8 +20,10 @@ Array = npt.NDArray[np.float64]
 class PointwiseLaw(Protocol):
     """What an operator calls: a function of its operand and state at every point."""
 
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None, first: int) -> int:
-        """Value, and the tangent if an array is given, at some consecutive points.
+    def evaluate(
+        self, operand: Array, value: Array, tangent: Array | None, rows: npt.NDArray[np.int32]
+    ) -> int:
+        """Value, and the tangent if an array is given, at some points.
 
         Must not change the state: the solver calls it as often as it likes.
 
@@ -29,7 +31,7 @@ class PointwiseLaw(Protocol):
             operand: shape (n, size of the operand).
             value: Written, shape (n, size of the value).
             tangent: Written, shape (n, size of the value, size of the operand).
-            first: The first of the n points.
+            rows: Which points they are, shape (n,).
 
         Returns:
             The first of the n points where it failed, counted from 0, or -1.

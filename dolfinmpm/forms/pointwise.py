@@ -91,28 +91,23 @@ class Program:
     inputs: tuple[Any, ...]
     keep: Any
 
-    def run(self, data: Mapping[Any, Array], out: Array, first: int = 0) -> None:
-        """Evaluate at some points.
+    def run(self, data: Mapping[Any, Array], out: Array) -> None:
+        """Evaluate at n points.
 
         Args:
-            data: For every input a C-contiguous float64 array: of shape
-                (all points, ...), (len(out), ...) for the points evaluated, or
-                (1, ...) for one value at all points.
-            out: Written, shape (points evaluated, size).
-            first: The first of the points evaluated.
+            data: For every input a C-contiguous float64 array, of shape (n, ...) or,
+                for one value at all points, (1, ...).
+            out: Written, shape (n, size).
         """
-        n = len(out)
         addresses = np.empty(len(self.inputs), np.intp)
         strides = np.empty(len(self.inputs), np.intp)
         sizes = np.empty(len(self.inputs), np.intp)
         arrays = [data[key] for key in self.inputs]
         for s, values in enumerate(arrays):
             size = values.size // len(values) if len(values) else 0
-            everywhere = len(values) > n or (first == 0 and len(values) == n)
-            varies = len(values) != 1
-            addresses[s] = values.ctypes.data + (8 * size * first if everywhere and varies else 0)
+            addresses[s] = values.ctypes.data
             sizes[s] = size
-            strides[s] = size if varies else 0
+            strides[s] = size if len(values) != 1 else 0
         _run(self.function, addresses, strides, sizes, out)
 
 

@@ -14,14 +14,7 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from dolfinmpm.active import active_cells, active_nodes, ghost_facets
-from dolfinmpm.assemble import (
-    Matrix,
-    Pattern,
-    add_blocks,
-    add_stiffness,
-    add_vector,
-    multiply_blocks,
-)
+from dolfinmpm.assemble import Matrix, Pattern, add_blocks, multiply_blocks
 from dolfinmpm.basis import Stencils
 from dolfinmpm.boundary import Condition, apply_conditions
 from dolfinmpm.evaluate import PointEvaluator
@@ -276,9 +269,7 @@ class NewtonSystem:
     def _assemble_external(self) -> None:
         out = self._external
         out[self._touched] = 0.0
-        flux = self.evaluator.external_flux()
-        if flux is not None:
-            add_vector(self._stencils, flux, out)
+        self.evaluator.add_external(out)
         if self.ordinary:
             self._add_ordinary(self.ordinary.add_external, out)
         if self.comm.size > 1:
@@ -321,12 +312,9 @@ class NewtonSystem:
         """Internal forces at the present increments, summed over ranks. Collective."""
         r = self._r
         r[self._touched] = 0.0
-        flux = self.evaluator.flux()
-        if flux is None:
+        if not self.evaluator.add_internal(r):
             # SNES sees on all ranks that the norm is not a number
             r[self._touched] = math.nan
-        else:
-            add_vector(self._stencils, flux, r)
         for blocks in (self._blocks, self._penalty):
             if blocks is not None:
                 multiply_blocks(*blocks, self._u, r)
@@ -359,12 +347,7 @@ class NewtonSystem:
             if blocks is not None:
                 rows, columns, values = blocks
                 add_blocks(rows, columns, values, self.unknowns, self._pattern, data, self._lift)
-        tangent = self.evaluator.tangent()
-        if tangent is not None:
-            add_stiffness(
-                self._stencils, tangent, self.evaluator.gradient_only, self.unknowns,
-                self._pattern, data, self._lift,
-            )  # fmt: skip
+        self.evaluator.add_tangent(self.unknowns, self._pattern, data, self._lift)
         self._matrix.finish()
 
     def tangent_matrix(self) -> PETSc.Mat:

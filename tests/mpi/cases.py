@@ -133,7 +133,7 @@ def stencils_across_corners():
     sums_ = V.basis.nodes.vector(1)
     flux = np.column_stack([points["V"], 2 * points["V"], 3 * points["V"]])
     nodal = sums_.array.reshape(-1, 1)
-    add_vector(s, np.ascontiguousarray(flux), nodal)
+    add_vector(s, 0, s.groups.size - 1, np.ascontiguousarray(flux[s.order]), nodal)
     sums_.scatter_reverse(InsertMode.add)
     mine = nodal[: V.basis.nodes.owned, 0]
     x = V.function_space.tabulate_dof_coordinates()[: V.basis.nodes.owned]

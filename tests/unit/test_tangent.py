@@ -145,7 +145,7 @@ def test_a_law_of_another_operand():
     from dolfinmpm.forms import PointOperator
 
     class Cubic:
-        def evaluate(self, operand, value, tangent, first):
+        def evaluate(self, operand, value, tangent, rows):
             value[:] = operand**3
             if tangent is not None:
                 tangent[:] = 0
