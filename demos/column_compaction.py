@@ -99,7 +99,18 @@ def arguments():
     options.add_argument(
         "--points", dest="points_file", metavar="PATH", help="CSV of all points at the end"
     )
-    return options.parse_args()
+    given = options.parse_args()
+    for name in ("elements", "columns", "points_per_cell", "steps"):
+        if getattr(given, name) < 1:
+            options.error(f"{name} = {getattr(given, name)} must be at least 1")
+    for name in ("modulus", "density", "initial_height"):
+        if not 0 < getattr(given, name) < np.inf:
+            options.error(f"{name} = {getattr(given, name)} must be positive and finite")
+    if not -1 < given.poisson < 0.5:
+        options.error(f"poisson = {given.poisson} must be in (-1, 0.5)")
+    if given.gravity == 0 or not np.isfinite(given.gravity):
+        options.error(f"gravity = {given.gravity} must be finite and not zero")
+    return given
 
 
 # %%

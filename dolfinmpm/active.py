@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 import numpy.typing as npt
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, exterior_facet_indices
 from mpi4py import MPI
 
 from dolfinmpm.basis import Stencils
@@ -86,7 +86,12 @@ class GhostFacets:
         to_cells = topology.connectivity(tdim - 1, tdim)
         of_cells = topology.connectivity(tdim, tdim - 1)
         ghosts = grid.comm.allreduce(topology.index_map(tdim).num_ghosts, op=MPI.SUM)
-        if grid.comm.size > 1 and ghosts == 0:
+        # a facet with one cell here, that is not on the edge of the grid, has its other elsewhere
+        cut = int(np.count_nonzero(np.diff(to_cells.offsets) == 1)) - len(
+            exterior_facet_indices(topology)
+        )
+        cut = grid.comm.allreduce(cut, op=MPI.SUM)
+        if grid.comm.size > 1 and ghosts == 0 and cut > 0:
             raise UnsupportedGridError(
                 "terms over interior facets need ghost cells in parallel; create the mesh with "
                 "ghost_mode=dolfinx.mesh.GhostMode.shared_facet"

@@ -12,7 +12,12 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm.errors import ConflictingConditionsError, ParameterError, raise_together
+from dolfinmpm.errors import (
+    ConflictingConditionsError,
+    ParameterError,
+    call_together,
+    raise_together,
+)
 from dolfinmpm.space import Space
 
 __all__ = ["Condition", "fixed", "prescribed", "rollers"]
@@ -68,7 +73,9 @@ def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:
     x = _node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if callable(where):
-        chosen = np.asarray(where(x.T), dtype=bool)
+        chosen = call_together(
+            comm, lambda: np.asarray(where(x.T) if len(x) else np.empty(0), dtype=bool)
+        )
         name = getattr(where, "__name__", "condition")
     else:
         sides = _sides(gdim)
@@ -117,7 +124,10 @@ def prescribed(
     constant = isinstance(value, fem.Constant)
     given: Any = value
     if callable(value) and not constant:
-        given = value(_node_coordinates(space)[nodes].T)
+        at = _node_coordinates(space)[nodes]
+        given = call_together(
+            space.grid.comm, lambda: np.asarray(value(at.T) if len(at) else np.empty(0), float)
+        )
     if not constant:
         given = np.asarray(given, float)
         finite = np.isfinite(given).all() and given.shape in ((), (nodes.size,))

@@ -7,6 +7,9 @@ next collective call. Every check that can fail on some ranks therefore ends in
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from mpi4py import MPI
 
 __all__ = [
@@ -21,8 +24,11 @@ __all__ = [
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
     "UnsupportedGridError",
+    "call_together",
     "raise_together",
 ]
+
+Result = TypeVar("Result")
 
 
 class DolfinMPMError(Exception):
@@ -69,6 +75,22 @@ class ConvergenceError(DolfinMPMError, RuntimeError):
     """A step did not converge, however small it was made."""
 
 
+def call_together(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call a function that may raise on some ranks only; then all ranks raise. Collective.
+
+    Args:
+        comm: Communicator whose ranks all make this call.
+        function: What to call; it makes no collective calls itself.
+    """
+    error, result = None, None
+    try:
+        result = function()
+    except Exception as caught:
+        error = caught
+    raise_together(comm, error)
+    return result  # type: ignore[return-value]
+
+
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank if any rank has an error. Collective.
 
@@ -92,4 +114,8 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     kind, message = comm.bcast(first, root=failing)
     if error is not None:
         raise error
-    raise kind(message)
+    try:
+        other = kind(message)
+    except TypeError:  # some exceptions of other packages take more arguments
+        other = DolfinMPMError(f"{kind.__name__}: {message}")
+    raise other

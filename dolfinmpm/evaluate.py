@@ -26,7 +26,7 @@ __all__ = ["PointEvaluator", "PointUpdates"]
 Array = npt.NDArray[np.float64]
 
 # Points that laws and programs work on at a time: their tangents fit into the cache.
-_CHUNK = 2048
+_CHUNK = 4096
 
 
 def _function_values(function: fem.Function, gradient: bool, points: MaterialPoints) -> Array:
@@ -151,9 +151,9 @@ class PointEvaluator:
             rows = s.order[s.groups[first] : s.groups[last]]
             data = {key: self._data[key] for key in program.inputs if key[0] == "constant"}
             for key in varying:
-                data[key] = self._data[key][rows]
+                data[key] = self._data[key].take(rows, axis=0)
             for k, operator in enumerate(operators):
-                operand = whole[k][rows]
+                operand = whole[k].take(rows, axis=0)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
                 bad = operator.law.evaluate(operand, value, slope, rows)

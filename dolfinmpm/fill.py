@@ -19,6 +19,7 @@ from dolfinmpm.errors import (
     ParameterError,
     ShapeOutsideGridError,
     UnsupportedGridError,
+    call_together,
 )
 from dolfinmpm.grid import Lattice, lattice_of, require_lattice
 from dolfinmpm.locate import destinations
@@ -77,17 +78,31 @@ def fill(
         x, volume, half, cell = _divide_box(
             grid, require_lattice(grid, 'aligned="body"'), shape, per_cell
         )
-    elif lattice is not None:
-        x, volume, half, cell = _divide_lattice(grid, lattice, shape, per_cell)
     else:
-        x, volume, half, cell = _divide_cells(grid, shape, per_cell)
+        x, volume, half, cell = call_together(
+            grid.comm,
+            lambda: (
+                _divide_cells(grid, shape, per_cell)
+                if lattice is None
+                else _divide_lattice(grid, lattice, shape, per_cell)
+            ),
+        )
     if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
         raise EmptyShapeError(
             f"no material point falls into the shape with {per_cell} points a cell and direction; "
             "use more points a cell, a finer grid or a larger shape"
         )
-    rho = density(np.ascontiguousarray(x.T)) if callable(density) else density
-    return MaterialPoints(grid, x, cell, volume, half, rho)
+
+    def evaluate():
+        # a function is not asked about no points: many cannot answer
+        if not callable(density):
+            return density
+        rho = np.asarray(density(np.ascontiguousarray(x.T)) if len(x) else np.empty(0), float)
+        if rho.shape not in ((), (len(x),)):
+            raise ParameterError(f"density should have shape ({len(x)},) here, got {rho.shape}")
+        return rho
+
+    return MaterialPoints(grid, x, cell, volume, half, call_together(grid.comm, evaluate))
 
 
 def _check_inside(grid: Mesh, shape: Shape) -> None:

@@ -231,8 +231,11 @@ class LargeStrain:
         points = self.points
         old = points[self._internal] if self._internal else np.empty((len(points), 0))
         parameters = self._parameters if len(self._parameters) == 1 else self._parameters[here]
+        be_n = points["be"]
+        if not isinstance(here, slice):
+            be_n = be_n.take(here, axis=0)
         return self._kernel(
-            self.law.address, parameters, operand, points["F"], points["be"][here], old[here],
+            self.law.address, parameters, operand, points["F"], be_n, old[here],
             S, A, want_tangent, len(sigma) > 0, be, internal, sigma,
         )  # fmt: skip
 

@@ -13,7 +13,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm.errors import FieldShapeError, ParameterError, raise_together
+from dolfinmpm.errors import FieldShapeError, ParameterError, call_together, raise_together
 from dolfinmpm.locate import Destinations
 from dolfinmpm.migrate import migrate
 
@@ -37,7 +37,8 @@ class PointField(ufl.Coefficient):
 
     def __init__(self, points: MaterialPoints, name: str, shape: tuple[int, ...], unit: str):
         cell = points.grid.topology.cell_name()
-        element = basix.ufl.element("DG", cell, 0, shape=shape)
+        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
+        element = basix.ufl.element("DG", cell, 1, shape=shape)
         super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
         self.points = points
         self.name = name
@@ -107,7 +108,9 @@ class MaterialPoints:
         self._ufl: dict[str, PointField] = {}
         # fields that a converged step sets to the value of a UFL expression
         self.updates: dict[str, Expr] = {}
-        rho = np.broadcast_to(np.asarray(density, float), (n,)).copy()
+        rho = call_together(
+            self.comm, lambda: np.broadcast_to(np.asarray(density, float), (n,)).copy()
+        )
         raise_together(self.comm, _not_positive("density", "kg/m^d", rho, x))
         raise_together(self.comm, _not_positive("volume", "m^d", volume, x))
         first = self.comm.exscan(n) or 0
@@ -168,6 +171,10 @@ class MaterialPoints:
             return self._ufl[name]
         if not name.isidentifier() or name in self.__dict__ or hasattr(MaterialPoints, name):
             raise ParameterError(f"'{name}' cannot name a field; use a new identifier")
+        if np.shape(value) not in ((), shape):
+            raise FieldShapeError(
+                f"field '{name}' has shape {shape} at a point, its first value {np.shape(value)}"
+            )
         values = np.empty((len(self), *shape))
         values[:] = value
         self.fields[name] = values
@@ -205,6 +212,20 @@ class MaterialPoints:
                 f"{target.shape[1:]} (one value for all), got {given.shape}"
             )
         target[:] = given
+
+    def fault(self) -> ParameterError | None:
+        """What is impossible in the fields of this rank's points, or None."""
+        x, F = self["x"], self["F"]
+        error = _not_positive("density", "kg/m^d", self["density"], x)
+        error = error or _not_positive("volume", "m^d", self["V"], x)
+        if error is None and not (np.isfinite(x).all() and np.isfinite(F).all()):
+            bad = ~(np.isfinite(x).all(axis=1) & np.isfinite(F).all(axis=(1, 2)))
+            p = int(np.flatnonzero(bad)[0])
+            error = ParameterError(
+                f"point {self['id'][p]} has the position {x[p]} m and F = {F[p].tolist()}; both "
+                "must be finite: was a field set wrongly?"
+            )
+        return error
 
     def migrate(self, to: Destinations) -> int:
         """Hand points to the ranks that own their cells; returns how many moved. Collective."""

@@ -82,15 +82,16 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
         for j in range(d):
             step = 0.0
             for i in range(d):
-                miss = x[i]
-                for a in range(N.size):
-                    miss -= N[a] * X[a, i]
+                # relative to the first vertex: far from the origin rounding would be too coarse
+                miss = x[i] - X[0, i]
+                for a in range(1, N.size):
+                    miss -= N[a] * (X[a, i] - X[0, i])
                 step += K[j, i] * miss
             J[j, j] = step  # J is built anew before it is used again
             largest = max(largest, abs(step))
         if not largest < 1e3:
             return False
-        if largest < 1e-13:
+        if largest < 1e-12:
             reference_functions(kind, xi, N, dN)
             for i in range(d):
                 for j in range(d):
@@ -132,4 +133,9 @@ def contained(kind, vertices, coordinates, cells, x, tolerance, result):
                 for i in range(d):
                     X[a, i] = coordinates[vertices[cells[p], a], i]
             if pull_back(kind, X, x[p], xi, N, dN, J, K):
-                result[p] = outside_by(kind, xi) <= tolerance
+                # positions themselves are rounded, the more so the further from the origin
+                rounding = 0.0
+                for i in range(d):
+                    for j in range(d):
+                        rounding = max(rounding, abs(K[j, i]) * abs(x[p, i]))
+                result[p] = outside_by(kind, xi) <= tolerance + 1e-15 * rounding

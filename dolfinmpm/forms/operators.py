@@ -61,7 +61,8 @@ class PointOperator(ufl.Coefficient):
         name: str,
     ):
         cell = points.grid.topology.cell_name()
-        element = basix.ufl.element("DG", cell, 0, shape=shape)
+        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
+        element = basix.ufl.element("DG", cell, 1, shape=shape)
         super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
         self.points = points
         self.law = law

@@ -18,7 +18,18 @@ from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
-from ufl.classes import Argument, Coefficient, CoefficientDerivative, Sum, Zero
+from ufl.classes import (
+    Argument,
+    Coefficient,
+    CoefficientDerivative,
+    Curl,
+    Div,
+    Grad,
+    NablaDiv,
+    NablaGrad,
+    Sum,
+    Zero,
+)
 from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
@@ -29,6 +40,8 @@ from dolfinmpm.forms.operators import PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.points import MaterialPoints, PointField
 from dolfinmpm.space import Space
+
+SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 __all__ = ["OrdinaryTerms", "PointTerms", "SplitForm", "split"]
 
@@ -191,6 +204,11 @@ class Slots(MultiFunction):
         raise FormError(f"'{o}' has no values at material points")
 
     def _function(self, o, gradient: bool):
+        if hasattr(o, "_dolfinmpm_space"):
+            raise FormError(
+                f"'{o}' is the increment of a space that the problem does not solve for; name its "
+                "increment when the problem is made"
+            )
         if o.function_space.mesh is not self.points.grid:
             raise FormError(f"the function '{o}' lives on another mesh than the material points")
         if (o, gradient) not in self.functions:
@@ -237,6 +255,15 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     for integral in form.integrals():
         for node in unique_pre_traversal(integral.integrand()):
+            if isinstance(node, SpatialDerivative):
+                # UFL takes a field of the points for constant and would drop the term
+                inside = extract_coefficients(node)
+                for c in inside:
+                    if isinstance(c, (PointField, PointOperator)):
+                        raise FormError(
+                            f"'{_short(node)}' differentiates '{c}', which has values at the "
+                            "points only and no gradient"
+                        )
             if isinstance(node, CoefficientDerivative):
                 inside = [c for c in extract_coefficients(node) if isinstance(c, PointOperator)]
                 if inside:
@@ -249,15 +276,27 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     ordinary: list[Any] = []
     for integral in form.integrals():
         if integral.integral_type() == "custom":
-            if integral.metadata().get("points") != points.number:
+            if integral.subdomain_id() != "everywhere":
+                raise FormError(
+                    f"the term '{_short(integral.integrand())}' restricts a measure of points to "
+                    f"subdomain {integral.subdomain_id()}; multiply with a field of the points "
+                    "that is 0 or 1 instead"
+                )
+            if "points" not in integral.metadata():
+                raise FormError(
+                    f"the term '{_short(integral.integrand())}' gives a measure of points metadata "
+                    "of its own; points take no quadrature degree"
+                )
+            if integral.metadata()["points"] != points.number:
                 raise FormError(
                     f"the term '{_short(integral.integrand())}' is integrated over material points "
                     "that the problem does not move"
                 )
             at_points.append(integral)
         else:
-            _check_ordinary(integral)
+            _check_ordinary(integral, spaces)
             ordinary.append(integral)
+    _check_tags(ordinary)
     return SplitForm(
         _point_terms(at_points, spaces, points), _ordinary_terms(ordinary, spaces), bool(ordinary)
     )
@@ -283,8 +322,37 @@ def _varies(expression: Expr, increments: Sequence[Any]) -> bool:
     )
 
 
-def _check_ordinary(integral) -> None:
-    for c in extract_coefficients(integral.integrand()):
+def _check_tags(integrals) -> None:
+    """DOLFINx takes one tagging for each kind of integral."""
+    seen: dict[str, Any] = {}
+    for integral in integrals:
+        data, kind = integral.subdomain_data(), integral.integral_type()
+        if data is None:
+            continue
+        if seen.setdefault(kind, data) is not data:
+            raise FormError(
+                f"the term '{_short(integral.integrand())}' has other subdomain data than another "
+                f"{kind} term of the form; put all tags of a kind into one MeshTags"
+            )
+
+
+def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
+    term, kind = integral.integrand(), integral.integral_type()
+    if kind not in ("cell", "exterior_facet", "interior_facet"):
+        raise FormError(
+            f"'{_short(term)}' is integrated over '{kind}'; use dx, ds, dS or a points'"
+        )
+    if integral.ufl_domain() != spaces[0].grid.ufl_domain():
+        raise FormError(f"'{_short(term)}' is integrated over another mesh than the grid")
+    for a in ufl.algorithms.extract_arguments(term):
+        if not any(a == space.test for space in spaces):
+            raise FormError(
+                f"'{a}' in '{_short(term)}' is not the test function of a space that the problem "
+                "solves for; use Space.test"
+            )
+    for c in extract_coefficients(term):
+        if isinstance(c, fem.Function) and c.function_space.mesh is not spaces[0].grid:
+            raise FormError(f"the function '{c}' in '{_short(term)}' lives on another mesh")
         if isinstance(c, (PointField, PointOperator)):
             raise FormError(
                 f"'{c}' lives at the material points, but '{_short(integral.integrand())}' is "
@@ -317,6 +385,13 @@ def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
             [_derive(total, slots.test_value[k]), _derive(total, slots.test_gradient[k])]
             for k in range(len(spaces))
         ]
+        tests = {c for pair in zip(slots.test_value, slots.test_gradient) for c in pair}
+        for flux in (f for pair in fluxes for f in pair):
+            if any(node in tests for node in unique_pre_traversal(flux)):
+                raise FormError(
+                    f"'{_short(total)}' is not linear in the test function; an energy needs "
+                    "ufl.derivative(energy, u, v)"
+                )
         components = []
         for k, space in enumerate(spaces):
             for i in np.ndindex(*space.increment.ufl_shape):

@@ -31,6 +31,8 @@ __all__ = ["NewtonSystem", "Prolongate"]
 Array = npt.NDArray[np.float64]
 Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
 
+# PETSc's numbers for an error in an external library and for a zero pivot
+_FACTORISATION = (76, 71)
 _REASONS = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
 
 
@@ -91,6 +93,7 @@ class NewtonSystem:
         self._moving = set().union(*(a.moving for a in self._assemblers))
         self._facets = ghost_facets(points.grid) if GHOST_FACETS in self._moving else None
         self._numbering: Any = None
+        self._settings = prefix, options
         self._configure(prefix, options)
         self._set_numbering()
 
@@ -364,7 +367,7 @@ class NewtonSystem:
         unknowns = self.unknowns
         self.residuals = []
         self.iterations = 0
-        self._reference = self._first = 0.0
+        self._reference = self._first = self._motion = 0.0
         x, snes = self._x, self._snes
         x.set(0.0)
         if unknowns.total == 0:
@@ -372,7 +375,18 @@ class NewtonSystem:
             return None
         if self._changing and self._driven():
             self._predict(x)
-        snes.solve(None, x)
+        try:
+            snes.solve(None, x)
+        except PETSc.Error as error:
+            # what PETSc was in the middle of cannot be gone on with
+            self._configure(*self._settings)
+            self._pattern = self._matrix = None
+            cause = error.__cause__
+            if cause is not None and not isinstance(cause, PETSc.Error):
+                raise cause from None
+            if error.ierr not in _FACTORISATION:
+                raise
+            return "the linear solver failed: the tangent is singular"
         self.iterations += snes.getLinearSolveIterations()
         reason = snes.getConvergedReason()
         if reason <= 0:
@@ -392,6 +406,8 @@ class NewtonSystem:
             self._shared["lift"].scatter_reverse(InsertMode.add)
         nodes = self.unknowns.owned_nodes
         f = (self._r + self._external + self._lift)[nodes][~self.unknowns.fixed[nodes]]
+        # a body without loads is measured against the forces that the motion would make
+        self._motion = math.sqrt(self.comm.allreduce(float(f @ f), op=MPI.SUM))
         b = x.duplicate()
         b.getArray()[:] = -f
         ksp = self._snes.getKSP()
@@ -406,7 +422,7 @@ class NewtonSystem:
         if iteration == 0:
             self._first = residual
         # a body that is unloaded ends without loads and reactions to measure against
-        reference = max(self._reference, self._first)
+        reference = max(self._reference, self._first, self._motion)
         relative = residual / reference if reference else 0.0
         self.residuals.append(relative)
         if relative <= self._tolerance:

@@ -20,7 +20,6 @@ from ufl.core.expr import Expr
 from dolfinmpm.boundary import Condition
 from dolfinmpm.errors import (
     ConvergenceError,
-    DolfinMPMError,
     FormError,
     ParameterError,
     PointsOutsideGridError,
@@ -135,6 +134,12 @@ class QuasiStatic:
                 f"max_iterations = {max_iterations} must be at least 1, max_halvings = "
                 f"{max_halvings} at least 0"
             )
+        for condition in bcs:
+            if not isinstance(condition, Condition):
+                raise ParameterError(
+                    f"bcs holds a {type(condition).__name__}; use mpm.fixed, mpm.rollers or "
+                    "mpm.prescribed"
+                )
         self.points = points
         self.comm: MPI.Intracomm = points.comm
         self.max_halvings = max_halvings
@@ -156,6 +161,12 @@ class QuasiStatic:
         loads += [function for function, _ in parts.points.functions]
         if self.system.ordinary:
             loads += self.system.ordinary.constants() + self.system.ordinary.functions()
+        for condition in bcs:
+            if any(condition.value is load for load in loads):
+                raise ParameterError(
+                    f"a constant is both a load of the form and the increment prescribed at "
+                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
+                )
         self._loads = Loads(loads, increments)
         self._moves = increments[0].ufl_shape == (points.gdim,)
         h = cell_size(points.grid)
@@ -193,7 +204,8 @@ class QuasiStatic:
                     raise ConvergenceError(self._failure(reason, done, share))
                 record.halvings += 1
                 share *= 0.5
-        except DolfinMPMError:
+        except BaseException:
+            # an interruption too leaves the load where the state is
             self._loads.set(done)
             raise
         finally:
@@ -211,6 +223,7 @@ class QuasiStatic:
     def _attempt(self, share: float) -> str | None:
         """Solve and commit a share of the step; returns why not, the state being untouched."""
         system = self.system
+        raise_together(self.comm, self.points.fault())
         system.activate(share)
         reason = system.solve()
         self._record.iterations += system.iterations

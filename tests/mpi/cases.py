@@ -253,6 +253,20 @@ def errors_on_all_ranks():
     triangles_ = mesh.create_unit_square(COMM, 3, 3, mesh.CellType.triangle)
     expect(errors.UnsupportedGridError, lambda: mpm.Space(triangles_, "gimp"))
 
+    # functions that fail where a rank has no point, or on one rank alone
+    corner = mpm.Box((0, 0), (0.1, 0.1))
+    mpm.fill(grid, corner, 2, lambda x: 80 + 0 * x[1] / x[1].max())
+    failing = COMM.rank == COMM.size - 1
+
+    def raises(x):
+        if failing:
+            raise ValueError("no answer here")
+        return np.full(x.shape[1], True)
+
+    expect(ValueError, lambda: mpm.fill(grid, mpm.Where(raises), 2, 1.0))
+    expect(ValueError, lambda: mpm.fixed(mpm.Space(grid, "gimp"), raises))
+    expect(errors.ParameterError, lambda: mpm.fill(grid, box, 2, lambda x: np.ones(3)))
+
     points = mpm.fill(grid, box, 2, 1.0)
     V = mpm.Space(grid, "gimp")
     F = hencky(points, V, ghost=False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ufl
 from conftest import unit_grid
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm.errors import FieldShapeError, FormError, ParameterError
@@ -77,6 +77,51 @@ def test_restrictions_and_unbound_constants(scene):
     grid = scene[0]
     refused(scene, lambda p, u, v: ufl.inner(u("+"), v) * p.dX, "one side of a facet")
     refused(scene, lambda p, u, v: ufl.Constant(grid) * ufl.inner(u, v) * p.dX, "has no value")
+
+
+def test_gradients_of_point_fields(scene):
+    refused(scene, lambda p, u, v: ufl.inner(ufl.grad(p.density), v) * p.dX, "no gradient")
+    refused(scene, lambda p, u, v: ufl.inner(ufl.div(p.F), v) * p.dX, "no gradient")
+
+
+def test_measures_of_points_take_no_subdomain_and_no_degree(scene):
+    refused(scene, lambda p, u, v: ufl.inner(u, v) * p.dX(1), "subdomain 1")
+    refused(scene, lambda p, u, v: ufl.inner(u, v) * p.dX(degree=2), "no quadrature degree")
+
+
+def test_terms_that_are_not_linear_in_the_test_function(scene):
+    refused(scene, lambda p, u, v: ufl.inner(v, v) * p.dX, "not linear")
+    refused(scene, lambda p, u, v: ufl.sin(v[0]) * p.dX, "not linear")
+
+
+def test_foreign_functions_in_ordinary_terms(scene):
+    grid, points, V = scene
+    c = fem.Constant(grid, (1.0, 2.0))
+    stranger = ufl.TestFunction(fem.functionspace(grid, ("Lagrange", 2, (2,))))
+    base = mpm.momentum(LAW, points, V.increment, V.test)
+    refused(scene, lambda p, u, v: base + ufl.inner(c, stranger) * ufl.dx, "Space.test")
+    trial = ufl.TrialFunction(V.function_space)
+    refused(scene, lambda p, u, v: base + ufl.inner(trial, v) * ufl.dx, "Space.test")
+    other = fem.Function(fem.functionspace(unit_grid("quadrilateral"), ("Lagrange", 1)))
+    refused(scene, lambda p, u, v: base + other * v[0] * ufl.dx(grid), "another mesh")
+    refused(scene, lambda p, u, v: base + v[0] * ufl.dP, "integrated over 'vertex'")
+
+
+def test_two_taggings_of_one_kind(scene):
+    grid = scene[0]
+    facets = np.arange(4, dtype=np.int32)
+    tags = [mesh.meshtags(grid, 1, facets, np.full(4, 7, np.int32)) for _ in range(2)]
+    first, second = (ufl.Measure("ds", grid, subdomain_data=t) for t in tags)
+    refused(
+        scene,
+        lambda p, u, v: ufl.inner(u, v) * p.dX + v[0] * first(7) + v[1] * second(7),
+        "other subdomain data",
+    )
+
+
+def test_an_increment_that_is_not_solved_for(scene):
+    other = mpm.Space(scene[0], "gimp")
+    refused(scene, lambda p, u, v: mpm.momentum(LAW, p, other.increment, v), "does not solve for")
 
 
 def test_not_a_form_and_not_an_increment(scene):

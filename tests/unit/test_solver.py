@@ -218,6 +218,90 @@ def test_the_increment_can_be_read_after_a_step():
     assert np.abs(values).max() > 0
 
 
+def test_fields_set_to_what_cannot_be():
+    for name, value in (("density", -80.0), ("V", 0.0), ("x", np.nan), ("F", np.nan)):
+        problem, _ = column(4)
+        problem.points[name] = np.full_like(problem.points[name], value)
+        with pytest.raises(ParameterError, match="must be"):
+            problem.step()
+
+
+def test_an_interruption_leaves_a_problem_that_can_go_on(monkeypatch):
+    problem, g = column(8)
+    g.value[1] = -0.25
+    problem.step()
+    before = state(problem.points)
+    evaluator, calls = problem.system.evaluator, 0
+    original = evaluator.add_internal
+
+    def interrupted(out):
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise KeyboardInterrupt
+        return original(out)
+
+    monkeypatch.setattr(evaluator, "add_internal", interrupted)
+    g.value[1] = -0.5
+    with pytest.raises(KeyboardInterrupt):
+        problem.step()
+    assert g.value[1] == -0.25
+    for name, values in problem.points.fields.items():
+        assert np.array_equal(values, before[name]), name
+    g.value[1] = -0.5
+    assert problem.step().parts == 1
+
+
+def test_a_body_moved_without_loads_converges():
+    """Nothing to balance: the prediction is exact and Newton has nothing to do."""
+    grid = unit_grid("quadrilateral", 8)
+    for d in (0.01, 0.1):
+        points = mpm.fill(grid, mpm.Box((0.2, 0.2), (0.5, 0.6)), 2, 1.0)
+        V = mpm.Space(grid, "gimp")
+        bcs = mpm.prescribed(V, lambda x: x[1] < 0.4, 0, d)
+        bcs += mpm.prescribed(V, lambda x: x[1] < 0.4, 1, 0.0)
+        F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, V.increment, V.test)
+        record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+        assert record.iterations <= 2
+        np.testing.assert_allclose(points["x"] - points["x0"], [[d, 0]] * len(points), atol=1e-9)
+
+
+def test_one_constant_for_two_purposes():
+    grid = unit_grid("quadrilateral")
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.7)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    c = fem.Constant(grid, 0.1)
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
+    F -= c * V.test[0] * points.dX
+    with pytest.raises(ParameterError, match="use two constants"):
+        mpm.QuasiStatic(F, V.increment, points, mpm.prescribed(V, "bottom", 0, c))
+    with pytest.raises(ParameterError, match="bcs holds a str"):
+        mpm.QuasiStatic(F, V.increment, points, ["bottom"])
+
+
+@pytest.mark.parametrize("offset", [1e3, 1e6])
+@pytest.mark.parametrize("kind", ["triangle", "distorted quadrilateral", "tetrahedron"])
+def test_far_from_the_origin(kind, offset):
+    """Rounding of large coordinates loses no point on a grid without a lattice."""
+    moved = []
+    for shift in (0.0, offset):
+        grid = unit_grid(kind, 3)
+        d = grid.geometry.dim
+        grid.geometry.x[:, :d] += shift
+        low = np.full(d, shift)
+        points = mpm.fill(grid, mpm.Box(low, low + 1), 2, 1.0)
+        V = mpm.Space(grid, "linear")
+        g = fem.Constant(grid, (0.0,) * d)
+        F = mpm.momentum(mpm.materials.Hencky(E=100.0, nu=0.3), points, V.increment, V.test)
+        F -= ufl.inner(g, V.test) * points.dX
+        problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom", "left", "right"))
+        for load in (-1.0, -2.0):
+            g.value[-1] = load
+            problem.step()
+        moved.append(points["x"] - points["x0"])
+    np.testing.assert_allclose(moved[1], moved[0], atol=1e-5 * np.abs(moved[0]).max())
+
+
 def test_bad_arguments():
     with pytest.raises(ParameterError, match="tolerance = 0"):
         column(4, tolerance=0)
