@@ -65,6 +65,18 @@ def test_pictures_and_files(tmp_path):
         assert (tmp_path / name).stat().st_size > 0
 
 
+def test_conditioning():
+    figures = run("conditioning", "--no-plot")
+    assert figures["worst"]["kappa_K"] == pytest.approx(287, rel=0.01)
+    assert figures["worst"]["kappa_M"] == pytest.approx(37.2, rel=0.01)
+    assert figures["worst"]["dt_consistent"] == pytest.approx(0.575, rel=0.01)
+    assert len(figures["places"]) == 14
+    options = "--dimension 2 --basis linear --stabilisation aggregation --offsets 5 --spacing 0.1"
+    turned = run("conditioning", "--no-plot", *options.split())
+    assert len({place["angle"] for place in turned["places"]}) == 5
+    assert turned["worst"]["kappa_K"] < 1e4
+
+
 def test_benchmark():
     figures = run("benchmark", "--repeat", "1", "--cases", "1x16")
     case = figures["cases"]["gimp 1x16"]
