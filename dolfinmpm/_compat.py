@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import importlib.metadata
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,7 @@ import ufl
 from dolfinx import fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
-from packaging.version import Version
 from petsc4py import PETSc
-
-
-@functools.cache
-def dolfinx_version() -> Version:
-    """Version of the installed DOLFINx."""
-    return Version(importlib.metadata.version("fenics-dolfinx"))
 
 
 def geometry_dofmap(grid) -> npt.NDArray[np.int32]:

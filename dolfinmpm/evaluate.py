@@ -16,7 +16,8 @@ from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.errors import FieldShapeError
 from dolfinmpm.forms.pointwise import Program, compile_program
-from dolfinmpm.forms.split import PointTerms, Slots
+from dolfinmpm.forms.slots import Slots
+from dolfinmpm.forms.split import PointTerms
 from dolfinmpm.points import MaterialPoints
 from dolfinmpm.space import Space
 from dolfinmpm.unknowns import Unknowns

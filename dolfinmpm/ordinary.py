@@ -135,7 +135,6 @@ class OrdinaryAssembler:
             b for b in chain(self._external, self._internal, *self._jacobian) if b is not None
         ]
         self.moving = set().union(*(b.moving for b in self._all))
-        self.has_jacobian = any(b is not None for row in self._jacobian for b in row)
 
     def constants(self) -> list[fem.Constant]:
         """DOLFINx constants in the terms."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
 from dolfinmpm.basis import Stencils
@@ -121,10 +120,6 @@ class Prolongation:
     def __matmul__(self, other: Prolongation) -> Prolongation:
         """First `other`, then this one: u = C₁ C₂ x."""
         return Prolongation(self.matrix @ other.matrix)
-
-    def expand(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Values of all nodes, u = C x, both of shape (nodes, components)."""
-        return self.matrix @ x
 
     def stencils(self, s: Stencils) -> Stencils:
         """Stencils on the nodes that remain, N C and ∇N C."""

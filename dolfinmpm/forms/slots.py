@@ -1,0 +1,160 @@
+"""Slots: constants that stand for all that varies from point to point in an expression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
+from ufl.classes import Argument
+from ufl.core.expr import Expr
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+
+from dolfinmpm.errors import FormError
+from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.points import MaterialPoints, PointField
+from dolfinmpm.space import Space
+
+__all__ = ["Slots"]
+
+
+@dataclass
+class Slots(MultiFunction):
+    """Replaces all that varies from point to point by constants, and keeps their sources.
+
+    The keys of the sources: ("value", k) and ("gradient", k) of field k's
+    increment; ("field", name); ("operator", k) and ("operator tangent", k);
+    ("function", k) for the k-th of `functions`; ("constant", k).
+    """
+
+    spaces: Sequence[Space]
+    points: MaterialPoints
+    sources: dict[ufl.Constant, tuple] = field(default_factory=dict)
+    functions: list[tuple[fem.Function, bool]] = field(default_factory=list)
+    constants: list[fem.Constant] = field(default_factory=list)
+    operators: list[PointOperator] = field(default_factory=list)
+
+    def __post_init__(self):
+        MultiFunction.__init__(self)
+        self.domain = self.points.grid.ufl_domain()
+        gdim = self.points.gdim
+        self._kept: dict[tuple, ufl.Constant] = {}
+        self.value, self.gradient, self.test_value, self.test_gradient = [], [], [], []
+        for k, space in enumerate(self.spaces):
+            shape = space.increment.ufl_shape
+            self.value.append(ufl.variable(self.slot(("value", k), shape)))
+            self.gradient.append(ufl.variable(self.slot(("gradient", k), (*shape, gdim))))
+            self.test_value.append(ufl.variable(ufl.Constant(self.domain, shape)))
+            self.test_gradient.append(ufl.variable(ufl.Constant(self.domain, (*shape, gdim))))
+        self.operator_value: list[Expr] = []
+
+    def slot(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
+        """The constant that stands for the data of that key."""
+        if key not in self._kept:
+            self._kept[key] = ufl.Constant(self.domain, shape=shape)
+            self.sources[self._kept[key]] = key
+        return self._kept[key]
+
+    def map(self, expression: Expr) -> Expr:
+        """The expression with slots for all its data."""
+        return map_expr_dag(self, remove_complex_nodes(apply_algebra_lowering(expression)))
+
+    def _field_of(self, o) -> int | None:
+        for k, space in enumerate(self.spaces):
+            if o is space.increment:
+                return k
+        return None
+
+    def _test_of(self, o) -> int:
+        for k, space in enumerate(self.spaces):
+            if o == space.test:
+                return k
+        raise FormError(
+            f"'{o}' is not the test function of a space that the problem solves for; use Space.test"
+        )
+
+    def _check_points(self, o) -> None:
+        if o.points is not self.points:
+            raise FormError(
+                f"'{o}' belongs to other material points than those of the measure it stands under"
+            )
+
+    # handlers, named as UFL names its types
+
+    def expr(self, o, *operands):
+        return self.reuse_if_untouched(o, *operands)
+
+    def grad(self, o):
+        (inner,) = o.ufl_operands
+        if isinstance(inner, Argument):
+            return self.test_gradient[self._test_of(inner)]
+        k = self._field_of(inner)
+        if k is not None:
+            return self.gradient[k]
+        if isinstance(inner, fem.Function):
+            return self._function(inner, True)
+        raise FormError(
+            f"'{o}' cannot be evaluated at material points: only increments, test functions and "
+            "DOLFINx functions have a gradient there, and only a first one"
+        )
+
+    def argument(self, o):
+        return self.test_value[self._test_of(o)]
+
+    def coefficient(self, o):
+        k = self._field_of(o)
+        if k is not None:
+            return self.value[k]
+        if isinstance(o, PointField):
+            self._check_points(o)
+            return self.slot(("field", o.name), o.ufl_shape)
+        if isinstance(o, PointOperator):
+            self._check_points(o)
+            if o not in self.operators:
+                self.operators.append(o)
+                key = ("operator", len(self.operators) - 1)
+                self.operator_value.append(ufl.variable(self.slot(key, o.ufl_shape)))
+            return self.operator_value[self.operators.index(o)]
+        if isinstance(o, fem.Function):
+            return self._function(o, False)
+        raise FormError(f"'{o}' has no values at material points")
+
+    def _function(self, o, gradient: bool):
+        if hasattr(o, "_dolfinmpm_space"):
+            raise FormError(
+                f"'{o}' is the increment of a space that the problem does not solve for; name its "
+                "increment when the problem is made"
+            )
+        if o.function_space.mesh is not self.points.grid:
+            raise FormError(f"the function '{o}' lives on another mesh than the material points")
+        if (o, gradient) not in self.functions:
+            self.functions.append((o, gradient))
+        shape = (*o.ufl_shape, self.points.gdim) if gradient else o.ufl_shape
+        return self.slot(("function", self.functions.index((o, gradient))), shape)
+
+    def constant(self, o):
+        if o in self.sources:
+            return o
+        if not isinstance(o, fem.Constant):
+            raise FormError(f"the constant '{o}' has no value; use dolfinx.fem.Constant")
+        self.constants.append(o)
+        self.sources[o] = ("constant", len(self.constants) - 1)
+        return o
+
+    def spatial_coordinate(self, o):
+        return self.slot(("field", "x"), o.ufl_shape)
+
+    def geometric_quantity(self, o):
+        raise FormError(
+            f"'{o}' ({type(o).__name__}) has no value at material points; of the grid's geometry "
+            "only the spatial coordinate does"
+        )
+
+    def restricted(self, o):
+        raise FormError(f"'{o}' restricts to one side of a facet, under a measure of points")
+
+    facet_avg = cell_avg = restricted
