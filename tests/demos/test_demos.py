@@ -77,6 +77,18 @@ def test_conditioning():
     assert turned["worst"]["kappa_K"] < 1e4
 
 
+def test_compaction_compared():
+    options = "--elements 8 --bases gimp,bspline2 --remedies none,ghost,aggregation"
+    runs = run("compaction_compared", "--no-plot", *options.split())["runs"]
+    assert len(runs) == 6
+    errors = {(r["basis"], r["remedy"]): r["error"] for r in runs}
+    assert all(r["completed"] for r in runs)
+    for basis in ("gimp", "bspline2"):
+        for remedy in ("ghost", "aggregation"):
+            assert errors[basis, remedy] <= 1.05 * errors[basis, "none"]
+    assert errors["bspline2", "none"] < errors["gimp", "none"]
+
+
 def test_benchmark():
     figures = run("benchmark", "--repeat", "1", "--cases", "1x16")
     case = figures["cases"]["gimp 1x16"]
