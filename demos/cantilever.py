@@ -33,7 +33,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from scene import finish, parser, say, solver_figures
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -212,15 +212,7 @@ figures = {
     "v_L_difference": difference[:, 1].tolist(),
     "max_u_L_difference": float(np.abs(difference[:, 0]).max()),
     "max_v_L_difference": float(np.abs(difference[:, 1]).max()),
-    "newton_iterations": sum(iterations),
-    "max_newton_iterations": max(iterations),
-    "halvings": sum(record.halvings for record in problem.history),
-    "last_residuals": problem.history[-1].residuals,
-    "points": points.total,
-    "active_cells": problem.system.active_cells,
-    "unknowns": problem.history[-1].unknowns,
-    "migrated": sum(record.migrated for record in problem.history),
-    "ranks": comm.size,
+    **solver_figures(problem),
     "seconds_setup": ready - started,
     "seconds_solve": sum(record.seconds for record in problem.history),
 }

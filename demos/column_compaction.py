@@ -30,7 +30,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from scene import finish, parser, say, solver_figures
 from scipy.special import lambertw
 
 import dolfinmpm as mpm
@@ -179,15 +179,7 @@ figures = {
     "error": float(error),
     "height": float(comm.allreduce(tops.max(initial=0.0), op=MPI.MAX)),
     "height_exact": float(exact_position(np.array(height), height, modulus, weight)),
-    "newton_iterations": sum(iterations),
-    "max_newton_iterations": max(iterations),
-    "halvings": sum(record.halvings for record in problem.history),
-    "last_residuals": problem.history[-1].residuals,
-    "points": points.total,
-    "active_cells": problem.system.active_cells,
-    "unknowns": problem.history[-1].unknowns,
-    "migrated": sum(record.migrated for record in problem.history),
-    "ranks": comm.size,
+    **solver_figures(problem),
     "seconds_setup": ready - started,
     "seconds_solve": solved - ready,
 }

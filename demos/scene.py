@@ -43,6 +43,23 @@ def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
         Path(arguments.json).write_text(text + "\n")
 
 
+def solver_figures(problem: Any) -> dict[str, Any]:
+    """What the steps of a problem took, for the figures of a demo. Collective."""
+    history = problem.history
+    iterations = [record.iterations for record in history]
+    return {
+        "newton_iterations": sum(iterations),
+        "max_newton_iterations": max(iterations),
+        "halvings": sum(record.halvings for record in history),
+        "last_residuals": history[-1].residuals,
+        "points": problem.points.total,
+        "active_cells": problem.system.active_cells,
+        "unknowns": history[-1].unknowns,
+        "migrated": sum(record.migrated for record in history),
+        "ranks": problem.comm.size,
+    }
+
+
 def say(*words: Any) -> None:
     """Print on rank 0."""
     if MPI.COMM_WORLD.rank == 0:

@@ -143,8 +143,10 @@ class PointEvaluator:
         early, with the point in `failed_point`, where a law finds no stress.
         """
         self.failed_point = -1
-        operators = self._terms.operators
-        whole = [self.operand(k) for k in range(len(operators))]
+        # dead loads, say, do not ask a law for its stress
+        asked = {key[1] for key in program.inputs if key[0].startswith("operator")}
+        operators = {k: self._terms.operators[k] for k in sorted(asked)}
+        whole = {k: self.operand(k) for k in operators}
         varying = {key for key in program.inputs if not key[0].startswith("operator")}
         varying = {key for key in varying if key[0] != "constant"}
         for first, last in self._chunks():
@@ -153,7 +155,7 @@ class PointEvaluator:
             data = {key: self._data[key] for key in program.inputs if key[0] == "constant"}
             for key in varying:
                 data[key] = self._data[key].take(rows, axis=0)
-            for k, operator in enumerate(operators):
+            for k, operator in operators.items():
                 operand = whole[k].take(rows, axis=0)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
