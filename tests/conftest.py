@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from dolfinx import mesh
 from mpi4py import MPI
 
 COMM = MPI.COMM_WORLD
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def figures_of(script, *options, ranks=1, timeout=300):
+    """The JSON that a script prints last, run by interpreters of its own on some ranks."""
+    # what this process's own MPI put into the environment must not reach the launcher's
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
+    clean["OMP_NUM_THREADS"] = "1"
+    clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    # mpi4py's runner ends all ranks when one of them raises
+    command = [*launcher, sys.executable, "-m", "mpi4py", str(ROOT / script), *options]
+    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=timeout)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    return json.loads(done.stdout.strip().splitlines()[-1])
 
 
 def distort(grid, amount=0.12):

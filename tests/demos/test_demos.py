@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import csv
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-
-DEMOS = Path(__file__).resolve().parents[2] / "demos"
+from conftest import figures_of
 
 
 def run(demo, *options, ranks=1):
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
-    command = [sys.executable, "-m", "mpi4py", str(DEMOS / f"{demo}.py"), "--json", "-", *options]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
-    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    return figures_of(f"demos/{demo}.py", "--json", "-", *options, ranks=ranks)
 
 
 @pytest.mark.parametrize("ranks", [1, 3])

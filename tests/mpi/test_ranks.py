@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import functools
-import json
-import os
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import figures_of
 
-HERE = Path(__file__).parent
 CASES = (
     "column",
     "triangles",
@@ -32,15 +27,7 @@ CASES = (
 
 @functools.cache
 def figures(case: str, ranks: int) -> dict:
-    # what this process's own MPI put into the environment must not reach the launcher's
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
-    clean["OMP_NUM_THREADS"] = "1"
-    # mpi4py's runner ends all ranks when one of them raises
-    script = [sys.executable, "-m", "mpi4py", str(HERE / "cases.py"), case]
-    command = ["mpirun", "-n", str(ranks), *script]
-    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    return figures_of("tests/mpi/cases.py", case, ranks=ranks, timeout=120)
 
 
 def flat(value):

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import functools
-import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import figures_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,16 +16,9 @@ ROOT = Path(__file__).parents[2]
 @functools.cache
 def demo(*options: str, ranks: int = 1) -> dict:
     """Figures of the demo, run by an interpreter of its own."""
-    # what this process's own MPI put into the environment must not reach the launcher's
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
-    clean["OMP_NUM_THREADS"] = "1"
-    clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
-    script = [sys.executable, str(ROOT / "demos" / "hyperelastic_in_ufl.py")]
-    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    command = [*launcher, *script, "--json", "-", "--no-plot", *options]
-    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    return figures_of(
+        "demos/hyperelastic_in_ufl.py", "--json", "-", "--no-plot", *options, ranks=ranks
+    )
 
 
 def assert_exact(figures, displacement, stress, rest):
