@@ -23,6 +23,7 @@ __all__ = [
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
+    "StateError",
     "UnsupportedGridError",
     "call_together",
     "raise_together",
@@ -69,6 +70,10 @@ class PointsOutsideGridError(DolfinMPMError, RuntimeError):
 
 class MigrationError(DolfinMPMError, RuntimeError):
     """Material points were lost or doubled between ranks."""
+
+
+class StateError(DolfinMPMError, RuntimeError):
+    """A constitutive law finds no stress for a strain."""
 
 
 class ConvergenceError(DolfinMPMError, RuntimeError):

@@ -1,7 +1,25 @@
 """Constitutive laws."""
 
 from dolfinmpm.materials.base import Law, Parameter, law_kernel
+from dolfinmpm.materials.camclay import CamClay
+from dolfinmpm.materials.druckerprager import DruckerPrager
 from dolfinmpm.materials.hencky import Hencky
+from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.tresca import Tresca
+from dolfinmpm.materials.ufl_energy import EnergyWithYield
+from dolfinmpm.materials.vonmises import VonMises
 
-__all__ = ["Hencky", "Law", "NeoHookean", "Parameter", "law_kernel"]
+__all__ = [
+    "CamClay",
+    "DruckerPrager",
+    "EnergyWithYield",
+    "Hencky",
+    "Law",
+    "MohrCoulomb",
+    "NeoHookean",
+    "Parameter",
+    "Tresca",
+    "VonMises",
+    "law_kernel",
+]

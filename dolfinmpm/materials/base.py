@@ -15,10 +15,15 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from numba import types
+from numba.extending import intrinsic
 
-from dolfinmpm.errors import ParameterError
+from dolfinmpm.errors import ParameterError, StateError
 
-__all__ = ["Law", "Parameter", "law_kernel"]
+__all__ = ["Law", "Parameter", "Response", "Value", "call_law", "law_kernel"]
+
+Array = npt.NDArray[np.float64]
+# A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
+Value = float | Array | Callable[[Array], npt.ArrayLike]
 
 _DOUBLES = types.CPointer(types.float64)
 KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
@@ -38,7 +43,38 @@ def law_kernel(function: Callable) -> Callable:
     (written); the three principal Kirchhoff stresses (Pa, written); and the nine
     derivatives of stress by trial strain, row by row (Pa, written).
     """
-    return numba.cfunc(KERNEL_SIGNATURE, cache=True)(function)
+    return numba.cfunc(KERNEL_SIGNATURE, cache=True, error_model="numpy")(function)
+
+
+@intrinsic
+def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
+    """Call a kernel by its address, with the addresses of its arrays; for compiled loops."""
+    signature = types.int32(*[types.intp] * 7)
+
+    def generate(context, builder, sig, args):
+        from llvmlite import ir
+
+        pointer = ir.DoubleType().as_pointer()
+        kind = ir.FunctionType(ir.IntType(32), [pointer] * 6)
+        function = builder.inttoptr(args[0], kind.as_pointer())
+        return builder.call(function, [builder.inttoptr(a, pointer) for a in args[1:]])
+
+    return signature, generate
+
+
+@numba.njit(cache=True)
+def _respond(law, parameters, strain, old, new, stress, tangent):
+    for p in range(strain.shape[0]):
+        at = p if parameters.shape[0] > 1 else 0
+        status = call_law(
+            law, parameters.ctypes.data + 8 * at * parameters.shape[1],
+            strain.ctypes.data + 24 * p, old.ctypes.data + 8 * p * old.shape[1],
+            new.ctypes.data + 8 * p * new.shape[1], stress.ctypes.data + 24 * p,
+            tangent.ctypes.data + 72 * p,
+        )  # fmt: skip
+        if status != 0:
+            return p
+    return -1
 
 
 @dataclass(frozen=True)
@@ -50,39 +86,84 @@ class Parameter:
     high: float = math.inf
     closed: bool = False
 
-    def check(self, law: str, name: str, value: float) -> None:
-        """Raise ParameterError unless the value is admissible."""
-        inside = self.low <= value <= self.high if self.closed else self.low < value < self.high
-        if not (math.isfinite(value) and inside):
+    def check(self, law: str, name: str, value: npt.ArrayLike) -> None:
+        """Raise ParameterError unless the value, or every value of an array, is admissible."""
+        values = np.asarray(value, float)
+        inside = (values >= self.low) & (values <= self.high)
+        if not self.closed:
+            inside = (values > self.low) & (values < self.high)
+        inside &= np.isfinite(values)
+        if not inside.all():
+            bad = values[~inside].flat[0]
             left, right = ("[", "]") if self.closed else ("(", ")")
             raise ParameterError(
-                f"{law}: {name} = {value} {self.unit} must be in "
+                f"{law}: {name} = {bad} {self.unit} must be in "
                 f"{left}{self.low}, {self.high}{right}".replace("  ", " ")
             )
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a law answers at n points.
+
+    Attributes:
+        strain: Elastic principal logarithmic strains, shape (n, 3).
+        internal: Internal variables, shape (n, variables).
+        stress: Principal Kirchhoff stresses (Pa), shape (n, 3).
+        tangent: Derivatives of stress by trial strain (Pa), shape (n, 3, 3).
+    """
+
+    strain: Array
+    internal: Array
+    stress: Array
+    tangent: Array
 
 
 class Law:
     """Base of the laws whose stress comes from a kernel.
 
     A subclass declares `parameters` (name → Parameter, in the order in which the
-    kernel reads them), `internal` (name → (unit, first value)) and `kernel`.
+    kernel reads them), `internal` (name → (unit, first value), where the first value
+    is a number or the name of a parameter) and `kernel`; and `admissible` if
+    parameters bound each other.
+
+    Args:
+        values: Every parameter: a number, an array with one value for each point of
+            this rank, or a function of the points' first positions in DOLFINx's
+            layout, shape (gdim, n), that returns n values.
+
+    Raises:
+        ParameterError: A parameter is missing, unknown or outside its range.
     """
 
     parameters: dict[str, Parameter] = {}
-    internal: dict[str, tuple[str, float]] = {}
+    internal: dict[str, tuple[str, float | str]] = {}
     kernel: Callable
 
-    def __init__(self, **values: float):
+    def __init__(self, **values: Value):
         missing = set(self.parameters) ^ set(values)
         if missing:
             raise ParameterError(
                 f"{type(self).__name__} takes the parameters {', '.join(self.parameters)}; "
                 f"missing or unknown: {', '.join(sorted(missing))}"
             )
-        self.values: dict[str, float] = {}
-        for name, parameter in self.parameters.items():
-            parameter.check(type(self).__name__, name, float(values[name]))
-            self.values[name] = float(values[name])
+        self.values: dict[str, Value] = {}
+        for name in self.parameters:
+            value = values[name]
+            if not callable(value):
+                array = np.asarray(value, float)
+                self.parameters[name].check(type(self).__name__, name, array)
+                value = float(array) if array.ndim == 0 else array
+            self.values[name] = value
+        if not self.varies:
+            self.parameter_array()
+
+    def admissible(self, values: dict[str, Array]) -> None:
+        """Raise ParameterError where parameters contradict each other.
+
+        Args:
+            values: Name → values, all of one shape.
+        """
 
     @property
     def address(self) -> int:
@@ -90,12 +171,114 @@ class Law:
         return self.kernel.address  # type: ignore[attr-defined]
 
     @property
-    def parameter_array(self) -> npt.NDArray[np.float64]:
-        """The parameters as the kernel takes them, shape (1, parameters)."""
-        return np.array([list(self.values.values())])
+    def varies(self) -> bool:
+        """Whether any parameter differs from point to point."""
+        return not all(isinstance(value, float) for value in self.values.values())
+
+    def parameter_array(self, x: Array | None = None) -> Array:
+        """The parameters as the kernel takes them.
+
+        Args:
+            x: First positions of the points (m), shape (n, gdim); needed if parameters
+                vary.
+
+        Returns:
+            Shape (1, parameters) if all are numbers, else (n, parameters).
+
+        Raises:
+            ParameterError: A value is outside its range, or their number is not that
+                of the points.
+        """
+        name = type(self).__name__
+        n = 1 if not self.varies or x is None else len(x)
+        result = np.empty((n, len(self.parameters)))
+        for k, (key, value) in enumerate(self.values.items()):
+            given = value
+            if callable(given):
+                if x is None:
+                    raise ParameterError(f"{name}: {key} is a function and needs positions")
+                given = np.asarray(given(np.ascontiguousarray(x.T)), float)
+                self.parameters[key].check(name, key, given)
+            if np.shape(given) not in ((), (n,)):
+                raise ParameterError(
+                    f"{name}: {key} has the shape {np.shape(given)}, expected one value for each "
+                    f"of {n} points"
+                )
+            result[:, k] = given
+        self.admissible(dict(zip(self.parameters, result.T)))
+        return result
+
+    def first_internal(self, parameters: Array) -> Array:
+        """Internal variables of a point that has not yielded, shape (n, variables)."""
+        names = list(self.parameters)
+        first = np.empty((len(parameters), len(self.internal)))
+        for k, (_, value) in enumerate(self.internal.values()):
+            first[:, k] = parameters[:, names.index(value)] if isinstance(value, str) else value
+        return first
+
+    def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
+        """Yield function f of principal Kirchhoff stresses, shape (n,); −inf if it never yields.
+
+        Args:
+            stress: Principal Kirchhoff stresses (Pa) in any order, shape (n, 3).
+            internal: Internal variables, shape (n, variables).
+            parameters: Parameters, shape (1, parameters) or (n, parameters).
+        """
+        return np.full(len(stress), -np.inf)
+
+    def unyielding(self, internal: Array) -> Array:
+        """Internal variables with which the elastic response goes on beyond the yield surface.
+
+        Those given, unless the law knows better. A law needs better only if its elastic
+        response is not linear: the inversion of stress then passes states outside.
+
+        Args:
+            internal: Internal variables, shape (n, variables).
+        """
+        return internal
+
+    def respond(
+        self, strain: npt.ArrayLike, internal: Array | None = None, x: Array | None = None
+    ) -> Response:
+        """Evaluate the law by itself, away from any grid.
+
+        Args:
+            strain: Principal trial logarithmic strains, shape (n, 3).
+            internal: Internal variables at the start, shape (n, variables); those of a
+                point that has not yielded by default.
+            x: Positions for parameters that vary, shape (n, gdim).
+
+        Raises:
+            StateError: A strain admits no stress; the message has the point and its state.
+        """
+        elastic = np.array(strain, float, order="C").reshape(-1, 3)
+        n = len(elastic)
+        parameters = self.parameter_array(x)
+        old = self.first_internal(parameters) if internal is None else np.asarray(internal, float)
+        old = np.ascontiguousarray(np.broadcast_to(old, (n, len(self.internal))))
+        new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.empty((n, 3, 3))
+        trial = elastic.copy()
+        bad = _respond(self.address, parameters, elastic, old, new, stress, tangent)
+        if bad >= 0:
+            raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
+        return Response(elastic, new, stress, tangent)
+
+    def describe(self, point: int, strain: Array, internal: Array, parameters: Array) -> str:
+        """What is known of a point at which the law finds no stress, for messages."""
+        values = parameters[point if len(parameters) > 1 else 0]
+        given = ", ".join(f"{k} = {v:g}" for k, v in zip(self.parameters, values))
+        state = ", ".join(f"{k} = {v:g}" for k, v in zip(self.internal, internal))
+        return (
+            f"{type(self).__name__} finds no stress at point {point}: principal trial strains "
+            f"{strain.tolist()}, {state or 'no internal variables'}; {given}. "
+            "Take smaller steps, or soften less"
+        )
 
     def __repr__(self) -> str:
-        inside = ", ".join(f"{name}={value:g}" for name, value in self.values.items())
+        inside = ", ".join(
+            f"{name}={value:g}" if isinstance(value, float) else f"{name}=varying"
+            for name, value in self.values.items()
+        )
         return f"{type(self).__name__}({inside})"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dolfinmpm.materials.base import ELASTIC, Law, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law, Value, law_kernel
 
 __all__ = ["Hencky"]
 
@@ -35,5 +35,5 @@ class Hencky(Law):
     parameters = ELASTIC
     kernel = _hencky
 
-    def __init__(self, E: float, nu: float):
+    def __init__(self, E: Value, nu: Value):
         super().__init__(E=E, nu=nu)

@@ -1,0 +1,148 @@
+"""Initial stress: the elastic state of the points that goes with a given stress field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.errors import (
+    FieldShapeError,
+    ParameterError,
+    StateError,
+    call_together,
+)
+from dolfinmpm.kinematics.framework import Array, Framework
+from dolfinmpm.materials.inverse import elastic_strain
+
+__all__ = ["StressField", "geostatic_stress", "write_stress"]
+
+StressField = npt.ArrayLike | Callable[[Array], npt.ArrayLike]
+OfPosition = float | Callable[[Array], npt.ArrayLike]
+_ROUNDING = 1e-12
+
+
+def _given(framework: Framework, stress: StressField) -> Array:
+    """The stress at the points of this rank, symmetric and admissible in this dimension."""
+    points = framework.points
+    n, d = len(points), points.gdim
+    value = stress(np.ascontiguousarray(points["x"].T)) if callable(stress) else stress
+    given = np.asarray(value, float)
+    if given.shape not in ((3, 3), (n, 3, 3)):
+        raise FieldShapeError(
+            f"stress has the shape {given.shape}, expected (3, 3), or {(n, 3, 3)} for the points "
+            "of this rank; across the plane too, in Pa, tension positive"
+        )
+    sigma = np.broadcast_to(given, (n, 3, 3))
+    size = np.abs(sigma).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(sigma - np.swapaxes(sigma, 1, 2)).max(axis=(1, 2), initial=0.0)
+    across = np.abs(sigma[:, d:] * (1 - np.eye(3)[d:])).max(axis=(1, 2), initial=0.0)
+    for bad, rule in (
+        (~np.isfinite(size), "must be finite"),
+        (skew > _ROUNDING * size, "must be symmetric"),
+        (across > _ROUNDING * size, f"must have no shear out of the {d} dimensions of the points"),
+    ):
+        if bad.any():
+            p = int(np.argmax(bad))
+            raise ParameterError(
+                f"the initial stress {sigma[p].tolist()} Pa of point {points['id'][p]} at "
+                f"{points['x'][p]} m {rule} ({int(bad.sum())} such points on this rank)"
+            )
+    return 0.5 * (sigma + np.swapaxes(sigma, 1, 2))
+
+
+def _state(framework: Framework, sigma: Array) -> Array:
+    """Six components of the framework's state under Cauchy stresses of shape (n, 3, 3)."""
+    points, law = framework.points, framework.law
+    n, d = len(points), points.gdim
+    ratio = np.linalg.det(points["F"]) if framework.multiplicative else np.ones(n)
+    principal = np.diagonal(sigma, axis1=1, axis2=2).copy()
+    Q = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+    principal[:, :d], Q[:, :d, :d] = np.linalg.eigh(sigma[:, :d, :d])
+    principal *= ratio[:, None]
+    parameters, internal = framework.parameters, framework.internal
+    strain, good, reached = elastic_strain(law, principal, internal, parameters)
+    if not good.all():
+        p = int(np.argmin(good))
+        at = slice(p, p + 1)
+        used = parameters[at] if len(parameters) > 1 else parameters
+        f = float(law.yield_function(principal[at], internal[at], used)[0])
+        cause = (
+            f"lie outside the yield surface (f = {f:.6g} > 0)" if f > 0 else
+            f"cannot be reached (f = {f:.6g}, closest {reached[p].tolist()} Pa)"
+        )  # fmt: skip
+        kind = "Kirchhoff" if framework.multiplicative else "Cauchy"
+        variables = ", ".join(f"{k} = {v:g}" for k, v in zip(law.internal, internal[p]))
+        values = ", ".join(f"{k} = {v:g}" for k, v in zip(law.parameters, used[0]))
+        raise StateError(
+            f"{type(law).__name__}: the principal {kind} stresses {principal[p].tolist()} Pa of "
+            f"point {points['id'][p]} at {points['x'][p]} m {cause}; "
+            f"{variables or 'no internal variables'}; {values} "
+            f"({int((~good).sum())} such points on this rank). Give a stress within the law's "
+            "strength, or other parameters"
+        )
+    value = np.exp(2.0 * strain) if framework.multiplicative else strain
+    tensor = (Q * value[:, None, :]) @ np.swapaxes(Q, 1, 2)
+    return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+
+def write_stress(framework: Framework, stress: StressField) -> None:
+    """Set the elastic state and the field `stress`; see `dolfinmpm.set_stress`. Collective."""
+    points = framework.points
+    sigma = call_together(points.comm, lambda: _given(framework, stress))
+    state = call_together(points.comm, lambda: _state(framework, sigma))
+    points[framework.state] = state
+    points["stress"] = sigma
+
+
+def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
+    """Stress of ground at rest under its own weight, for `dolfinmpm.set_stress`.
+
+    Vertical −weight · (surface − y), both horizontal ones K0 times as much, no shear; the
+    last axis points up, points above the surface carry no stress. In equilibrium if
+    the surface is level and weight and K0 depend on the height alone.
+
+    Args:
+        surface: Height of the ground surface (m).
+        weight: Mean weight per volume ρ g of what is above (N/m³), not negative.
+        K0: Ratio of horizontal to vertical stress, not negative.
+
+    All three are numbers or functions of positions x, shape (gdim, n), to n values.
+
+    Returns:
+        A function of positions, shape (gdim, n), to Cauchy stresses (Pa), shape (n, 3, 3).
+
+    Raises:
+        ParameterError: A number is not finite, or weight or K0 is negative; from the
+            function, where a value at a point is.
+    """
+
+    def checked(name: str, value: npt.ArrayLike, low: float) -> Array:
+        values = np.asarray(value, float)
+        bad = ~(np.isfinite(values) & (values >= low))
+        if bad.any():
+            raise ParameterError(
+                f"{name} = {values[bad].flat[0]} must be finite"
+                + (f" and at least {low:g}" if math.isfinite(low) else "")
+            )
+        return values
+
+    limits = (("surface", surface, -math.inf), ("weight", weight, 0.0), ("K0", K0, 0.0))
+    for name, value, low in limits:
+        if not callable(value):
+            checked(name, value, low)
+
+    def stress(x: Array) -> Array:
+        top, heavy, ratio = (
+            checked(name, value(x) if callable(value) else value, low)
+            for name, value, low in limits
+        )
+        vertical = -heavy * np.maximum(top - x[-1], 0.0)
+        result = np.zeros((x.shape[1], 3, 3))
+        for i in range(3):
+            result[:, i, i] = vertical if i == len(x) - 1 else ratio * vertical
+        return result
+
+    return stress

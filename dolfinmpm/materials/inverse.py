@@ -1,0 +1,107 @@
+"""The elastic strain that goes with a stress: the elastic response of a law's kernel inverted."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.basis.cells import invert
+from dolfinmpm.materials.base import Law, call_law
+
+__all__ = ["elastic_strain"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _invert(law, parameters, elastic, old, stress, strain, reached, good):
+    trial, tau, best = np.empty(3), np.empty(3), np.empty(3)
+    D, inverse = np.empty((3, 3)), np.empty((3, 3))
+    new, step = np.empty(max(old.shape[1], 1)), np.empty(3)
+    for p in range(stress.shape[0]):
+        at = p if parameters.shape[0] > 1 else 0
+        size = max(abs(stress[p, 0]), abs(stress[p, 1]), abs(stress[p, 2]))
+        for i in range(3):
+            strain[p, i] = step[i] = 0.0
+            best[i] = 0.0
+        error, share, soft = math.inf, 1.0, 0.0
+        # Newton's method; a step that brings the stress no nearer is halved
+        for _ in range(400):
+            for i in range(3):
+                strain[p, i] = best[i] + share * step[i]
+                trial[i] = strain[p, i]
+            status = call_law(
+                law, parameters.ctypes.data + 8 * at * parameters.shape[1], trial.ctypes.data,
+                elastic.ctypes.data + 8 * p * elastic.shape[1], new.ctypes.data,
+                tau.ctypes.data, D.ctypes.data,
+            )  # fmt: skip
+            found = math.inf
+            if status == 0:
+                found = max(
+                    abs(stress[p, 0] - tau[0]), abs(stress[p, 1] - tau[1]),
+                    abs(stress[p, 2] - tau[2]),
+                )  # fmt: skip
+            if not found < error:
+                share *= 0.5
+                if share < 1e-12 or error <= 1e-13 * size:
+                    break
+                continue
+            if error == math.inf:
+                stiff = max(abs(D[0, 0]), abs(D[1, 1]), abs(D[2, 2]))
+                soft = size / stiff if stiff > 0.0 else 0.0
+            error, share = found, 1.0
+            for i in range(3):
+                best[i] = strain[p, i]
+            if error == 0.0:
+                break
+            invert(D, inverse)
+            for i in range(3):
+                step[i] = 0.0
+                for j in range(3):
+                    step[i] += inverse[i, j] * (stress[p, j] - tau[j])
+            if not math.isfinite(step[0] + step[1] + step[2]):
+                break
+        # the law itself, with its own yield surface, has the last word: under this strain
+        # it returns the stress and nothing flows, but for rounding on the surface
+        largest = soft
+        for i in range(3):
+            strain[p, i] = trial[i] = best[i]
+            largest = max(largest, abs(best[i]))
+        status = call_law(
+            law, parameters.ctypes.data + 8 * at * parameters.shape[1], trial.ctypes.data,
+            old.ctypes.data + 8 * p * old.shape[1], new.ctypes.data, tau.ctypes.data,
+            D.ctypes.data,
+        )  # fmt: skip
+        good[p] = status == 0
+        for i in range(3):
+            reached[p, i] = tau[i] if status == 0 else math.nan
+            good[p] &= abs(tau[i] - stress[p, i]) <= 1e-9 * size
+            good[p] &= abs(trial[i] - best[i]) <= 1e-9 * largest
+
+
+def elastic_strain(
+    law: Law, stress: Array, internal: Array, parameters: Array
+) -> tuple[Array, npt.NDArray[np.bool_], Array]:
+    """Principal elastic strains under which a law returns given stresses without yielding.
+
+    Args:
+        law: Constitutive law.
+        stress: Principal stresses (Pa) in the sense of the law, shape (n, 3).
+        internal: Internal variables, shape (n, variables).
+        parameters: Shape (1, parameters) or (n, parameters).
+
+    Returns:
+        The strains, shape (n, 3); whether the law returns the stress, shape (n,); and
+        the stresses that it does return, shape (n, 3).
+    """
+    stress = np.ascontiguousarray(stress)
+    parameters = np.ascontiguousarray(parameters)
+    strain, reached = np.empty_like(stress), np.empty_like(stress)
+    good = np.empty(len(stress), bool)
+    old = np.ascontiguousarray(internal)
+    elastic = np.ascontiguousarray(law.unyielding(old))
+    _invert(law.address, parameters, elastic, old, stress, strain, reached, good)
+    return strain, good, reached

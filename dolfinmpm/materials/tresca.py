@@ -1,0 +1,86 @@
+"""Tresca's plasticity, of undrained clay."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinmpm.errors import ParameterError
+from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.mohrcoulomb import return_to_planes
+from dolfinmpm.materials.principal import moduli
+
+__all__ = ["Tresca"]
+
+
+@law_kernel
+def _tresca(parameters, strain, old, new, stress, tangent):
+    lmbda, mu = moduli(parameters[0], parameters[1])
+    return return_to_planes(
+        lmbda, mu, parameters[2], parameters[3], 0.0, 0.0, 0.0, parameters[4],
+        strain, old, new, stress, tangent,
+    )  # fmt: skip
+
+
+class Tresca(Law):
+    """Tresca's law: f = τ₁ − τ₃ − 2c(α), associated, on Hencky's elasticity.
+
+    c(α) = c_ult + (c₀ − c_ult) e^(−rate·α), where the accumulated plastic strain α
+    grows by √(2/3) ‖Δεᵖ‖, in plane strain 2/√3 times the multiplier. The return goes
+    to the plane or to one of its two edges, after de Souza Neto, Perić & Owen,
+    Computational Methods for Plasticity (2008), section 8.1 (whose α is the sum of the
+    multipliers), with the tangent that is consistent with it.
+
+    Softening is allowed up to where a strain has one stress only: c may not fall
+    faster than 3/2 μ by α.
+
+    Args:
+        E: Young's modulus (Pa), positive.
+        nu: Poisson's ratio, -1 < ν < 0.5.
+        cohesion: First cohesion c₀ (Pa), positive.
+        ultimate_cohesion: Cohesion c_ult to which it tends (Pa), positive; c₀ by default.
+        rate: Rate of this change by α, not negative.
+
+    Raises:
+        ParameterError: A parameter is outside its range, or the softening too steep.
+    """
+
+    parameters = ELASTIC | {
+        "cohesion": Parameter("Pa", low=0.0),
+        "ultimate_cohesion": Parameter("Pa", low=0.0),
+        "rate": Parameter("", low=0.0, closed=True),
+    }
+    internal = {"plastic_strain": ("", 0.0)}
+    kernel = _tresca
+
+    def __init__(
+        self,
+        E: Value,
+        nu: Value,
+        cohesion: Value,
+        ultimate_cohesion: Value | None = None,
+        rate: Value = 5.0,
+    ):
+        super().__init__(
+            E=E,
+            nu=nu,
+            cohesion=cohesion,
+            ultimate_cohesion=cohesion if ultimate_cohesion is None else ultimate_cohesion,
+            rate=rate,
+        )
+
+    def admissible(self, values: dict[str, Array]) -> None:
+        """Raise ParameterError where softening leaves a strain with more than one stress."""
+        fall = values["rate"] * (values["cohesion"] - values["ultimate_cohesion"])
+        limit = 0.75 * values["E"] / (1.0 + values["nu"])
+        if (fall >= limit).any():
+            worst = np.argmax(fall - limit)
+            raise ParameterError(
+                f"{type(self).__name__}: the cohesion falls by {fall[worst]:g} Pa per plastic "
+                f"strain, must be less than 3/2 μ = {limit[worst]:g} Pa"
+            )
+
+    def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
+        """Yield function f of principal Kirchhoff stresses (Pa), shape (n,)."""
+        _, _, first, last, rate = parameters.T
+        c = last + (first - last) * np.exp(-rate * internal[:, 0])
+        return stress.max(axis=1) - stress.min(axis=1) - 2.0 * c

@@ -1,0 +1,203 @@
+"""Laws from an elastic energy in UFL, alone or with a yield function in UFL."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import ufl
+from mpi4py import MPI
+from ufl.algorithms.ad import expand_derivatives
+from ufl.core.expr import Expr
+
+from dolfinmpm._compat import jit_expression
+from dolfinmpm.errors import FormError, ParameterError, StateError
+from dolfinmpm.materials.base import Array, Law, Parameter, Value
+from dolfinmpm.materials.return_mapping import return_kernel, yield_values
+
+__all__ = ["EnergyWithYield", "mises"]
+
+HARDENING = "plastic_strain"
+
+
+def mises(stress: Expr, yield_stress: Expr) -> Expr:
+    """Von Mises' yield function f = √(2 J₂) − ρ_y of principal stresses (Pa), in UFL."""
+    a, b, c = stress
+    return ufl.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 3) - yield_stress
+
+
+class EnergyWithYield(Law):
+    """A law from an elastic energy in UFL, and if asked for a yield function in UFL.
+
+    Kirchhoff stress τ_i = ∂ψ/∂ε_i of the elastic principal logarithmic strains; flow
+    Δεᵖ_i = Δγ ∂g/∂τ_i with f(τ, α) = 0, where the accumulated plastic strain α grows by
+    √(2/3) ‖Δεᵖ‖. All derivatives, ∂ψ/∂ε and its Hessian, ∂f/∂τ, ∂g/∂τ and its, are
+    UFL's; FFCx compiles them into C functions, which a closest-point return in
+    principal axes calls (Simo & Hughes, Computational Inelasticity, 1998, box 3.1, with
+    the exponential map that keeps its form under large strain), with the tangent that
+    is consistent with it.
+
+    The functions must not depend on the order of the axes, and must be smooth where a
+    return can end: round off apices (√(J₂ + a²) for √J₂) and corners.
+
+    `EnergyWithYield(lambda e, K: K * sum(e) ** 2 / 2 + ..., yield_stress=20e3, K=1e6)`
+
+    Args:
+        energy: Function of the elastic principal logarithmic strains, a UFL vector of
+            three, and of parameters by their names; returns ψ (J per initial m³).
+        yield_function: Function of the principal Kirchhoff stresses, a UFL vector of
+            three (Pa), and of parameters by their names; it yields where this is
+            positive. One named `plastic_strain` is α. By default `mises` if a
+            `yield_stress` is given, else the law is elastic.
+        potential: g, likewise; f by default, that is associated flow.
+        ranges: What a parameter may be, by name; any finite number by default.
+        values: Every parameter that the functions name: a number, or as for any `Law`
+            one for each point.
+
+    Raises:
+        ParameterError: A parameter is missing, unknown or outside its range, or a
+            function depends on the order of the axes.
+        FormError: A function's result is no scalar of UFL, or FFCx cannot compile it.
+
+    Collective over all ranks: the functions are compiled.
+    """
+
+    def __init__(
+        self,
+        energy: Callable[..., Expr],
+        yield_function: Callable[..., Expr] | None = None,
+        potential: Callable[..., Expr] | None = None,
+        ranges: Mapping[str, Parameter] | None = None,
+        **values: Value,
+    ):
+        if yield_function is None and "yield_stress" in values:
+            yield_function = mises
+        if potential is not None and yield_function is None:
+            raise ParameterError(
+                "EnergyWithYield: a potential needs a yield function; give yield_function or "
+                "yield_stress"
+            )
+        given = [f for f in (energy, yield_function, potential) if f is not None]
+        names = dict.fromkeys(name for f in given for name in _names(f))
+        if HARDENING in _names(energy):
+            raise ParameterError(f"EnergyWithYield: an energy must not depend on {HARDENING}")
+        names.pop(HARDENING, None)
+        self.parameters = {name: (ranges or {}).get(name, Parameter("")) for name in names}
+        unknown = set(ranges or {}) - set(names)
+        if unknown:
+            raise ParameterError(
+                f"EnergyWithYield: ranges of unknown parameters {', '.join(sorted(unknown))}; "
+                f"there are {', '.join(names)}"
+            )
+        self.internal = {HARDENING: ("", 0.0)} if yield_function else {}
+        self._functions = {"energy": energy, "yield": yield_function, "potential": potential}
+        super().__init__(**values)
+        self._keep: list[Any] = []
+        self._compile(energy, yield_function, potential or yield_function)
+        if not self.varies:
+            self._check_isotropy()
+
+    def _compile(self, energy, yield_function, potential) -> None:
+        """Compile value and derivatives; see `return_kernel` for what they must write."""
+        elastic, (strain, _) = self._of(energy, "energy")
+        stress = [ufl.diff(elastic, e) for e in strain]
+        functions = [[*stress, *(ufl.diff(s, e) for s in stress for e in strain)]]
+        if yield_function is not None:
+            f, (tau, alpha) = self._of(yield_function, "yield function")
+            slopes = [ufl.diff(f, t) for t in (*tau, alpha)]
+            g, (tau, alpha) = self._of(potential, "potential")
+            flow = [ufl.diff(g, t) for t in tau]
+            turn = [ufl.diff(n, t) for n in flow for t in (*tau, alpha)]
+            # a cone's slope is not a number at its apex, where its value is
+            functions += [[f], [f, *slopes, *flow, *turn]]
+        stored = self._compiled(functions[0])
+        self._yield, full = [self._compiled(f) for f in functions[1:]] or (0, 0)
+        self._own_kernel = return_kernel(stored, self._yield, full, len(self.parameters))
+
+    def _of(self, function, what: str):
+        """The function's UFL and the variables that it is differentiated by."""
+        z = self._inputs()
+        state = [ufl.variable(z[i]) for i in range(4)]
+        named = {name: z[4 + k] for k, name in enumerate(self.parameters)}
+        named[HARDENING] = state[3]
+        result = function(ufl.as_vector(state[:3]), **{n: named[n] for n in _names(function)})
+        if not isinstance(result, (Expr, int, float)) or (
+            isinstance(result, Expr) and result.ufl_shape != ()
+        ):
+            raise FormError(
+                f"EnergyWithYield: the {what} must be a scalar expression of UFL, got "
+                f"{getattr(result, 'ufl_shape', type(result).__name__)}"
+            )
+        return ufl.as_ufl(result), (state[:3], state[3])
+
+    def _inputs(self) -> ufl.Constant:
+        """Principal values, α and parameters: all that a compiled function takes."""
+        if not hasattr(self, "_z"):
+            # any domain will do, for nothing is integrated over it
+            element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
+            self._z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(4 + len(self.parameters),))
+        return self._z
+
+    def _compiled(self, expressions: list[Expr]) -> int:
+        vector = expand_derivatives(ufl.as_vector(expressions))
+        try:
+            address, keep = jit_expression(MPI.COMM_WORLD, vector, np.full((1, 1), 0.25))
+        except Exception as error:
+            raise FormError(
+                f"FFCx cannot compile a function of EnergyWithYield, {str(vector)[:300]}: {error}"
+            ) from error
+        self._keep.append(keep)
+        return address
+
+    def _check_isotropy(self) -> None:
+        strain = 1e-4 * np.array([[1.0, 2.0, -4.0], [2.0, 1.0, -4.0], [1.0, -4.0, 2.0]])
+        try:
+            stress = self.respond(strain).stress
+        except StateError:
+            return
+        size = np.abs(stress).max()
+        wrong = np.abs(stress - stress[0][[[0, 1, 2], [1, 0, 2], [0, 2, 1]]]).max()
+        if wrong > 1e-6 * size:
+            raise ParameterError(
+                f"EnergyWithYield: stresses change by {wrong:g} Pa of {size:g} Pa when the axes of "
+                "strain are exchanged; energy, yield function and potential must treat the three "
+                "principal values alike"
+            )
+
+    @property
+    def address(self) -> int:
+        """Address of the compiled kernel."""
+        return self._own_kernel.address
+
+    def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
+        """Yield function f of principal Kirchhoff stresses, shape (n,); see `Law`."""
+        if not self._yield:
+            return super().yield_function(stress, internal, parameters)
+        z = np.empty((len(stress), 4 + len(self.parameters)))
+        z[:, :3], z[:, 3:4], z[:, 4:] = stress, internal, parameters
+        return yield_values(self._yield, z)
+
+    def __repr__(self) -> str:
+        # two laws of one name must not pass for one
+        names = "".join(
+            f"{k}={getattr(f, '__qualname__', repr(f))}, " for k, f in self._functions.items() if f
+        )
+        return super().__repr__().replace("(", f"({names}", 1)
+
+
+def _names(function: Callable) -> list[str]:
+    """Names of a function's arguments after the first."""
+    if not callable(function):
+        raise ParameterError(
+            f"EnergyWithYield: expected a function that returns UFL, got {type(function).__name__}"
+        )
+    given = list(inspect.signature(function).parameters.values())
+    if not given or any(p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD) for p in given):
+        raise ParameterError(
+            "EnergyWithYield: a function takes the principal values first and then parameters by "
+            "their names, neither * nor **"
+        )
+    return [p.name for p in given[1:]]

@@ -1,0 +1,183 @@
+"""Checks that hold for every law with a return mapping, whatever its yield surface."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.materials import Law
+from dolfinmpm.materials.base import Response
+
+Array = npt.NDArray[np.float64]
+EPS = np.finfo(float).eps
+
+
+def random_strains(n: int, seed: int, low: float = 1e-12, high: float = 1.0) -> Array:
+    """Principal strains of every kind, shape (n, 3).
+
+    Sizes of shear and volume are independent and spread evenly over the decades from
+    `low` to `high`, with both signs; among them are strains with two or all three
+    values equal, and zeros.
+    """
+    rng = np.random.default_rng(seed)
+    shear, volume = np.exp(rng.uniform(np.log(low), np.log(high), (2, n)))
+    strains = rng.uniform(-0.5, 0.5, (n, 3)) * shear[:, None]
+    strains += (volume * rng.choice([-1.0, 0.0, 1.0], n) / 2)[:, None]
+    kind = rng.integers(0, 12, n)
+    for k, (i, j) in enumerate([(0, 1), (1, 2), (2, 0)]):
+        strains[kind == k, i] = strains[kind == k, j]
+    strains[kind == 3] = strains[kind == 3, :1]
+    strains[kind == 4, 1] = 0.0
+    return strains
+
+
+def default_scale(law: Law, result: Response, parameters: Array) -> Array:
+    """Size (Pa) that |f| is measured by: the largest stress, or the strength without stress.
+
+    f is a difference of terms of this size, so that the rounding of the stress alone
+    changes it by a few 1e-16 of it, however the stress was found. For a law whose f is
+    not a stress give another scale.
+    """
+    strength = np.abs(law.yield_function(np.zeros_like(result.stress), result.internal, parameters))
+    return np.maximum(np.abs(result.stress).max(axis=1), strength)
+
+
+def check_return(
+    law: Law,
+    strains: Array,
+    internal: Array | None = None,
+    x: Array | None = None,
+    *,
+    elastic: Law | None = None,
+    scale: Callable[[Law, Response, Array], Array] = default_scale,
+    tolerance: float = 1e-9,
+) -> Response:
+    """Admissible stress, unchanged elastic states, order, dissipation, idempotence.
+
+    Args:
+        law: Law under test.
+        strains: Principal trial strains, shape (n, 3).
+        internal: Internal variables at the start, shape (n, variables).
+        x: Positions for parameters that vary.
+        elastic: Law without yielding that gives the stress from the elastic strain.
+        scale: What |f| is measured by, from the law, its response and the parameters.
+        tolerance: Bound on f by its scale, and on stresses by theirs.
+
+    Returns:
+        The response, for further checks.
+    """
+    parameters = law.parameter_array(x)
+    old = law.first_internal(parameters) if internal is None else internal
+    old = np.broadcast_to(old, (len(strains), len(law.internal)))
+    result = law.respond(strains, old, x)
+    for values in (result.strain, result.internal, result.stress, result.tangent):
+        assert np.isfinite(values).all()
+
+    f = law.yield_function(result.stress, result.internal, parameters)
+    yielded = (result.strain != strains).any(axis=1) | (result.internal != old).any(axis=1)
+    # without strength and without stress there is nothing to round
+    worst = f / np.maximum(scale(law, result, parameters), np.finfo(float).tiny)
+    assert worst.max() <= tolerance, (strains[worst.argmax()], worst.max())
+    assert np.abs(worst[yielded]).max(initial=0.0) <= tolerance, np.abs(worst[yielded]).max()
+
+    size = np.abs(result.stress).max(axis=1)
+    stiffness = np.abs(law.respond(np.zeros_like(strains), old, x).tangent).max()
+    size = np.maximum(size, 1e-12 * stiffness * np.abs(strains).max(axis=1))
+    for i, j in itertools.combinations(range(3), 2):
+        turned = (strains[:, i] - strains[:, j]) * (result.stress[:, i] - result.stress[:, j])
+        assert (turned >= -1e-14 * size * np.abs(strains[:, i] - strains[:, j])).all()
+        equal = strains[:, i] == strains[:, j]
+        assert (result.stress[equal, i] == result.stress[equal, j]).all()
+
+    plastic = strains - result.strain
+    work = (result.stress * plastic).sum(axis=1)
+    terms = np.abs(result.stress).max(axis=1) * np.abs(strains).max(axis=1)
+    assert (work >= -1e-12 * terms).all(), (work / terms).min()
+
+    again = law.respond(result.strain, result.internal, x)
+    assert (np.abs(again.stress - result.stress).max(axis=1) <= tolerance * size).all()
+    if elastic is not None:
+        expected = elastic.respond(result.strain, x=x).stress
+        assert (np.abs(expected - result.stress).max(axis=1) <= tolerance * size).all()
+    return result
+
+
+def check_tangent(
+    law: Law,
+    strains: Array,
+    internal: Array | None = None,
+    x: Array | None = None,
+    *,
+    step: float = 1e-6,
+    tolerance: float = 1e-5,
+    share: float = 0.9,
+) -> None:
+    """The tangent against central differences, where the stress is smooth.
+
+    A state counts as smooth if differences to either side agree; at least `share` of
+    the states must.
+
+    Args:
+        law: Law under test.
+        strains: Principal trial strains, shape (n, 3).
+        internal: Internal variables at the start, shape (n, variables).
+        x: Positions for parameters that vary.
+        step: Step of the differences by the largest strain of the state.
+        tolerance: Bound on the difference by the largest entry of the state's tangent.
+        share: Share of states that must be smooth.
+    """
+    here = law.respond(strains, internal, x)
+    h = step * np.abs(strains).max(axis=1)
+    assert (h > 0).all()
+    numeric = np.empty_like(here.tangent)
+    sides = np.empty((2, *here.tangent.shape))
+    for j in range(3):
+        move = np.zeros_like(strains)
+        move[:, j] = h
+        up, down = strains + move, strains - move
+        ahead, behind = (law.respond(e, internal, x).stress for e in (up, down))
+        sides[0, :, :, j] = (ahead - here.stress) / (up[:, j] - strains[:, j])[:, None]
+        sides[1, :, :, j] = (here.stress - behind) / (strains[:, j] - down[:, j])[:, None]
+        numeric[:, :, j] = (ahead - behind) / (up[:, j] - down[:, j])[:, None]
+    size = np.abs(here.tangent).max(axis=(1, 2))
+    size = np.maximum(size, 1e-3 * size.max())
+    smooth = np.abs(sides[0] - sides[1]).max(axis=(1, 2)) <= 1e-3 * size
+    assert smooth.mean() >= share, smooth.mean()
+    error = np.abs(numeric - here.tangent).max(axis=(1, 2))[smooth] / size[smooth]
+    assert error.max() <= tolerance, (strains[smooth][error.argmax()], error.max())
+
+
+def check_permutations(law: Law, strains: Array, internal: Array | None = None) -> None:
+    """Another order of the axes reorders the answer and changes no bit of it."""
+    here = law.respond(strains, internal)
+    for order in itertools.permutations(range(3)):
+        turn = list(order)
+        there = law.respond(np.ascontiguousarray(strains[:, turn]), internal)
+        assert (there.strain == here.strain[:, turn]).all()
+        assert (there.stress == here.stress[:, turn]).all()
+        assert (there.internal == here.internal).all()
+        assert (there.tangent == here.tangent[:, turn][:, :, turn]).all()
+
+
+def check_maximal_dissipation(law: Law, strains: Array, others: Array | None = None) -> None:
+    """(τ − τ*)·Δεᵖ ≥ 0 for every admissible τ*: what associated perfect plasticity means.
+
+    Args:
+        law: Associated law without hardening.
+        strains: Principal trial strains, shape (n, 3).
+        others: Admissible principal stresses τ* (Pa), shape (m, 3); those that the law
+            itself returns by default.
+    """
+    result = law.respond(strains)
+    plastic = strains - result.strain
+    others = result.stress if others is None else others
+    gain = (result.stress * plastic).sum(axis=1)[:, None] - plastic @ others.T
+    size = np.abs(plastic).max(axis=1)[:, None] * (
+        np.abs(others).max(axis=1) + np.abs(result.stress).max(axis=1)[:, None]
+    )
+    # the plastic strain is a difference, known to the rounding of the trial strain
+    size += np.abs(strains).max(axis=1)[:, None] * np.abs(others).max()
+    assert (gain >= -1e-12 * size).all(), (gain / size).min()

@@ -1,0 +1,434 @@
+"""Large strain, small strain and Jaumann's rate: tangents, closed forms, objectivity."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, unit_grid
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+from dolfinmpm.errors import ConvergenceError, ParameterError
+from dolfinmpm.kinematics import (
+    Jaumann,
+    LargeStrain,
+    SmallStrain,
+    framework,
+    momentum,
+    update_domains,
+)
+from dolfinmpm.kinematics.framework import symmetric
+from dolfinmpm.materials.base import lame
+
+KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
+LAWS = {
+    "Hencky": mpm.materials.Hencky(1e6, 0.3),
+    "VonMises": mpm.materials.VonMises(1e6, 0.3, 2e4, 1e5),
+    "Tresca": mpm.materials.Tresca(1e6, 0.33, 1e4),
+    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, 8.0),
+    "DruckerPrager": mpm.materials.DruckerPrager(1e6, 0.3, 5e3, 25.0, 8.0),
+    "CamClay": mpm.materials.CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4),
+}
+MEASURES = ("large", "small", "jaumann")
+each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+each_measure = pytest.mark.parametrize("strain", MEASURES)
+each_dimension = pytest.mark.parametrize("d", [1, 2, 3])
+
+
+def some_points(d, n=2, per_cell=3):
+    grid = unit_grid(KINDS[d], n)
+    return mpm.fill(grid, mpm.Box((0.0,) * d, (1.0,) * d), per_cell, 1.0)
+
+
+def flux(operator, H, tangent=False):
+    """Flux, and its tangent if asked, at all points."""
+    n, d = len(H), H.shape[-1]
+    S, A = np.empty((n, d * d)), np.empty((n, d * d, d * d))
+    rows = np.arange(n, dtype=np.int32)
+    assert operator.evaluate(H.reshape(n, d * d), S, A if tangent else None, rows) == -1
+    return (S, A) if tangent else S
+
+
+def with_history(operator, seed=1, size=0.004):
+    """Elastic strain in all components that there are, and F that is none's identity."""
+    points = operator.points
+    n, d = len(points), points.gdim
+    rng = np.random.default_rng(seed)
+    strain = np.zeros((n, 3, 3))
+    strain[:, :d, :d] = rng.uniform(-size, size, (n, d, d))
+    strain = 0.5 * (strain + np.swapaxes(strain, 1, 2))
+    for i in range(d, 3):
+        strain[:, i, i] = rng.uniform(-size, size, n)
+    if operator.multiplicative:
+        strain = np.eye(3) + 2 * strain
+    points[operator.state] = strain[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+    points["F"] = np.eye(d) + rng.uniform(-0.1, 0.1, (n, d, d))
+    return rng
+
+
+@each_dimension
+@each_measure
+@each_law
+def test_tangent_is_the_derivative_of_the_flux(law, strain, d):
+    """Central differences at every point, where differences to both sides agree."""
+    operator = framework(law, some_points(d), strain)
+    rng = with_history(operator)
+    n = len(operator.points)
+    H = rng.uniform(-1, 1, (n, d, d)) * 10 ** rng.uniform(-5, -1.3, (n, 1, 1))
+    S, A = flux(operator, H, tangent=True)
+    t = 1e-7
+    size = np.abs(A).max()
+    smooth, errors = np.full(n, True), np.zeros(n)
+    for k in range(d * d):
+        move = np.zeros(d * d)
+        move[k] = t
+        ahead, behind = (flux(operator, H + s * move.reshape(d, d)) for s in (1, -1))
+        two_sides = np.abs((ahead - S) - (S - behind)).max(axis=1) / t
+        smooth &= two_sides < 1e-3 * size
+        errors = np.maximum(errors, np.abs((ahead - behind) / (2 * t) - A[:, :, k]).max(axis=1))
+    assert smooth.mean() > 0.8
+    assert errors[smooth].max() < 2e-6 * size
+
+
+@each_dimension
+@each_measure
+def test_tangent_where_strains_are_equal(strain, d):
+    """At rest, where all principal strains meet, and near it."""
+    operator = framework(LAWS["VonMises"], some_points(d, 1, 2), strain)
+    lmbda, mu = lame(1e6, 0.3)
+    one = np.eye(d)
+    exact = lmbda * np.einsum("ij,kl->ijkl", one, one)
+    exact += mu * (np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one))
+    for size in (0.0, 1e-14, 1e-10, 1e-7):
+        H = size * np.random.default_rng(2).uniform(-1, 1, (len(operator.points), d, d))
+        A = flux(operator, H, tangent=True)[1]
+        np.testing.assert_allclose(
+            A, np.broadcast_to(exact.reshape(d * d, d * d), A.shape), atol=1e6 * (1e-8 + 20 * size)
+        )
+
+
+@each_law
+@each_dimension
+def test_measures_agree_at_tiny_increments(law, d):
+    """Large strain and Jaumann's rate tend to small strain linearly with the increment."""
+    points = some_points(d)
+    rng = np.random.default_rng(4)
+    H = rng.uniform(-1, 1, (len(points), d, d))
+    gaps = []
+    for size in (1e-4, 1e-5):
+        S = {m: flux(framework(law, points, m), size * H) for m in MEASURES}
+        change = max(np.abs(S["small"]).max() * size, 1e-12)
+        gaps.append([np.abs(S[m] - S["small"]).max() / change for m in ("large", "jaumann")])
+    assert np.max(gaps) < 60  # relative differences are of the order of the increment
+
+
+def sheared_to(strain, law, gamma, steps):
+    """Stress of a point after simple shear γ in equal steps, shape (3, 3)."""
+    points = some_points(2, 1, 2)
+    operator = framework(law, points, strain)
+    H = np.zeros((len(points), 2, 2))
+    H[:, 0, 1] = gamma / steps
+    for _ in range(steps):
+        for name, values in operator.commit(H.reshape(-1, 4)).items():
+            points[name] = values
+        points["F"] = (np.eye(2) + H) @ points["F"]
+    return points["stress"][0]
+
+
+def test_jaumann_shear_oscillates_as_in_closed_form():
+    """σ12 = μ sin γ and σ11 = −σ22 = μ (1 − cos γ), reached with order 1 in the step."""
+    mu = lame(1e6, 0.3)[1]
+    for gamma in (0.5, 2.0, math.pi, 5.0):
+        exact = math.sin(gamma) + 1j * (1 - math.cos(gamma))
+        errors = []
+        for steps in (100, 200):
+            sigma = sheared_to("jaumann", LAWS["Hencky"], gamma, steps) / mu
+            found = sigma[0, 1] + 1j * sigma[0, 0]
+            # the algorithm itself in closed form: what there is turns by θ, tan(θ/2) = Δγ/4
+            turn = np.exp(4j * math.atan(gamma / steps / 4))
+            summed = gamma / steps * (turn**steps - 1) / (turn - 1)
+            np.testing.assert_allclose(found, summed, rtol=1e-11)
+            np.testing.assert_allclose(sigma[1, 1], -sigma[0, 0], atol=1e-12)
+            errors.append(abs(found - exact))
+        lag = 0.5 * gamma / 200 * abs(exact)  # of half a step's turn
+        assert 0.95 * lag < errors[1] < 1.05 * lag
+        assert 1.95 < errors[0] / errors[1] < 2.05
+
+
+def test_shear_of_the_other_measures():
+    """Small strain: σ12 = μ γ. Large strain: Hencky's closed form, 2 μ asinh(γ/2) turned."""
+    mu = lame(1e6, 0.3)[1]
+    gamma = 2.0
+    sigma = sheared_to("small", LAWS["Hencky"], gamma, 50)
+    np.testing.assert_allclose(sigma[0, 1], mu * gamma, rtol=1e-12)
+    np.testing.assert_allclose(np.diagonal(sigma), 0.0, atol=1e-9 * mu)
+    sigma = sheared_to("large", LAWS["Hencky"], gamma, 50)
+    level = 2 * mu * math.asinh(gamma / 2)
+    side = math.sqrt(gamma**2 + 4)
+    np.testing.assert_allclose(sigma[0, 1], level * 2 / side, rtol=1e-10)
+    np.testing.assert_allclose(sigma[0, 0], level * gamma / side, rtol=1e-10)
+
+
+def test_jaumann_leaves_stress_after_a_closed_cycle_that_large_strain_does_not():
+    """The drift that the documentation warns of: shear, stretch, shear back, unstretch."""
+    left = {}
+    for strain in ("large", "jaumann"):
+        points = some_points(2, 1, 2)
+        operator = framework(LAWS["Hencky"], points, strain)
+        F = np.eye(2)
+        targets = [F + np.array([[0, g], [0, 0]]) for g in np.linspace(0.02, 0.4, 20)]
+        targets += [np.diag([1.0, s]) @ targets[-1] for s in np.linspace(1.02, 1.4, 20)]
+        turn = targets[-1]
+        targets += [turn + s * (np.eye(2) - turn) for s in np.linspace(0.02, 1, 50)]
+        for target in targets:
+            H = np.broadcast_to(target @ np.linalg.inv(F) - np.eye(2), (len(points), 2, 2))
+            for name, values in operator.commit(np.ascontiguousarray(H).reshape(-1, 4)).items():
+                points[name] = values
+            F = target
+            points["F"] = F
+        left[strain] = np.abs(points["stress"]).max() / 1e6
+    assert left["large"] < 1e-12
+    assert 1e-4 < left["jaumann"] < 0.1
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("strain", ["large", "jaumann"])
+def test_a_rotation_of_any_angle_turns_the_stress_exactly(strain, d):
+    points = some_points(d, 1, 2)
+    operator = framework(LAWS["Hencky"], points, strain)
+    with_history(operator)
+    points["F"] = np.eye(d)
+    n = len(points)
+    before = operator.commit(np.zeros((n, d * d)))["stress"]
+    for angle in (1e-3, 0.5, 2.0, -3.0):
+        c, s = math.cos(angle), math.sin(angle)
+        R = np.eye(3)
+        R[:2, :2] = [[c, -s], [s, c]]
+        if d == 3:
+            tilt = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
+            R = tilt @ R @ tilt.T
+        H = np.broadcast_to(R[:d, :d] - np.eye(d), (n, d, d))
+        after = operator.commit(np.ascontiguousarray(H).reshape(n, d * d))
+        scale = np.abs(before).max()
+        np.testing.assert_allclose(after["stress"], R @ before @ R.T, atol=1e-11 * scale)
+        S = flux(operator, np.ascontiguousarray(H))
+        piola = (after["stress"] @ R)[:, :d, :d].reshape(n, d * d)
+        np.testing.assert_allclose(S, piola, atol=1e-11 * scale)
+
+
+def test_small_strain_does_not_turn():
+    points = some_points(2, 1, 2)
+    operator = framework(LAWS["Hencky"], points, "small")
+    with_history(operator)
+    before = operator.commit(np.zeros((len(points), 4)))["stress"]
+    spin = np.broadcast_to([0.0, -1e-2, 1e-2, 0.0], (len(points), 4))
+    after = operator.commit(np.ascontiguousarray(spin))["stress"]
+    np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-9)
+
+
+@each_measure
+@each_law
+def test_commit_goes_with_evaluate(law, strain):
+    """Stress, flux and elastic strain at the end belong together; nothing changes before commit."""
+    points = some_points(3)
+    operator = framework(law, points, strain)
+    rng = with_history(operator)
+    n = len(points)
+    H = rng.uniform(-0.03, 0.03, (n, 3, 3))
+    before = {name: values.copy() for name, values in points.fields.items()}
+    S = flux(operator, H).reshape(n, 3, 3)
+    new = operator.commit(H.reshape(n, 9))
+    for name, values in points.fields.items():
+        assert np.array_equal(values, before[name]), name
+    dF = np.eye(3) + H
+    J = np.linalg.det(dF @ points["F"])[:, None, None]
+    full = S if strain == "small" else (S @ np.swapaxes(dF, 1, 2)) / J
+    np.testing.assert_allclose(new["stress"], full, atol=1e-9 * np.abs(full).max())
+    # the elastic strain at the end gives the stress again
+    for name, values in new.items():
+        points[name] = values
+    points["F"] = dF @ points["F"]
+    again = operator.commit(np.zeros((n, 9)))
+    scale = np.abs(full).max()
+    np.testing.assert_allclose(again["stress"], new["stress"], atol=1e-8 * scale)
+    assert set(new) == {operator.state, "stress", *law.internal}
+
+
+def test_plane_strain_keeps_elastic_strain_across():
+    """Plastic flow across a plane leaves elastic strain there, opposite to the plastic one."""
+    law = mpm.materials.VonMises(1e6, 0.3, 1e4)
+    points = some_points(2, 1, 2)
+    operator = framework(law, points, "small")
+    H = np.broadcast_to([0.05, 0.0, 0.0, 0.0], (len(points), 4))
+    new = operator.commit(np.ascontiguousarray(H))
+    answer = law.respond([[0.05, 0.0, 0.0]])
+    np.testing.assert_allclose(new["elastic_strain"][0, :3], answer.strain[0], rtol=1e-12)
+    assert abs(new["elastic_strain"][0, 2]) > 1e-3
+    np.testing.assert_allclose(np.diagonal(new["stress"][0]), answer.stress[0], rtol=1e-12)
+
+
+@each_dimension
+def test_small_strain_patch_is_linear_elasticity(d):
+    """A linear motion of the edge, in one Newton iteration, with Hooke's stress."""
+    grid = unit_grid(KINDS[d], 3)
+    points = mpm.fill(grid, mpm.Box((0.0,) * d, (1.0,) * d), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    A = 0.05 * np.array([[-1.0, 0.4, 0.2], [0.3, -0.8, 0.5], [0.1, 0.6, -0.9]])[:d, :d]
+
+    def outer(x):
+        return np.any((x[:d] < 1e-9) | (x[:d] > 1 - 1e-9), axis=0)
+
+    bcs = [
+        c for i in range(d) for c in mpm.prescribed(V, outer, i, lambda x, i=i: A[i] @ x[:d])
+    ]  # fmt: skip
+    F = mpm.momentum(LAWS["Hencky"], points, V.increment, V.test, strain="small")
+    record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    lmbda, mu = lame(1e6, 0.3)
+    strain = np.zeros((3, 3))
+    strain[:d, :d] = 0.5 * (A + A.T)
+    hooke = lmbda * np.trace(strain) * np.eye(3) + 2 * mu * strain
+    np.testing.assert_allclose(points["stress"], np.broadcast_to(hooke, points["stress"].shape),
+                               atol=1e-9 * np.abs(hooke).max())  # fmt: skip
+    np.testing.assert_allclose(
+        symmetric(points["elastic_strain"]), np.broadcast_to(strain, (len(points), 3, 3)),
+        atol=1e-12,
+    )  # fmt: skip
+    assert record.iterations <= 1
+
+
+def compacted(strain, load, basis="gimp", E=1e6, nu=0.3):
+    """A block under its weight, leaned on by a shear load."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (2, 3)], (4, 6), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0.5, 0), (1.5, 2)), 2, 1000.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = momentum(mpm.materials.Hencky(E, nu), points, u, v, strain=strain)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    g.value[:] = 0.3 * load, -load
+    record = problem.step()
+    return points, record
+
+
+@each_measure
+def test_measures_agree_in_a_problem_at_tiny_loads(strain):
+    small, record = compacted("small", 1e-3)
+    assert record.iterations == 1
+    other, _ = compacted(strain, 1e-3)
+    move, exact = other["x"] - other["x0"], small["x"] - small["x0"]
+    np.testing.assert_allclose(move, exact, atol=1e-4 * np.abs(exact).max())
+    scale = np.abs(small["stress"]).max()
+    np.testing.assert_allclose(other["stress"], small["stress"], atol=1e-4 * scale)
+
+
+@pytest.mark.parametrize("strain", ["large", "jaumann"])
+def test_newton_is_quadratic(strain):
+    """Large loads in one step: the last ratios of residuals show the consistent tangent."""
+    _, record = compacted(strain, 30.0)
+    r = np.array(record.residuals)
+    assert record.parts == 1
+    assert record.iterations <= 7
+    assert r[-1] < 1e-9
+    assert r[-2] < 1e-3
+    assert r[-1] < 20 * r[-2] ** 1.8
+
+
+def test_names_and_flags():
+    points = some_points(2, 1, 2)
+    law = LAWS["Hencky"]
+    assert LargeStrain.multiplicative is True
+    assert SmallStrain.multiplicative is False
+    assert Jaumann.multiplicative is False
+    assert framework(law, points, "small") is framework(law, points, "small")
+    assert framework(law, points, "small") is not framework(law, points, "jaumann")
+    assert callable(update_domains)
+    V = mpm.Space(points.grid, "linear")
+    with pytest.raises(ParameterError, match="strain = 'green'"):
+        momentum(law, points, V.increment, V.test, strain="green")
+    neo = mpm.materials.NeoHookean(1.0, 0.3)
+    for strain in ("small", "jaumann"):
+        with pytest.raises(ParameterError, match="NeoHookean is an energy of large strain"):
+            momentum(neo, points, V.increment, V.test, strain=strain)
+    momentum(neo, points, V.increment, V.test)
+
+
+@pytest.mark.parametrize("strain", ["large", "jaumann"])
+def test_an_increment_that_turns_a_point_inside_out_has_no_stress(strain):
+    points = some_points(2, 1, 2)
+    operator = framework(LAWS["Hencky"], points, strain)
+    H = np.zeros((len(points), 4))
+    H[2] = [-1.5, 0, 0, 0]
+    rows = np.arange(len(points), dtype=np.int32)
+    assert operator.evaluate(H, np.empty_like(H), None, rows) == 2
+    assert "inside out" in operator.describe(H[2], 2)
+    assert np.isnan(operator.commit(H)["stress"][2:]).all()
+
+
+@each_measure
+def test_trial_strain_is_what_the_law_sees(strain):
+    law = LAWS["Hencky"]
+    for d in (1, 2, 3):
+        points = some_points(d)
+        operator = framework(law, points, strain)
+        rng = with_history(operator)
+        n = len(points)
+        H = rng.uniform(-0.1, 0.1, (n, d, d))
+        trial = operator.trial_strain(H, np.arange(n, dtype=np.int32))
+        new = symmetric(operator.commit(H.reshape(n, d * d))[operator.state])
+        if strain == "large":
+            values, Q = np.linalg.eigh(new)
+            new = (Q * (0.5 * np.log(values))[:, None]) @ np.swapaxes(Q, 1, 2)
+        np.testing.assert_allclose(trial, new, atol=1e-14)
+
+
+@each_measure
+@pytest.mark.parametrize("all_prescribed", [True, False])
+def test_a_law_without_stress_names_the_point_and_its_state(strain, all_prescribed):
+    """A step that cannot be halved further tells trial strains, internal variables, parameters."""
+    # strength is used up: it falls linearly with plastic strain
+    law = mpm.materials.VonMises(1e5, 0.3, 1e3, hardening=-2e4)
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    pull = fem.Constant(grid, 0.0)
+    # without unknowns the law is asked by the commit first, else by Newton's method
+    height = 0.1 if all_prescribed else 0.3
+    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > height, 0, pull)
+    bcs += mpm.prescribed(V, lambda x: x[1] > height, 1, 0.0)
+    F = mpm.momentum(law, points, V.increment, V.test, strain=strain)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, max_halvings=3)
+
+    def drive():
+        for _ in range(40):
+            pull.value = 0.01
+            problem.step()
+
+    with pytest.raises(ConvergenceError) as caught:
+        drive()
+    message = str(caught.value)
+    assert "VonMises finds no stress at point" in message
+    assert "principal trial strains [" in message
+    assert "plastic_strain = " in message
+    assert "hardening = -20000" in message
+    assert points["plastic_strain"].max() > 0.03
+
+
+@pytest.mark.parametrize("kind", ["ghost", "weak-aggregation", "soft"])
+def test_stabilisation_takes_the_largest_of_moduli_that_vary(kind):
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.6)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    by_position = mpm.materials.Hencky(E=lambda x: 10 + 5 * x[0], nu=lambda x: 0.2 + 0.1 * x[1])
+    by_array = mpm.materials.Hencky(E=10 + 5 * points["x0"][:, 0], nu=0.25)
+    F = mpm.momentum(by_position, points, V.increment, V.test)
+    remedy = mpm.QuasiStatic(F, V.increment, points, stabilisation=kind).stabilisation
+    np.testing.assert_allclose(remedy.E, 10 + 5 * points["x0"][:, 0].max())
+    assert remedy.nu == pytest.approx(0.2 + 0.1 * points["x0"][:, 1].max())
+    F = mpm.momentum(by_array, points, V.increment, V.test, strain="small")
+    remedy = mpm.QuasiStatic(F, V.increment, points, stabilisation=kind).stabilisation
+    np.testing.assert_allclose(remedy.E, 10 + 5 * points["x0"][:, 0].max())
+    assert remedy.nu == 0.25
