@@ -1,5 +1,6 @@
 """Solvers: each takes a weak form through time or load."""
 
+from dolfinmpm.solve.arclength import ArcLength, ArcRecord
 from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord
 
-__all__ = ["QuasiStatic", "StepRecord"]
+__all__ = ["ArcLength", "ArcRecord", "QuasiStatic", "StepRecord"]

@@ -17,11 +17,14 @@ from dolfinmpm.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.assemble import Matrix, Pattern, add_blocks, multiply_blocks
 from dolfinmpm.basis import Stencils
 from dolfinmpm.boundary import Condition, apply_conditions
+from dolfinmpm.cellmeans import CellCouplings, CellMeans, widen
 from dolfinmpm.evaluate import PointEvaluator
 from dolfinmpm.forms.split import OrdinaryTerms, SplitForm
 from dolfinmpm.ordinary import OrdinaryAssembler
 from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.prolong import Prolongation, reduce_blocks
+from dolfinmpm.solve.linesearch import SEARCHES, has_search, name_of, set_search
+from dolfinmpm.solve.unsoftened import Unsoftened
 from dolfinmpm.space import Space, extraction
 from dolfinmpm.stabilise import Stabilisation
 from dolfinmpm.unknowns import Unknowns
@@ -33,7 +36,6 @@ Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
 
 # PETSc's numbers for an error in an external library and for a zero pivot
 _FACTORISATION = (76, 71)
-_REASONS = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
 
 
 class NewtonSystem:
@@ -101,18 +103,26 @@ class NewtonSystem:
         database = PETSc.Options()
         for name, value in options.items():
             database[prefix + name] = value
-        # petsc4py 3.22 reaches the line search through the options alone
-        if not database.hasName(prefix + "snes_linesearch_type"):
-            database[prefix + "snes_linesearch_type"] = "basic"
+        if self._tangent_only and not database.hasName(prefix + "ksp_converged_maxits"):
+            # Newton's method corrects what is left
+            database[prefix + "ksp_converged_maxits"] = True
+        self._searches = () if has_search(prefix) else SEARCHES
         self._snes = snes = PETSc.SNES().create(self.comm)
         snes.setOptionsPrefix(prefix)
         snes.setType("newtonls")
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self._max_iterations)
         ksp = snes.getKSP()
         ksp.setType("preonly")
+        if self._tangent_only:
+            ksp.setType("gmres")
+            ksp.setTolerances(rtol=1e-11, max_it=60)
+            ksp.setGMRESRestart(60)
         ksp.getPC().setType("lu")
         ksp.getPC().setFactorSolverType("mumps")
         snes.setFromOptions()
+        if self._searches:
+            self._search = self._searches[0]
+            set_search(snes, prefix, self._search)
         pc = ksp.getPC()
         mumps = pc.getType() == "lu" and pc.getFactorSolverType() == "mumps"
         own = database.hasName(prefix + "mat_mumps_icntl_7")
@@ -128,6 +138,9 @@ class NewtonSystem:
         self.unknowns = Unknowns(self._numbering, self.components)
         vectors = [self._numbering.vector(self.components) for _ in range(4)]
         self._shared = dict(zip(("u", "r", "external", "lift"), vectors))
+        self._unsoftened: Unsoftened | None = None
+        if self._tangent_only:
+            self._unsoftened = Unsoftened(self._numbering, self.components)
         shape = (self._numbering.size, self.components)
         self._u, self._r, self._external, self._lift = (v.array.reshape(shape) for v in vectors)
         self._touched: npt.NDArray[np.int32] = np.empty(0, np.int32)
@@ -166,23 +179,34 @@ class NewtonSystem:
         self._T = self._extraction
         self._penalty: Any = None
         tie = self._ties(stencils, nodes)
+        if self._numbering is not self.basis.nodes:
+            # roots on other ranks: their nodes are known from now on
+            return self.activate(share)
         if tie is not None:
             C = Prolongation(tie)
             self._T = C.matrix if self._T is None else self._T @ C.matrix
             stencils = C.stencils(stencils)
             nodes = nodes[~C.tied[nodes]]
+        couplings = None
+        if self.evaluator.averages:
+            means = CellMeans(self._points, self._cells, self.basis)
+            couplings = CellCouplings(means, stencils, self._numbering, nodes)
+            if not couplings.complete:
+                widen(self.basis)
+                return self.activate(share)
         self._stencils = stencils
         changed = self.unknowns.activate(nodes)
         if changed:
             for values in (self._u, self._r, self._external, self._lift):
                 values[self._touched] = 0.0
             self._touched = nodes
-        self.evaluator.start_step(stencils)
+        self.evaluator.start_step(stencils, couplings)
         if self._assemblers:
             self._attach()
         rows, columns = self._couplings()
         old = None if changed else self._pattern
-        pattern = Pattern.build(stencils, self.unknowns, rows, columns, old)
+        graph = stencils if couplings is None else couplings.graph()
+        pattern = Pattern.build(graph, self.unknowns, rows, columns, old)
         # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
         kept = pattern is old and self._matrix is not None
         if not self.comm.allreduce(kept, op=MPI.LAND):
@@ -194,7 +218,12 @@ class NewtonSystem:
             size = (self.unknowns.owned, self.unknowns.total)
             self._x = PETSc.Vec().createMPI(size, comm=self.comm)
             self._snes.setFunction(self._residual, self._x.duplicate())
-            self._snes.setJacobian(self._jacobian, self._matrix.petsc)
+            tangent = self._matrix.petsc
+            if self._unsoftened:
+                true = self._unsoftened.operator(tangent, self._soft, self.unknowns)
+                self._snes.setJacobian(self._jacobian, true, tangent)
+            else:
+                self._snes.setJacobian(self._jacobian, tangent)
             self._snes.setConvergenceTest(self._test)
             if self._minimum_fill and self.unknowns.total:
                 # a tenth less time and memory than with the ordering that MUMPS chooses
@@ -215,10 +244,23 @@ class NewtonSystem:
         flags = active_cells(self._cells, self.basis.cells)
         return self.comm.allreduce(int(flags[: self.basis.cells.owned].sum()), op=MPI.SUM)
 
+    @property
+    def ghost_facets(self) -> int:
+        """Number of ghost facets on all ranks that own them, 0 if no term asks. Collective."""
+        rows = (self._attached or {}).get(GHOST_FACETS, np.empty(0, np.int32))
+        return self.comm.allreduce(rows.size // 4, op=MPI.SUM)
+
+    def assemble_ordinary(self) -> None:
+        """Assemble again what DOLFINx integrates and is linear in the increments. Collective."""
+        if self.ordinary is not None and self.ordinary.linear:
+            self._blocks = self._reduced(self.ordinary)
+
     def _ties(self, stencils: Stencils, nodes) -> sparse.csr_matrix | None:
         """C of nodes that follow others; a weak one becomes a penalty instead. Collective."""
         remedy, fixed = self._stabilisation, self.unknowns.fixed
         C = remedy.ties(self._points, self.basis, stencils, nodes, fixed)
+        if self._numbering is not self.basis.nodes:
+            return None
         if C is not None and remedy.kind == "weak-aggregation":
             owned = nodes[: np.searchsorted(nodes, self._numbering.owned)]
             self._penalty = remedy.penalty(self._points, C, owned, self.components)
@@ -247,9 +289,10 @@ class NewtonSystem:
                 assembler.attach(entities)
             self._attached = entities
         # what is linear in the increments is assembled once a step
-        linear = self.ordinary is not None and self.ordinary.linear
-        self._blocks = self._reduced(self.ordinary) if linear else None
+        self.assemble_ordinary()
         self._soft = self._reduced(self._tangent_only) if self._tangent_only else None
+        if self._unsoftened:
+            self._unsoftened.renew(self._soft)
 
     def _reduced(self, assembler: OrdinaryAssembler | None) -> tuple[Any, Any, Any]:
         """Rows, columns and blocks of ordinary terms, on the solver's nodes."""
@@ -363,10 +406,25 @@ class NewtonSystem:
     # -- solve ----------------------------------------------------------------
 
     def solve(self) -> str | None:
-        """Find the increments; returns why it did not, or None. Collective."""
+        """Find the increments; returns why it did not, or None. Collective.
+
+        Newton's method may cycle or overshoot where points begin and cease to yield. It then
+        starts again with the other line search, and begins with that the next time.
+        """
+        self.iterations = 0
+        reason = self._newton()
+        for search in [s for s in self._searches if s != self._search]:
+            # without a matrix the linear solver failed, which no line search helps
+            if reason is None or self._matrix is None:
+                break
+            self._search = search
+            set_search(self._snes, self._settings[0], search)
+            reason = self._newton()
+        return reason
+
+    def _newton(self) -> str | None:
         unknowns = self.unknowns
         self.residuals = []
-        self.iterations = 0
         self._reference = self._first = self._motion = 0.0
         x, snes = self._x, self._snes
         x.set(0.0)
@@ -378,21 +436,33 @@ class NewtonSystem:
         try:
             snes.solve(None, x)
         except PETSc.Error as error:
-            # what PETSc was in the middle of cannot be gone on with
+            return self._singular(error)
+        krylov = self._tangent_only is not None
+        self.iterations += snes.getIterationNumber() if krylov else snes.getLinearSolveIterations()
+        reason = snes.getConvergedReason()
+        if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            # factors that failed fail again, whatever the matrix: begin anew
             self._configure(*self._settings)
             self._pattern = self._matrix = None
-            cause = error.__cause__
-            if cause is not None and not isinstance(cause, PETSc.Error):
-                raise cause from None
-            if error.ierr not in _FACTORISATION:
-                raise
-            return "the linear solver failed: the tangent is singular"
-        self.iterations += snes.getLinearSolveIterations()
-        reason = snes.getConvergedReason()
         if reason <= 0:
-            return _REASONS.get(reason, str(reason))
+            return name_of(reason)
+        if not self.residuals or self.residuals[-1] > self._tolerance:
+            # SNES has criteria of its own; only the out-of-balance force counts
+            return f"{name_of(reason)} without balance"
         self._spread(x.getArray(readonly=True))
         return None
+
+    def _singular(self, error: PETSc.Error) -> str:
+        """Why the solver failed, if that is no fault of the program; else raises what it is."""
+        # what PETSc was in the middle of cannot be gone on with
+        self._configure(*self._settings)
+        self._pattern = self._matrix = None
+        cause = error.__cause__
+        if cause is not None and not isinstance(cause, PETSc.Error):
+            raise cause from None
+        if error.ierr not in _FACTORISATION:
+            raise error
+        return "the linear solver failed: the tangent is singular"
 
     def _driven(self) -> bool:
         moved = any(np.any(condition.increment != 0.0) for condition in self._bcs)

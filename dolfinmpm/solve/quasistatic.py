@@ -23,13 +23,15 @@ from dolfinmpm.errors import (
     FormError,
     ParameterError,
     PointsOutsideGridError,
+    call_together,
     raise_together,
 )
 from dolfinmpm.evaluate import PointUpdates
 from dolfinmpm.forms.split import split
 from dolfinmpm.grid import cell_size
-from dolfinmpm.kinematics import update_domains
+from dolfinmpm.kinematics import parameters_at, update_domains
 from dolfinmpm.locate import destinations
+from dolfinmpm.materials.base import Law
 from dolfinmpm.points import MaterialPoints
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
@@ -145,13 +147,13 @@ class QuasiStatic:
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
         self.bcs = list(bcs)
-        self.stabilisation = remedy = _with_modulus(stabilisation, form)
+        self.stabilisation = remedy = _with_modulus(stabilisation, form, points)
         trial = increments[0], spaces[0].test
         extra = remedy.force_terms(points, *trial)
         parts = split(form if extra is None else form + extra, spaces, points)
         tangent = remedy.tangent_terms(points, *trial)
         tangent_terms = None if tangent is None else split(tangent, spaces, points).ordinary
-        self.system = NewtonSystem(
+        self.system = self._system_of(
             parts, spaces, points, bcs, tolerance, max_iterations, prolongation, remedy,
             tangent_terms, options_prefix, petsc_options or {},
         )  # fmt: skip
@@ -174,6 +176,10 @@ class QuasiStatic:
         self._cell_size = self.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
         self._share = 1.0
         self._record = StepRecord()
+
+    def _system_of(self, *arguments: Any) -> NewtonSystem:
+        """The nonlinear system; solvers with more equations make another."""
+        return NewtonSystem(*arguments)
 
     def step(self) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.
@@ -276,7 +282,8 @@ class QuasiStatic:
             "state is that before it: enlarge the grid or hold the points with boundary conditions"
         )
 
-    def _failure(self, reason: str, done: float, share: float) -> str:
+    def _worst(self) -> str:
+        """The point whose law failed, or that is compressed most, for messages. Collective."""
         points, evaluator, d = self.points, self.system.evaluator, self.points.gdim
         found = None
         if len(points):
@@ -285,21 +292,31 @@ class QuasiStatic:
             failed = evaluator.failed_point >= 0
             p = evaluator.failed_point if failed else int(np.argmin(np.nan_to_num(J, nan=-np.inf)))
             place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
+            cause = evaluator.failure()
+            place += f": {cause}" if cause else ""
             found = (not failed, np.nan_to_num(J[p], nan=-np.inf), place)
         candidates = [c for c in self.comm.allgather(found) if c is not None]
-        worst = min(candidates)[2] if candidates else "none"
+        return min(candidates)[2] if candidates else "none"
+
+    def _failure(self, reason: str, done: float, share: float) -> str:
         last = f"{self.system.residuals[-1]:.3g}" if self.system.residuals else "none"
         return (
             f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
             f"({self._loads.describe()}) with parts of {share:.3g}: SNES says {reason}, the "
             f"relative out-of-balance force is {last} (tolerance {self._tolerance:g}); the worst "
-            f"is {worst}. The state is that at {done:.4g} of the step: take smaller steps or add "
-            "stabilisation"
+            f"is {self._worst()}. The state is that at {done:.4g} of the step: take smaller steps "
+            "or add stabilisation"
         )
 
 
-def _with_modulus(stabilisation: Stabilisation | str, form: ufl.Form) -> Stabilisation:
-    """The remedy with the moduli of the form's law where it names none."""
+def _with_modulus(
+    stabilisation: Stabilisation | str, form: ufl.Form, points: MaterialPoints
+) -> Stabilisation:
+    """The remedy with the moduli of the form's law where it names none. Collective.
+
+    Of moduli that vary from point to point it takes the largest: too stiff a penalty
+    costs less than one that leaves the stiffest cells ill-conditioned.
+    """
     remedy = Stabilisation(stabilisation) if isinstance(stabilisation, str) else stabilisation
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
@@ -309,11 +326,21 @@ def _with_modulus(stabilisation: Stabilisation | str, form: ufl.Form) -> Stabili
     for coefficient in (c for i in integrands for c in extract_coefficients(i)):
         law = getattr(getattr(coefficient, "law", None), "law", None)
         if law is not None and "E" in law.values:
-            return replace(remedy, E=law.values["E"], nu=law.values.get("nu", 0.0))
+            E, nu = _largest(law, points, "E"), _largest(law, points, "nu")
+            return replace(remedy, E=E, nu=nu)
     raise ParameterError(
         f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
         f'mpm.Stabilisation("{remedy.kind}", E=...)'
     )
+
+
+def _largest(law: Law, points: MaterialPoints, name: str) -> float:
+    """Largest value of a parameter over the points of all ranks; 0 if it has none. Collective."""
+    if name not in law.values:
+        return 0.0
+    column = list(law.parameters).index(name)
+    values = call_together(points.comm, lambda: parameters_at(law, points)[:, column])
+    return float(points.comm.allreduce(values.max(initial=-math.inf), op=MPI.MAX))
 
 
 def _space_of(increment: fem.Function) -> Space:
