@@ -3,25 +3,29 @@
 Aggregated finite elements (Badia, Verdugo & Martín 2018, doi
 10.1016/j.cma.2018.03.022; for material points Coombs, Bird & Pretti 2025, doi
 10.1016/j.cma.2025.118012) and extended B-splines (Höllig, Reif & Wipper 2001, doi
-10.1137/S0036142900373208) are one mechanism: a node all of whose active cells are
-filled to less than a threshold is tied to a root cell, whose polynomial is
-continued. They differ in which cells may be roots.
+10.1137/S0036142900373208) are one mechanism: a node that the body supports too little
+is tied to a root cell, whose polynomial is continued. Linear functions are supported
+too little if all their active cells are filled to less than a threshold; the two
+remedies then differ in which cells may be roots. A spline reaches over several cells,
+and may have next to nothing in the only one that is full: it is judged by the share
+of its own integral that lies in the body, and both remedies are the same.
 """
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
-from dolfinmpm.errors import UnsupportedGridError
 
 __all__ = ["SEARCH_RADIUS", "ties"]
 
@@ -60,9 +64,13 @@ def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
 
 @numba.njit(cache=True)
 def _roots(
-    outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, found
-):
-    """Nearest root cell of every outer node, ties broken by lattice position.
+    outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, growth,
+    found,
+):  # fmt: skip
+    """Root cell of every outer node: the one whose continuation grows least, then the nearest.
+
+    `growth` has the logarithm of what the continuation by so many functions along one
+    direction does to a size; remaining ties are broken by lattice position.
 
     A node on the grid's edge looks only at cells on that edge, so that conditions
     there are those of the nodes that it is tied to.
@@ -73,10 +81,10 @@ def _roots(
     for k in range(outer.size):
         a = outer[k]
         for attempt in range(2):
-            best = np.inf
+            best, least = np.inf, np.inf
             for code in range(width**gdim):
                 rest = code
-                distance = 0.0
+                distance, grown = 0.0, 0.0
                 allowed = True
                 # the last direction runs fastest: the first best cell has the lowest position
                 for d in range(gdim - 1, -1, -1):
@@ -93,38 +101,61 @@ def _roots(
                             allowed = False
                     gap = x[a, d] - middles[middle_start[d] + c[d]]
                     distance += gap * gap
-                if not allowed or distance >= best * (1.0 - 1e-9):
+                    steps = max(c[d] - node_ijk[a, d], node_ijk[a, d] - c[d] - degree, 0)
+                    grown += growth[steps]
+                worse = grown > least + 1e-9
+                if not worse and grown > least - 1e-9:
+                    worse = distance >= best * (1.0 - 1e-9)
+                if not allowed or worse:
                     continue
                 at = _linear_index(c, origin, shape)
                 if at >= 0 and root[at]:
-                    best = distance
+                    best, least = distance, grown
                     for d in range(gdim):
                         found[k, d] = c[d]
             if best < np.inf:
                 break
 
 
-def _lattice_ties(basis: LatticeBasis, nodes, fraction, threshold: float, extended: bool):
+@cache
+def _growth(degree: int):
+    """Logarithm of the norm of the weights that continue by k functions, k = 0, 1, ..."""
+    line = np.linspace(0.0, 1.0, 2 * (SEARCH_RADIUS + degree) + 6).astype(np.float64)
+    first = degree  # away from the repeated knots
+    reach = range(SEARCH_RADIUS + degree + 2)
+    weights = [extension_weights(line, degree, first, first + degree + k) for k in reach]
+    return np.log(np.linalg.norm(weights, axis=1))
+
+
+def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
+    """Which nodes need no help, and which cells of the halo's table may be roots."""
+    halo, degree = basis.halo, basis.degree
+    cells, table = halo.cell_table.ravel(), halo.node_table
+    shape = np.array(halo.cell_table.shape, np.int64)
+    if degree == 1:
+        known = cells >= 0
+        good = np.zeros(cells.size, bool)
+        good[known] = filled[cells[known]] >= threshold - 1e-9
+        inner = np.zeros(basis.nodes.size, bool)
+        everywhere = np.arange(basis.nodes.size)
+        _inner(everywhere, halo.node_ijk, degree, halo.origin, shape, good, inner)
+        if not extended:
+            return inner, good
+    else:
+        # what the last function has where the body ends in a cell filled to the threshold
+        least = threshold ** (degree + 1) / math.factorial(degree + 1)
+        inner = filled >= least * (1 - 1e-9)
+    of_node = np.where(table >= 0, inner[table], False)
+    whole = np.ones(halo.cell_table.shape, bool)
+    for corner in np.ndindex(*(degree + 1,) * shape.size):
+        whole &= of_node[tuple(slice(c, c + n) for c, n in zip(corner, shape))]
+    return inner, whole.ravel()
+
+
+def _lattice_ties(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
     halo, lattice, degree = basis.halo, basis.lattice, basis.degree
     shape = np.array(halo.cell_table.shape, np.int64)
-    cells = halo.cell_table.ravel()
-    good = np.zeros(cells.size, bool)
-    known = cells >= 0
-    good[known] = fraction[cells[known]] >= threshold - 1e-9
-    inner = np.zeros(basis.nodes.size, bool)
-    _inner(nodes, halo.node_ijk, degree, halo.origin, shape, good, inner)
-    root = good
-    if extended:
-        # a root is any cell whose functions are all inner, filled or not
-        table = halo.node_table
-        seen = np.zeros(basis.nodes.size, bool)
-        everywhere = np.arange(basis.nodes.size)
-        _inner(everywhere, halo.node_ijk, degree, halo.origin, shape, good, seen)
-        of_node = np.where(table >= 0, seen[table], False)
-        whole = np.ones(halo.cell_table.shape, bool)
-        for corner in np.ndindex(*(degree + 1,) * shape.size):
-            whole &= of_node[tuple(slice(c, c + n) for c, n in zip(corner, shape))]
-        root = whole.ravel()
+    inner, root = _inner_and_roots(basis, nodes, filled, threshold, extended)
     outer = nodes[~inner[nodes]]
     found = np.full((outer.size, shape.size), -1, np.int64)
     middles = [0.5 * (line[1:] + line[:-1]) for line in lattice.lines]
@@ -132,7 +163,7 @@ def _lattice_ties(basis: LatticeBasis, nodes, fraction, threshold: float, extend
     x = basis.node_coordinates()[:, : shape.size]
     _roots(
         outer, halo.node_ijk, x, np.concatenate(middles), starts, np.array(lattice.shape), degree,
-        halo.origin, shape, root, SEARCH_RADIUS, found,
+        halo.origin, shape, root, SEARCH_RADIUS, _growth(degree), found,
     )  # fmt: skip
     tied = found[:, 0] >= 0
     outer, found = outer[tied], found[tied]
@@ -149,58 +180,94 @@ def _lattice_ties(basis: LatticeBasis, nodes, fraction, threshold: float, extend
         yield a, halo.node_table[block].ravel(), weights.ravel()
 
 
+def _all_roots(basis: LinearBasis, good):
+    """Well-filled cells of all ranks: corners, global nodes and their owners. Collective.
+
+    They are sorted by their middles, so that the choice among equals is the same on any
+    number of ranks.
+    """
+    comm, index_map = basis.grid.comm, basis.nodes.index_map
+    owner = np.full(basis.nodes.size, comm.rank, np.int32)
+    owner[basis.nodes.owned :] = index_map.owners
+    nodes = basis.dofs[good].astype(np.int32)
+    indices = index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
+    mine = basis.node_coordinates()[nodes], indices, owner[nodes]
+    corners, indices, owners = (np.concatenate(part) for part in zip(*comm.allgather(mine)))
+    middles = corners.mean(axis=1)
+    size = max(float(np.ptp(middles)) if middles.size else 0.0, 1e-300)
+    order = np.lexsort(np.round(middles / size, 9).T)
+    return corners[order], indices[order], owners[order]
+
+
 def _mesh_ties(basis: LinearBasis, nodes, fraction, threshold: float):
-    if basis.nodes.comm.size > 1:
-        raise UnsupportedGridError(
-            "aggregation on a grid that is not rectangular works on one rank only; use "
-            'stabilisation="ghost" or a rectangular grid in parallel'
-        )
-    dofs, X = basis.dofs, basis.node_coordinates()[:, : basis.grid.geometry.dim]
-    good = np.flatnonzero(fraction >= threshold - 1e-9)
-    if good.size == 0:
-        return
+    """Ties on any grid; None if nodes of other ranks had to be learnt first. Collective."""
+    comm, d, owned = basis.grid.comm, basis.grid.geometry.dim, basis.cells.owned
+    good = np.flatnonzero(fraction[:owned] >= threshold - 1e-9)
     inner = np.zeros(basis.nodes.size, bool)
-    inner[dofs[good]] = True
+    inner[basis.dofs[good]] = True
+    inner = basis.nodes.share_flags(inner)
+    corners, indices, owners = _all_roots(basis, good)
+    if len(corners) == 0:
+        return []
     outer = nodes[~inner[nodes]]
-    tree = cKDTree(X[dofs[good]].mean(axis=1))
-    _, nearest = tree.query(X[outer])
-    d, m = X.shape[1], dofs.shape[1]
+    middles, X = corners.mean(axis=1)[:, :d], basis.node_coordinates()[:, :d]
+    count = min(16, len(middles))
+    distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
+    equal = distance <= distance[:, :1] * (1 + 1e-9)
+    root = np.where(equal, near, len(middles)).min(axis=1)
+    wanted = indices[root].ravel()
+    local = basis.nodes.index_map.global_to_local(wanted)
+    if comm.allreduce(bool(np.any(local < 0)), op=MPI.LOR):
+        new, first = np.unique(wanted[local < 0], return_index=True)
+        whose, where = owners[root].ravel()[local < 0], corners[root].reshape(-1, 3)[local < 0]
+        basis.learn(new, whose[first], where[first])
+        return None
+    found = []
+    m = basis.dofs.shape[1]
     N, dN = np.empty(m), np.empty((m, d))
     J, K, xi = np.empty((d, d)), np.empty((d, d)), np.empty(d)
-    for a, k in zip(outer, nearest):
-        masters = dofs[good[k]]
-        if pull_back(basis.kind, np.ascontiguousarray(X[masters]), X[a], xi, N, dN, J, K):
-            yield a, masters, N.copy()
+    for a, k, masters in zip(outer, root, local.reshape(-1, m)):
+        cell = np.ascontiguousarray(corners[k, :, :d])
+        if pull_back(basis.kind, cell, X[a], xi, N, dN, J, K):
+            found.append((a, masters, N.copy()))
+    return found
 
 
 def ties(
     basis: LatticeBasis | LinearBasis,
     nodes: npt.NDArray[np.int32],
-    fraction: npt.NDArray[np.float64],
+    filled: npt.NDArray[np.float64],
     threshold: float,
     extended: bool,
     fixed: npt.NDArray[np.bool_],
-) -> sparse.csr_matrix:
+) -> sparse.csr_matrix | None:
     """The matrix C of aggregation or extension, u = C x.
 
     Args:
         basis: The basis.
         nodes: Active nodes known here.
-        fraction: Fill fraction of every local cell, shape (cells,).
-        threshold: Share to which a cell must be filled to need no help.
+        filled: Fill fraction of every local cell, shape (cells,); for splines the
+            share of every function's integral in the body, shape (nodes,).
+        threshold: t, the share to which a cell must be filled to need no help. A
+            spline of degree q needs the share t^(q+1)/(q+1)!, which the last one has
+            of a body that ends, straight, in a cell filled to t.
         extended: Whether any cell of inner functions may be a root, not only a
             well-filled one.
         fixed: Which components are prescribed, shape (nodes, components); a node
             with such ones is tied only to nodes where they are prescribed too.
 
     Returns:
-        C, shape (nodes, nodes). A node for which no root is near keeps its value.
+        C, shape (nodes, nodes). A node for which no root is near keeps its value. None
+        if the basis had to learn of nodes first: then all that hangs on its numbering is
+        to be made again.
     """
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
-        found = _lattice_ties(basis, nodes, fraction, threshold, extended)
+        found = _lattice_ties(basis, nodes, filled, threshold, extended)
     else:
-        found = _mesh_ties(basis, nodes, fraction, threshold)
+        found = _mesh_ties(basis, nodes, filled, threshold)
+        if found is None:
+            return None
     keep = np.ones(size, bool)
     rows, columns, values = [np.empty(0, int)], [np.empty(0, int)], [np.empty(0)]
     for a, masters, weights in found:

@@ -14,7 +14,9 @@ from ufl.core.expr import Expr
 from dolfinmpm.assemble import Pattern, add_stiffness, add_vector
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import gather
+from dolfinmpm.cellmeans import CellCouplings
 from dolfinmpm.errors import FieldShapeError
+from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.split import PointTerms
@@ -66,14 +68,26 @@ class PointEvaluator:
         self._starts = np.cumsum([0] + [space.components for space in spaces])
         self._data: dict[tuple, Array] = {}
         self.failed_point = -1
+        self._failed: tuple[int, PointOperator, Array] | None = None
 
     @property
     def gradient_only(self) -> bool:
         """Whether only gradients enter the tangent."""
         return self._terms.gradient_only
 
-    def start_step(self, stencils: Stencils) -> None:
-        """Take the points' fields and stencils as they are now. Collective."""
+    @property
+    def averages(self) -> bool:
+        """Whether a law takes means over cells; it needs couplings then."""
+        return bool(self._terms.by_mean)
+
+    def start_step(self, stencils: Stencils, couplings: CellCouplings | None = None) -> None:
+        """Take the points' fields and stencils as they are now. Collective.
+
+        Args:
+            stencils: Stencils on the solver's nodes.
+            couplings: Means over cells and what they couple, if a law takes any.
+        """
+        self._couplings = couplings
         points, n, d, nc = self._points, len(self._points), self._points.gdim, self._components
         self._stencils = stencils
         self._value = np.zeros((n, nc))
@@ -98,7 +112,10 @@ class PointEvaluator:
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
     def interpolate(self, u: Array) -> None:
-        """Values and gradients at the points of nodal increments, shape (nodes, components)."""
+        """Values and gradients at the points of nodal increments, shape (nodes, components).
+
+        Collective if a law takes means over cells.
+        """
         gather(self._stencils, u, self._value, self._gradient)
         if len(self._starts) > 2:
             n = len(self._value)
@@ -107,6 +124,14 @@ class PointEvaluator:
                 self._data["gradient", k][:] = self._gradient[:, first:last].reshape(
                     n, (last - first) * self._gradient.shape[2]
                 )
+        for k in self._terms.by_mean:
+            assert self._couplings is not None
+            self._averaging(k).prepare(self.operand(k), self._couplings.means.mean)
+
+    def _averaging(self, k: int) -> AveragingLaw:
+        law = self._terms.operators[k].law
+        assert isinstance(law, AveragingLaw)
+        return law
 
     @property
     def value(self) -> Array:
@@ -136,39 +161,56 @@ class PointEvaluator:
             yield first, last
             first = last
 
-    def _run(self, program: Program, tangent: bool) -> Iterator[tuple[int, int, Array]]:
-        """Operators and program, some thousand points at a time, in the order of the stencils.
+    def _run(
+        self, programs: Sequence[Program], tangent: bool
+    ) -> Iterator[tuple[int, int, list[Array]]]:
+        """Operators and programs, some thousand points at a time, in the order of the stencils.
 
-        Yields the range of groups and the program's values at their points; ends
+        Yields the range of groups and the programs' values at their points; ends
         early, with the point in `failed_point`, where a law finds no stress.
         """
-        self.failed_point = -1
+        self.failed_point, self._failed = -1, None
+        inputs = {key for program in programs for key in program.inputs}
         # dead loads, say, do not ask a law for its stress
-        asked = {key[1] for key in program.inputs if key[0].startswith("operator")}
+        asked = {key[1] for key in inputs if key[0].startswith("operator")}
         operators = {k: self._terms.operators[k] for k in sorted(asked)}
         whole = {k: self.operand(k) for k in operators}
-        varying = {key for key in program.inputs if not key[0].startswith("operator")}
+        varying = {key for key in inputs if not key[0].startswith("operator")}
         varying = {key for key in varying if key[0] != "constant"}
         for first, last in self._chunks():
             s = self._stencils
             rows = s.order[s.groups[first] : s.groups[last]]
-            data = {key: self._data[key] for key in program.inputs if key[0] == "constant"}
+            data = {key: self._data[key] for key in inputs if key[0] == "constant"}
             for key in varying:
                 data[key] = self._data[key].take(rows, axis=0)
             for k, operator in operators.items():
                 operand = whole[k].take(rows, axis=0)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
-                bad = operator.law.evaluate(operand, value, slope, rows)
+                if slope is not None and k in self._terms.by_mean:
+                    data["operator by mean", k] = by_mean = np.empty_like(value)
+                    bad = self._averaging(k).evaluate(operand, value, slope, rows, by_mean)
+                else:
+                    bad = operator.law.evaluate(operand, value, slope, rows)
                 if bad >= 0:
                     self.failed_point = int(rows[bad])
+                    self._failed = self.failed_point, operator, operand[bad]
                     return
                 data["operator", k] = value
                 if slope is not None:
                     data["operator tangent", k] = slope
-            out = np.empty((rows.size, program.size))
-            program.run(data, out)
+            out: list[Array] = [np.empty((rows.size, program.size)) for program in programs]
+            for program, values in zip(programs, out):
+                program.run(data, values)
             yield first, last, out
+
+    def failure(self) -> str:
+        """Why a law found no stress at `failed_point`, in the law's own words; may be empty."""
+        if self._failed is None or self._failed[0] != self.failed_point:
+            return ""
+        _, operator, operand = self._failed
+        describe = getattr(operator.law, "describe", None)
+        return "" if describe is None else describe(operand, self.failed_point)
 
     def add_internal(self, out: Array) -> bool:
         """Add the nodal forces of the internal terms; returns whether every law found a stress.
@@ -178,30 +220,67 @@ class PointEvaluator:
         """
         self.failed_point = -1
         if self._terms.internal is not None:
-            for first, last, flux in self._run(self._terms.internal, False):
+            for first, last, (flux,) in self._run([self._terms.internal], False):
                 add_vector(self._stencils, first, last, flux, out)
         return self.failed_point < 0
 
     def add_external(self, out: Array) -> None:
         """Add the nodal forces of the terms that do not depend on the increments."""
         if self._terms.external is not None:
-            for first, last, flux in self._run(self._terms.external, False):
+            for first, last, (flux,) in self._run([self._terms.external], False):
                 add_vector(self._stencils, first, last, flux, out)
 
     def add_tangent(self, unknowns: Unknowns, pattern: Pattern, data: Array, lift: Array) -> None:
-        """Add the tangent of the internal terms to the matrix; see `add_stiffness`."""
-        if self._terms.tangent is not None:
-            for first, last, tangent in self._run(self._terms.tangent, True):
-                add_stiffness(
-                    self._stencils, first, last, tangent, self._terms.gradient_only, unknowns,
-                    pattern, data, lift,
-                )  # fmt: skip
+        """Add the tangent of the internal terms to the matrix; see `add_stiffness`.
+
+        Collective if a law takes means over cells.
+        """
+        terms, couplings = self._terms, self._couplings
+        if terms.tangent is None:
+            return
+        left = [couplings.forces(self._components) for _ in terms.by_mean] if couplings else []
+        programs = [terms.tangent, *terms.by_mean.values()]
+        for first, last, (tangent, *fluxes) in self._run(programs, True):
+            add_stiffness(
+                self._stencils, first, last, tangent, terms.gradient_only, unknowns, pattern, data,
+                lift,
+            )  # fmt: skip
+            for flux, out in zip(fluxes, left):
+                assert couplings is not None
+                couplings.add_forces(first, last, flux, out)
+        for k, out in zip(terms.by_mean, left):
+            assert couplings is not None
+            couplings.add_outer(out, self._mean_slope(k), unknowns, pattern, data, lift)
+
+    def _mean_slope(self, k: int) -> Array:
+        """How the k-th operator's sums over cells change with the nodal increments."""
+        s, couplings, d = self._stencils, self._couplings, self._points.gdim
+        assert couplings is not None
+        slopes = self._averaging(k).measure_slope(self.operand(k))
+        slopes *= couplings.means.weight[:, None]
+        flux = np.zeros((len(slopes), self._components, 1 + d))
+        (_, field) = self._terms.operands[k]  # type: ignore[misc]
+        part = flux[:, self._starts[field] : self._starts[field + 1], 1:]
+        part[:] = slopes[s.order].reshape(part.shape)
+        out = couplings.forces(self._components)
+        couplings.add_forces(
+            0, s.groups.size - 1, flux.reshape(len(flux), self._components * (1 + d)), out
+        )
+        return out
 
     def commit(self) -> dict[str, Array]:
-        """What the laws' fields are at the end of the step."""
+        """What the laws' fields are at the end of the step; not numbers from `failed_point` on."""
         new: dict[str, Array] = {}
+        self.failed_point, self._failed = -1, None
         for k, operator in enumerate(self._terms.operators):
-            new |= operator.law.commit(self.operand(k))
+            operand = self.operand(k)
+            fields = operator.law.commit(operand)
+            new |= fields
+            for values in fields.values():
+                if self.failed_point < 0 and not np.isfinite(values).all():
+                    finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+                    self.failed_point = int(np.argmin(finite))
+                    self._failed = self.failed_point, operator, operand[self.failed_point]
         return new
 
     def data_for(self, slots: Slots) -> dict[tuple, Array]:

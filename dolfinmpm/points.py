@@ -108,6 +108,8 @@ class MaterialPoints:
         self._ufl: dict[str, PointField] = {}
         # fields that a converged step sets to the value of a UFL expression
         self.updates: dict[str, Expr] = {}
+        # laws at work on the points, each with its measure of strain
+        self.frameworks: list[Any] = []
         rho = call_together(
             self.comm, lambda: np.broadcast_to(np.asarray(density, float), (n,)).copy()
         )

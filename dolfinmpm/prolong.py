@@ -76,6 +76,18 @@ def reduce_blocks(matrix: sparse.csr_matrix, rows, columns, blocks):
     kept, local = np.unique(part.indices, return_inverse=True)
     part = sparse.csr_matrix((part.data, local, part.indptr), shape=(touched.size, kept.size))
     rows, columns = place[: rows.size], place[rows.size :]
+    scalar = blocks[:, 0, 0]
+    if np.array_equal(blocks, scalar[:, None, None] * np.eye(components)):
+        # components do not mix, as in a ghost penalty: one product does for all
+        shape = touched.size, touched.size
+        whole = sparse.csr_matrix((scalar, (rows, columns)), shape=shape)
+        single = sparse.csr_matrix(part.T @ whole @ part)
+        new_rows = np.repeat(np.arange(kept.size), np.diff(single.indptr))
+        return (
+            kept[new_rows].astype(np.int32),
+            kept[single.indices].astype(np.int32),
+            single.data[:, None, None] * np.eye(components),
+        )
     size = touched.size * components
     i = (rows[:, None, None] * components + inner[:, None]) + 0 * inner
     j = (columns[:, None, None] * components + inner) + 0 * inner[:, None]

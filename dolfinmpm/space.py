@@ -31,7 +31,7 @@ class _BasisOnGrid:
 
 
 @once_per_grid
-def _basis_of(grid: Mesh, name: str) -> _BasisOnGrid:
+def _basis_of(grid: Mesh, name: str, averaged: bool) -> _BasisOnGrid:
     """The basis of that name on the grid, one for all fields that use it. Collective."""
     degree = _DEGREES[name]
     scalar = fem.functionspace(grid, ("Lagrange", degree))
@@ -44,7 +44,7 @@ def _basis_of(grid: Mesh, name: str) -> _BasisOnGrid:
         ijk = lattice.index(x[:, : grid.geometry.dim])
     else:
         node_map, ijk = number_functions(grid, lattice, degree)
-    basis = LatticeBasis(grid, lattice, degree, name == "gimp", node_map, ijk)
+    basis = LatticeBasis(grid, lattice, degree, averaged, node_map, ijk)
     return _BasisOnGrid(basis, scalar)
 
 
@@ -88,10 +88,16 @@ class Space:
     Args:
         grid: Background grid.
         basis: "linear" (standard material point method, any grid), "gimp"
-            (generalised interpolation), "bspline2" or "bspline3" (quadratic or
-            cubic B-splines); all but the first need a rectangular grid.
+            (linear functions averaged over the points' domains), "bspline2" or
+            "bspline3" (quadratic or cubic B-splines); all but the first need a
+            rectangular grid.
         shape: Shape of the field's value; a vector of the dimension of space by
             default, () for a scalar such as a pore pressure.
+        averaged: Whether B-splines are averaged over the points' domains, as GIMP
+            averages linear functions: domains tile the body, so that the stiffness
+            of a body under constant stress is integrated exactly wherever points lie.
+            False evaluates B-splines at the points alone (Steffen, Kirby & Berzins
+            2008, doi 10.1002/nme.2360).
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -104,17 +110,25 @@ class Space:
         UnsupportedGridError: The basis cannot be built on this grid.
     """
 
-    def __init__(self, grid: Mesh, basis: str = "linear", shape: tuple[int, ...] | None = None):
+    def __init__(
+        self,
+        grid: Mesh,
+        basis: str = "linear",
+        shape: tuple[int, ...] | None = None,
+        averaged: bool = True,
+    ):
         if basis not in _DEGREES:
             known = ", ".join(f'"{name}"' for name in _DEGREES)
             raise ParameterError(f"basis = {basis!r} must be one of {known}")
+        if basis == "gimp" and not averaged:
+            raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')
         if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
             raise UnsupportedGridError(
                 f"basis={basis!r} needs straight-sided cells of the dimension of space, got degree "
                 f"{geometry_degree(grid)}, dimension {grid.topology.dim} in {grid.geometry.dim}D"
             )
         self.grid = grid
-        on_grid = _basis_of(grid, basis)
+        on_grid = _basis_of(grid, basis, averaged and basis != "linear")
         self.basis: Basis = on_grid.basis
         gdim = grid.geometry.dim
         shape = (gdim,) if shape is None else tuple(shape)

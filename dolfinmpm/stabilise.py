@@ -15,7 +15,7 @@ from ufl.core.expr import Expr
 from dolfinmpm.aggregate import SEARCH_RADIUS, ties
 from dolfinmpm.basis import LatticeBasis, Stencils
 from dolfinmpm.errors import ParameterError
-from dolfinmpm.fractions import fill_fractions
+from dolfinmpm.fractions import fill_fractions, support_shares
 from dolfinmpm.grid import cell_size
 from dolfinmpm.materials.base import lame
 from dolfinmpm.points import MaterialPoints
@@ -23,6 +23,11 @@ from dolfinmpm.points import MaterialPoints
 __all__ = ["Stabilisation", "ghost", "soft"]
 
 KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
+
+# Factors of the ghost penalty for linear functions, quadratic and cubic splines
+GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
+# Fill fractions below which they are tied to others
+THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
 
 
 def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
@@ -91,7 +96,11 @@ def ghost(
         * ufl.inner(jump(u, k), jump(v, k))
         for k in range(min(smooth, order - 1) + 1, order + 1)
     ]
-    return sum(terms[1:], start=terms[0]) * points.dS
+    facets = points.dS
+    if smooth:
+        # exact on the rectangular grids of splines, where UFL would reckon with any shape
+        facets = facets.reconstruct(metadata={"quadrature_degree": 2 * order})
+    return sum(terms[1:], start=terms[0]) * facets
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:
@@ -132,9 +141,13 @@ class Stabilisation:
             of the elastic stiffness of whole cells, in the tangent only).
         E: Young's modulus (Pa) that penalties are scaled with; the law's by default.
         nu: Poisson's ratio, likewise.
-        gamma: Penalty in units of E/30 for "ghost" and of E for "weak-aggregation".
+        gamma: Penalty in units of E/30 for "ghost" and of E for "weak-aggregation". By
+            default 1, and 100 and 10⁴ for a ghost penalty on quadratic and cubic
+            splines, whose last functions are so much smaller where a body ends.
         scaling: Of the ghost penalty; see `ghost`.
-        threshold: Share to which a cell must be filled to need no help.
+        threshold: Share to which a cell must be filled to need no help; 0.5 by default,
+            0.7 and 0.9 for quadratic and cubic splines. See `ties` in
+            `dolfinmpm.aggregate` for what this means for splines.
         eta: Share of the elastic stiffness of "soft".
 
     Raises:
@@ -144,18 +157,18 @@ class Stabilisation:
     kind: str = "none"
     E: float | None = None
     nu: float | None = None
-    gamma: float = 1.0
+    gamma: float | None = None
     scaling: str = "scaled"
-    threshold: float = 0.5
+    threshold: float | None = None
     eta: float = 1e-3
 
     def __post_init__(self):
         if self.kind not in KINDS:
             known = ", ".join(f'"{kind}"' for kind in KINDS)
             raise ParameterError(f"stabilisation = {self.kind!r} must be one of {known}")
-        if not 0 < self.threshold <= 1:
+        if self.threshold is not None and not 0 < self.threshold <= 1:
             raise ParameterError(f"threshold = {self.threshold} must be in (0, 1]")
-        if not (math.isfinite(self.gamma) and self.gamma >= 0):
+        if self.gamma is not None and not (math.isfinite(self.gamma) and self.gamma >= 0):
             raise ParameterError(f"gamma = {self.gamma} must be finite and not negative")
 
     @property
@@ -168,7 +181,15 @@ class Stabilisation:
         if self.kind != "ghost":
             return None
         assert self.E is not None
-        return ghost(points, u, v, self.gamma * self.E / 30, scaling=self.scaling)
+        return ghost(points, u, v, self.factor(u) * self.E / 30, scaling=self.scaling)
+
+    def factor(self, u: Expr) -> float:
+        """The penalty's factor for an increment."""
+        if self.gamma is not None:
+            return self.gamma
+        space = getattr(u, "_dolfinmpm_space", None)
+        degree = space.basis.degree if space is not None else 1
+        return GHOST_FACTORS[degree] if self.kind == "ghost" else 1.0
 
     def tangent_terms(self, points: MaterialPoints, u: Expr, v: Expr) -> ufl.Form | None:
         """What it adds to the tangent only."""
@@ -189,8 +210,10 @@ class Stabilisation:
         """The matrix C by which nodes follow others, u = C x, or None. Collective."""
         if self.kind not in ("aggregation", "weak-aggregation", "extended"):
             return None
-        fraction = fill_fractions(points, stencils, basis)
-        return ties(basis, nodes, fraction, self.threshold, self.kind == "extended", fixed)
+        measure = fill_fractions if basis.degree == 1 else support_shares
+        filled = measure(points, stencils, basis)
+        threshold = THRESHOLDS[basis.degree] if self.threshold is None else self.threshold
+        return ties(basis, nodes, filled, threshold, self.kind == "extended", fixed)
 
     def penalty(
         self, points: MaterialPoints, C: sparse.csr_matrix, nodes, components: int
@@ -211,7 +234,11 @@ class Stabilisation:
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
         D = sparse.identity(C.shape[0], format="csr") - C
-        weights = sparse.diags(own.astype(float) * self.gamma * self.E * size ** (points.gdim - 2))
+        # so that a far continuation, whose weights are large, does not outweigh the body
+        norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
+        share = own / np.maximum(norms, 1.0)
+        gamma = 1.0 if self.gamma is None else self.gamma
+        weights = sparse.diags(share * gamma * self.E * size ** (points.gdim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
         blocks = product.data[:, None, None] * np.eye(components)
         return product.row.astype(np.int32), product.col.astype(np.int32), blocks

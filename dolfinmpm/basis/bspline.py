@@ -8,6 +8,8 @@ Tiller 1997, The NURBS Book, §2).
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +19,14 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._compat import make_index_map
 from dolfinmpm.grid import Lattice
 
-__all__ = ["extension_weights", "greville", "number_functions", "spline_weights"]
+__all__ = [
+    "averaged_spline_weights",
+    "extension_weights",
+    "greville",
+    "integrals",
+    "number_functions",
+    "spline_weights",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -55,10 +64,40 @@ def spline_weights(line, cell, degree, x, S, dS):
         S[k] = saved
 
 
+@numba.njit(cache=True)
+def averaged_spline_weights(line, first, count, degree, x, half, S, dS, part, slope):
+    """Averages over a domain of the count + degree functions that it meets, and of their slopes.
+
+    The domain is cut at the cells' edges. Two Gauss points a piece integrate cubic
+    polynomials exactly. `part` and `slope` are room for degree + 1 numbers.
+    """
+    for i in range(count + degree):
+        S[i] = 0.0
+        dS[i] = 0.0
+    left = max(x - half, line[first])
+    right = min(x + half, line[first + count])
+    for c in range(count):
+        a, b = max(left, line[first + c]), min(right, line[first + c + 1])
+        share, middle = 0.5 * (b - a) / (right - left), 0.5 * (a + b)
+        reach = 0.5 * (b - a) / math.sqrt(3.0)
+        for side in range(2):
+            at = middle - reach if side == 0 else middle + reach
+            spline_weights(line, first + c, degree, at, part, slope)
+            for i in range(degree + 1):
+                S[c + i] += share * part[i]
+                dS[c + i] += share * slope[i]
+
+
 def greville(line: Array, degree: int) -> Array:
     """Greville points (m) of the functions: the means of their inner knots."""
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     return np.array([knots[i + 1 : i + degree + 1].mean() for i in range(line.size - 1 + degree)])
+
+
+def integrals(line: Array, degree: int) -> Array:
+    """Integrals (m) of the functions over the whole line: support over degree + 1."""
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    return (knots[degree + 1 :] - knots[: -degree - 1]) / (degree + 1)
 
 
 def _moments(line: Array, degree: int, function: int, origin: float) -> Array:

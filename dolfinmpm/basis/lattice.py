@@ -1,7 +1,7 @@
 """Bases on rectangular grids: products of functions of one direction each.
 
-Linear functions, their averages over the points' domains (GIMP), and B-splines
-differ in the functions of one direction only.
+Linear functions and B-splines, and the averages of both over the points' domains
+(GIMP is that of linear functions), differ in the functions of one direction only.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm.basis.bspline import greville, spline_weights
+from dolfinmpm.basis.bspline import averaged_spline_weights, greville, spline_weights
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
 from dolfinmpm.errors import PointsOutsideGridError, raise_together
@@ -77,6 +77,8 @@ def _fill(
     gdim = x.shape[1]
     S = np.empty((gdim, 64))
     dS = np.empty((gdim, 64))
+    part = np.empty(degree + 1)
+    slope = np.empty(degree + 1)
     index = np.empty(gdim, np.int64)
     largest = 1
     for g in range(groups.size - 1):
@@ -120,6 +122,11 @@ def _fill(
                 first = origin[d] + low[p, d]
                 if degree == 1:
                     domain_weights(line, first, count[p, d], x[p, d], half[p, d], S[d], dS[d])
+                elif half[p, d] > 0.0:
+                    averaged_spline_weights(
+                        line, first, count[p, d], degree, x[p, d], half[p, d], S[d], dS[d],
+                        part, slope,
+                    )  # fmt: skip
                 else:
                     spline_weights(line, first, degree, x[p, d], S[d], dS[d])
             start = value_start[g] + (position - groups[g]) * m
@@ -142,7 +149,7 @@ def _fill(
 
 
 class LatticeBasis:
-    """Products of linear functions, of their averages over domains, or of B-splines.
+    """Products of linear functions or B-splines, or of their averages over domains.
 
     What is said of nodes holds for B-splines too: a node is then a function.
 
@@ -150,7 +157,7 @@ class LatticeBasis:
         grid: Background grid.
         lattice: Its lattice.
         degree: Degree of the functions: 1, 2 or 3.
-        averaged: Whether linear functions are averaged over the points' domains.
+        averaged: Whether functions are averaged over the points' domains.
         node_map: Index map of the nodes.
         node_ijk: Lattice position of its nodes, shape (nodes, gdim).
 
@@ -196,7 +203,7 @@ class LatticeBasis:
         The halo grows, on all ranks together, when a domain reaches beyond it.
 
         Args:
-            points: Material points; reads x and, for GIMP, the half-lengths l.
+            points: Material points; reads x and, if functions are averaged, the half-lengths l.
         """
         x = points["x"]
         return self.stencils_at(x, points["l"] if self.averaged else np.zeros_like(x))

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from dolfinx.mesh import CellType, Mesh
 
-from dolfinmpm._compat import geometry_dofmap
+from dolfinmpm._compat import geometry_dofmap, make_index_map
 from dolfinmpm.basis.cells import BOX, SIMPLEX, pull_back
 from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
 from dolfinmpm.halo import Numbering
@@ -75,6 +75,19 @@ class LinearBasis:
     def node_coordinates(self):
         """Positions of the nodes (m), shape (nodes, 3)."""
         return self._node_x
+
+    def learn(self, indices, owners, x) -> None:
+        """Know more nodes of other ranks. Collective.
+
+        Args:
+            indices: Their global indices, all new here, shape (n,).
+            owners: Ranks that own them, shape (n,).
+            x: Their positions (m), shape (n, 3).
+        """
+        old, comm = self.nodes.index_map, self.grid.comm
+        ghosts, of = np.append(old.ghosts, indices), np.append(old.owners, owners)
+        self.nodes = Numbering(comm, make_index_map(comm, old.size_local, ghosts, of))
+        self._node_x = np.vstack([self._node_x, x])
 
     def stencils(self, points) -> Stencils:
         """Stencils of the points where they are now.

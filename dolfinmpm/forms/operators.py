@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import basix.ufl
 import numpy as np
@@ -12,7 +13,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm.points import MaterialPoints
 
-__all__ = ["PointOperator", "PointwiseLaw"]
+__all__ = ["AveragingLaw", "PointOperator", "PointwiseLaw"]
 
 Array = npt.NDArray[np.float64]
 
@@ -35,6 +36,45 @@ class PointwiseLaw(Protocol):
 
         Returns:
             The first of the n points where it failed, counted from 0, or -1.
+        """
+
+    def commit(self, operand: Array) -> dict[str, Array]:
+        """Fields of the points at the end of a converged step, by name."""
+
+
+@runtime_checkable
+class AveragingLaw(Protocol):
+    """A `PointwiseLaw` that also needs a mean over the cells of a scalar made of its operand.
+
+    Its operand must be the gradient of an increment.
+    """
+
+    def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
+        """Take the means for new increments. Collective.
+
+        Args:
+            operand: Operand at all points of this rank, shape (points, size).
+            mean: Function from a scalar at the points, shape (points,), to its mean
+                over the cells that they overlap, likewise. Collective.
+        """
+
+    def measure_slope(self, operand: Array) -> Array:
+        """Derivative of the averaged scalar by the operand, shape (points, size)."""
+
+    def evaluate(
+        self,
+        operand: Array,
+        value: Array,
+        tangent: Array | None,
+        rows: npt.NDArray[np.int32],
+        by_mean: Array | None = None,
+    ) -> int:
+        """As `PointwiseLaw.evaluate`, with the means last prepared.
+
+        Args:
+            operand, value, tangent, rows: See there; the tangent is that at constant mean.
+            by_mean: Written with the tangent: the derivative of the value by the point's
+                mean, shape (n, size of the value).
         """
 
     def commit(self, operand: Array) -> dict[str, Array]:

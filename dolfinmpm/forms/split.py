@@ -32,7 +32,7 @@ from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.errors import FormError
-from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
 from dolfinmpm.points import MaterialPoints, PointField
@@ -78,6 +78,8 @@ class PointTerms:
         operands: For each the program of its operand, or the key of its data.
         functions: DOLFINx functions in the integrand, and whether their gradient.
         constants: DOLFINx constants in the integrand.
+        by_mean: For every operator whose law averages over cells, the derivative of the
+            internal flux by that mean at the point, of the flux's shape.
     """
 
     external: Program | None
@@ -88,6 +90,7 @@ class PointTerms:
     operands: list[Program | tuple]
     functions: list[tuple[fem.Function, bool]]
     constants: list[fem.Constant]
+    by_mean: dict[int, Program]
 
 
 @dataclass(frozen=True)
@@ -251,12 +254,7 @@ def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
                     f"'{_short(total)}' is not linear in the test function; an energy needs "
                     "ufl.derivative(energy, u, v)"
                 )
-        components = []
-        for k, space in enumerate(spaces):
-            for i in np.ndindex(*space.increment.ufl_shape):
-                components.append(_at(fluxes[k][0], i))
-                components += [_at(fluxes[k][1], (*i, j)) for j in range(points.gdim)]
-        return compile_program(points.grid, components, slots.sources), fluxes
+        return _flux_program(fluxes, slots), fluxes
 
     external, _ = program(parts[False])
     internal, fluxes = program(parts[True])
@@ -276,10 +274,44 @@ def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
             )
         )
     tangent, gradient_only = _tangent(fluxes, slots, mapped) if internal else (None, True)
+    by_mean = {}
+    for k, operator in enumerate(slots.operators):
+        if isinstance(operator.law, AveragingLaw):
+            if isinstance(operands[k], Program):
+                raise FormError(
+                    f"'{operator}' averages over cells and takes the gradient of an increment, not "
+                    f"'{_short(operator.operand)}'"
+                )
+            by_mean[k] = _flux_program(_by_mean(fluxes, slots, k), slots)
     return PointTerms(
         external, internal, tangent, gradient_only, slots.operators, operands, slots.functions,
-        slots.constants,
+        slots.constants, by_mean,
     )  # fmt: skip
+
+
+def _flux_program(fluxes, slots: Slots) -> Program:
+    components = []
+    for (value, gradient), space in zip(fluxes, slots.spaces):
+        for i in np.ndindex(*space.increment.ufl_shape):
+            components.append(_at(value, i))
+            components += [_at(gradient, (*i, j)) for j in range(slots.points.gdim)]
+    return compile_program(slots.points.grid, components, slots.sources)
+
+
+def _by_mean(fluxes, slots: Slots, k: int) -> list[list[Expr]]:
+    """Derivative of the fluxes by the mean that the k-th operator takes over cells."""
+    shape = slots.operators[k].ufl_shape
+    slope = slots.slot(("operator by mean", k), shape)
+
+    def through(flux: Expr) -> Expr:
+        i, o = ufl.indices(len(flux.ufl_shape)), ufl.indices(len(shape))
+        by_operator = _derive(flux, slots.operator_value[k])
+        if isinstance(by_operator, Zero):
+            return Zero(flux.ufl_shape)
+        term = by_operator[(*i, *o)] * slope[o] if o else by_operator * slope
+        return apply_algebra_lowering(ufl.as_tensor(term, i) if i else term)
+
+    return [[through(flux) for flux in pair] for pair in fluxes]
 
 
 def _derive(expression: Expr, variable: Expr) -> Expr:

@@ -1,37 +1,20 @@
-"""Studies: condition numbers, critical time steps, and sweeps of a body across the grid."""
+"""Condition numbers and critical time steps of matrices."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy import linalg
 
 from dolfinmpm.errors import ParameterError
-from dolfinmpm.grid import cell_size
-from dolfinmpm.progress import progress
 from dolfinmpm.solve.newton import NewtonSystem
-from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.stabilise import Stabilisation, ghost
 
-__all__ = [
-    "Conditioning",
-    "condition_number",
-    "conditioning",
-    "critical_step",
-    "observed_orders",
-    "rigid_modes",
-    "sweep",
-]
+__all__ = ["condition_number", "critical_step", "rigid_modes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -238,91 +221,3 @@ def rigid_modes(system: NewtonSystem) -> Array:
             turn[:, i], turn[:, j] = -x[:, j], x[:, i]
             modes.append(turn)
     return np.stack([mode.ravel() for mode in modes], axis=1)
-
-
-@dataclass(frozen=True)
-class Conditioning:
-    """Condition numbers and critical steps of a body where it lies.
-
-    Attributes:
-        kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
-        dt_consistent, dt_lumped: Critical steps (s) with either mass.
-        unknowns: Number of unknowns.
-    """
-
-    kappa_K: float
-    kappa_M: float
-    dt_consistent: float
-    dt_lumped: float
-    unknowns: int
-
-
-def conditioning(problem: QuasiStatic, density: float, gamma: float = 1.0) -> Conditioning:
-    """Condition numbers and critical steps of a problem in its present state. Collective.
-
-    The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4, the same
-    ties, a weak tie with ρ h^d. Row sums remove a ghost penalty from the lumped mass,
-    and soft stiffness helps no mass.
-
-    Args:
-        problem: Problem whose tangent is K.
-        density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
-        gamma: Their factor.
-    """
-    stiffness, points, remedy = problem, problem.points, problem.stabilisation
-    space = stiffness.system.spaces[0]
-    u, v = space.increment, space.test
-    form = ufl.inner(points.density * u, v) * points.dX
-    tied: Stabilisation | str = "none"
-    if remedy.kind == "ghost" and gamma > 0:
-        form += ghost(points, u, v, gamma * density / 4, scaling="literal")
-    elif remedy.kind in ("aggregation", "extended"):
-        tied = remedy
-    elif remedy.kind == "weak-aggregation" and gamma > 0:
-        h = cell_size(points.grid)
-        size = float(h.x.array.mean()) if isinstance(h, fem.Function) else float(h.value)
-        tied = replace(remedy, E=density * size**2, gamma=gamma)
-    inertia = QuasiStatic(
-        form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
-    )
-    K, M = stiffness.stiffness(), inertia.stiffness()
-    return Conditioning(
-        condition_number(K, rigid_modes(stiffness.system)),
-        condition_number(M),
-        critical_step(K, M),
-        critical_step(K, M, lumped=True),
-        stiffness.system.unknowns.total,
-    )
-
-
-def sweep(
-    scene: Callable[..., Conditioning], places: Sequence[Any], label: str = ""
-) -> list[dict[str, Any]]:
-    """Evaluate a scene at many places of its body, with a progress bar. Collective.
-
-    Args:
-        scene: Function of a place that returns its conditioning.
-        places: Offsets, angles, or pairs of them.
-        label: Text beside the bar.
-
-    Returns:
-        For every place a dictionary with "place" and the figures.
-    """
-    return [{"place": place, **asdict(scene(place))} for place in progress(places, label)]
-
-
-def worst(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
-    """The worst figures of a sweep: the largest condition numbers and the smallest steps."""
-    rows = list(rows)
-    return {
-        "kappa_K": max(row["kappa_K"] for row in rows),
-        "kappa_M": max(row["kappa_M"] for row in rows),
-        "dt_consistent": min(row["dt_consistent"] for row in rows),
-        "dt_lumped": min(row["dt_lumped"] for row in rows),
-    }
-
-
-def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> list[float]:
-    """Observed orders between successive refinements, ln(e_i/e_{i+1}) / ln(h_i/h_{i+1})."""
-    h, e = np.asarray(sizes, float), np.asarray(errors, float)
-    return list(np.log(e[:-1] / e[1:]) / np.log(h[:-1] / h[1:]))

@@ -1,0 +1,77 @@
+"""Condition numbers and critical time steps of a problem in its present state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import ufl
+from dolfinx import fem
+
+from dolfinmpm.grid import cell_size
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.stabilise import GHOST_FACTORS, Stabilisation, ghost
+from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
+
+__all__ = ["Conditioning", "conditioning"]
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """Condition numbers and critical steps of a body where it lies.
+
+    Attributes:
+        kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
+        dt_consistent, dt_lumped: Critical steps (s) with either mass.
+        unknowns: Number of unknowns.
+    """
+
+    kappa_K: float
+    kappa_M: float
+    dt_consistent: float
+    dt_lumped: float
+    unknowns: int
+
+
+def conditioning(
+    problem: QuasiStatic, density: float, gamma: float = 1.0, extra: ufl.Form | None = None
+) -> Conditioning:
+    """Condition numbers and critical steps of a problem in its present state. Collective.
+
+    The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4 times the
+    factor of the basis, the same ties, a weak tie with ρ h^d. Row sums remove a ghost
+    penalty from the lumped mass, and soft stiffness helps no mass.
+
+    Args:
+        problem: Problem whose tangent is K.
+        density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
+        gamma: Their factor.
+        extra: Form added to that of the mass, such as a penalty of one's own; the
+            stiffness has it in the problem's form.
+    """
+    stiffness, points, remedy = problem, problem.points, problem.stabilisation
+    space = stiffness.system.spaces[0]
+    u, v = space.increment, space.test
+    form = ufl.inner(points.density * u, v) * points.dX
+    if extra is not None:
+        form += extra
+    tied: Stabilisation | str = "none"
+    if remedy.kind == "ghost" and gamma > 0:
+        penalty = gamma * GHOST_FACTORS[space.basis.degree] * density / 4
+        form += ghost(points, u, v, penalty, scaling="literal")
+    elif remedy.kind in ("aggregation", "extended"):
+        tied = remedy
+    elif remedy.kind == "weak-aggregation" and gamma > 0:
+        h = cell_size(points.grid)
+        size = float(h.x.array.mean()) if isinstance(h, fem.Function) else float(h.value)
+        tied = replace(remedy, E=density * size**2, gamma=gamma)
+    inertia = QuasiStatic(
+        form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
+    )
+    K, M = stiffness.stiffness(), inertia.stiffness()
+    return Conditioning(
+        condition_number(K, rigid_modes(stiffness.system)),
+        condition_number(M),
+        critical_step(K, M),
+        critical_step(K, M, lumped=True),
+        stiffness.system.unknowns.total,
+    )
