@@ -5,15 +5,23 @@
 # and 16 wide and 256 high, each solved several times after a first time that
 # loads all compiled kernels. Time is that of the steps; memory is the largest that
 # the process ever held less what it held after a small run, for each point.
+#
+# `--remedies all` solves each case with every remedy against small cuts as well, and counts
+# how often a step calls the code of the remedies: an unused one costs a scene one
+# question a step, whether any nodes follow others.
 
 # %%
 from __future__ import annotations
 
+import contextlib
+import cProfile
 import gc
+import pstats
 import statistics
 import time
 from pathlib import Path
 
+import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
@@ -23,7 +31,7 @@ import dolfinmpm as mpm
 
 
 # %%
-def column(columns, elements, basis, ghost=None, steps=40):
+def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profile=None):
     """Solve the column; returns seconds, Newton iterations and points."""
     h, E = 50.0 / elements, 10e3
     grid = mesh.create_rectangle(
@@ -41,13 +49,34 @@ def column(columns, elements, basis, ghost=None, steps=40):
     if ghost:
         F += mpm.ghost(points, u, v, gamma=E / 30, scaling=ghost)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
     started = time.perf_counter()
-    for k in range(steps):
-        gravity.value[1] = -10.0 * (k + 1) / steps
-        problem.step()
+    with profile or contextlib.nullcontext():
+        for k in range(steps):
+            gravity.value[1] = -10.0 * (k + 1) / steps
+            problem.step()
     seconds = time.perf_counter() - started
     return seconds, sum(record.iterations for record in problem.history), points.total
+
+
+REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
+# where all of their own work is done
+MODULES = {"stabilise.py", "aggregate.py", "fractions.py", "prolong.py", "ordinary.py"}
+
+
+def remedy_calls(columns, elements, basis, remedy, steps=40):
+    """Python-level calls a step: of the remedies' code, and of everything."""
+    profile = cProfile.Profile()
+    column(columns, elements, basis, steps=steps, remedy=remedy, profile=profile)
+    stats = pstats.Stats(profile)
+    package = Path(mpm.__file__).parent
+    own = 0
+    for (path, _, name), (_, calls, *_) in stats.stats.items():
+        path = Path(path)
+        facets = path.name == "active.py" and name in ("select", "active_cells")
+        if path.parent == package and (path.name in MODULES or facets):
+            own += calls
+    return own / steps, stats.total_calls / steps
 
 
 def memory(kind):
@@ -62,13 +91,18 @@ options.add_argument("--repeat", type=int, default=5, help="counted runs of each
 options.add_argument("--cases", default="1x64,16x256", help="columns x elements, by commas")
 options.add_argument("--bases", default="gimp,linear")
 options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
+options.add_argument(
+    "--remedies", help='remedies to time against each other, by commas, or "all"; none by default'
+)
+options.add_argument("--laws", action="store_true", help="million points a second of each law")
+options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
 args = options.parse_args()
 ghost = None if args.ghost == "none" else args.ghost
 
 figures: dict[str, dict] = {}
 for basis in args.bases.split(","):
     column(1, 16, basis, ghost)  # compiles, or loads what was compiled before
-    for case in args.cases.split(","):
+    for case in args.cases.split(",") if args.cases else ():
         columns, elements = (int(n) for n in case.split("x"))
         gc.collect()
         before = memory("VmRSS")
@@ -98,4 +132,97 @@ for basis in args.bases.split(","):
             f"{f['bytes_per_point']:.0f} bytes a point"
         )
 
-finish(args, {"cases": figures, "ranks": MPI.COMM_WORLD.size})
+# %% [markdown]
+# ## What remedies cost
+# Runs of all remedies take turns, so that what else the machine does meets all of them alike.
+
+# %%
+remedies = REMEDIES if args.remedies == "all" else (args.remedies or "").split(",")
+costs: dict[str, dict] = {}
+for basis in args.bases.split(",") if args.remedies else ():
+    for case in args.cases.split(","):
+        columns, elements = (int(n) for n in case.split("x"))
+        calls = {r: remedy_calls(columns, elements, basis, r) for r in remedies}  # compiles
+        timed: dict[str, list] = {remedy: [] for remedy in remedies}
+        for _ in range(args.repeat):
+            for remedy in remedies:
+                timed[remedy].append(column(columns, elements, basis, remedy=remedy))
+        for remedy in remedies:
+            iterations = timed[remedy][0][1]
+            each = [1e3 * seconds / iterations for seconds, *_ in timed[remedy]]
+            own, every = calls[remedy]
+            costs[f"{basis} {case} {remedy}"] = {
+                "milliseconds_per_iteration": statistics.median(each),
+                "milliseconds_per_iteration_least": min(each),
+                "newton_iterations": iterations,
+                "remedy_calls_per_step": own,
+                "calls_per_step": every,
+            }
+            say(
+                f"{basis:7s} {case:>7s} {remedy:17s} {statistics.median(each):7.3f} ms an "
+                f"iteration (least {min(each):.3f}), {iterations} iterations, {own:g} calls of "
+                f"remedies a step of {every:.0f}"
+            )
+
+# %% [markdown]
+# ## Laws, and facets
+# Points that all yield, by each law's kernel with its tangent; and the ghost penalty of a
+# chequered body, which has more ghost facets than any real one, assembled and reduced to the
+# solver's unknowns.
+
+# %%
+laws: dict[str, float] = {}
+if args.laws:
+    strains = np.random.default_rng(1).uniform(-0.05, 0.05, (1_000_000, 3))
+    materials = mpm.materials
+    elastic = {"E": 1e6, "nu": 0.3}
+    for name, law, shift in (
+        ("von Mises", materials.VonMises(**elastic, yield_stress=1e3), 0.0),
+        ("Tresca", materials.Tresca(**elastic, cohesion=1e3), 0.0),
+        ("Mohr–Coulomb", materials.MohrCoulomb(**elastic, cohesion=1e3, friction=30), -0.02),
+        (
+            "Drucker–Prager",
+            materials.DruckerPrager(**elastic, cohesion=1e3, friction=30, dilation=0),
+            -0.02,
+        ),
+        (
+            "Cam-Clay",
+            materials.CamClay(
+                swelling=0.018, compression=0.13, M=1.05, mu0=5.4e6, alpha=0.0,
+                reference_pressure=20e3, preconsolidation=20e3,
+            ),
+            -0.02,
+        ),
+    ):  # fmt: skip
+        law.respond(strains[:10] + shift)
+        seconds = []
+        for _ in range(args.repeat):
+            started = time.perf_counter()
+            response = law.respond(strains + shift)
+            seconds.append(time.perf_counter() - started)
+        yielding = np.mean(np.any(response.strain != strains + shift, axis=1))
+        laws[name] = 1e-6 * len(strains) / statistics.median(seconds)
+        say(f"{name:14s} {laws[name]:6.2f} million points a second, {yielding:.0%} of them yield")
+
+facets: dict[str, float] = {}
+for basis in args.bases.split(",") if args.facets else ():
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, 0), (200, 200)], (200, 200), mesh.CellType.quadrilateral
+    )
+    body = mpm.Where(lambda x: ((x[0] // 4 + x[1] // 4) % 2 == 0) & (x.max(axis=0) < 199))
+    points = mpm.fill(grid, body, 2, 1.0)
+    V = mpm.Space(grid, basis)
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.3), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+    number, seconds = 0, []
+    problem.system.activate(1.0)
+    number = problem.system.ghost_facets
+    for _ in range(args.repeat):
+        started = time.perf_counter()
+        problem.system.assemble_ordinary()
+        seconds.append(time.perf_counter() - started)
+    facets[basis] = 1e6 * statistics.median(seconds) / number
+    say(f"{basis:9s} ghost penalty {facets[basis]:.2f} µs a facet ({number} facets)")
+
+figures = {"cases": figures, "remedies": costs, "laws": laws, "facets": facets}
+finish(args, {**figures, "ranks": MPI.COMM_WORLD.size})

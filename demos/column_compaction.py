@@ -83,8 +83,12 @@ def arguments():
     options = parser("Self-weight compaction of an elastic column.")
     options.add_argument("--elements", type=int, default=64, help="cells over the height")
     options.add_argument("--columns", type=int, default=1, help="cells across")
-    options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+    options.add_argument(
+        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
+    )
+    options.add_argument(
+        "--points-per-cell", type=int, help="in each direction; 2, and 3 for cubic splines"
+    )
     options.add_argument("--steps", type=int, default=40)
     options.add_argument("--modulus", type=float, default=10e3, help="Young's modulus (Pa)")
     options.add_argument("--poisson", type=float, default=0.0)
@@ -94,12 +98,28 @@ def arguments():
         "--height", dest="initial_height", type=float, default=50.0, help="l0 (m), at first"
     )
     options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
-    options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
-    options.add_argument("--gamma", type=float, default=1.0, help="ghost penalty in units of E/30")
+    options.add_argument(
+        "--stabilisation",
+        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"),
+        help="none by default, ghost for splines, whose last functions hardly feel the body",
+    )
+    options.add_argument(
+        "--ghost", choices=("none", "literal", "scaled"), help="ghost penalty of that scaling"
+    )
+    options.add_argument(
+        "--gamma", type=float, help="ghost penalty in units of E/30; that of the basis by default"
+    )
     options.add_argument(
         "--points", dest="points_file", metavar="PATH", help="CSV of all points at the end"
     )
     given = options.parse_args()
+    splines = given.basis.startswith("bspline")
+    if given.points_per_cell is None:
+        given.points_per_cell = 3 if given.basis == "bspline3" else 2
+    if given.ghost is not None:
+        given.stabilisation = "none" if given.ghost == "none" else "ghost"
+    elif given.stabilisation is None:
+        given.stabilisation = "ghost" if splines else "none"
     for name in ("elements", "columns", "points_per_cell", "steps"):
         if getattr(given, name) < 1:
             options.error(f"{name} = {getattr(given, name)} must be at least 1")
@@ -140,19 +160,20 @@ u, v = V.increment, V.test
 # %% [markdown]
 # ## The weak form
 # Internal forces minus weight, both summed over the material points, and if asked for
-# the ghost penalty, which acts on the step's increment across the facets of cells at
-# the body's boundary.
+# a remedy against small cuts: the ghost penalty, say, acts on the step's increment across
+# the facets of cells at the body's boundary.
 
 # %%
 soil = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
 gravity = fem.Constant(grid, (0.0,) * d)
 F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
-if args.ghost != "none":
-    F += mpm.ghost(points, u, v, gamma=args.gamma * args.modulus / 30, scaling=args.ghost)
+remedy = mpm.Stabilisation(
+    args.stabilisation, E=args.modulus, gamma=args.gamma, scaling=args.ghost or "scaled"
+)
 
 sides = ("left", "right") if d == 2 else ("left", "right", "front", "back")
 bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
-problem = mpm.QuasiStatic(F, u, points, bcs=bcs)
+problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=remedy)
 
 # %% [markdown]
 # ## Forty steps

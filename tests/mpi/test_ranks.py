@@ -20,9 +20,25 @@ CASES = (
     "driven",
     "remedies_gimp",
     "remedies_linear",
+    "remedies_triangles",
     "remedies_bspline2",
+    "large_strain",
+    "small_strain",
+    "jaumann",
+    "surface_loads",
+    "snap_through",
+    "fbar_bases",
+    "fbar_3d",
+    "fbar_triangles",
+    "fbar_ties",
+    "fbar_tangent",
+    "plastic",
+    "law_in_ufl",
     "errors_on_all_ranks",
+    "tables",
 )
+# where a point yields a little earlier, rounding is carried on from step to step
+TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 
 
 @functools.cache
@@ -42,8 +58,9 @@ def flat(value):
 def test_figures_do_not_depend_on_the_ranks(case, ranks):
     one, many = figures(case, 1), figures(case, ranks)
     scale = max(1e-3 * max(abs(float(x)) for x in flat(one)), 1e-300)
+    few = TOLERANCES.get(case, 1e-9)
     np.testing.assert_allclose(
-        np.array(flat(many), float), np.array(flat(one), float), rtol=1e-9, atol=1e-9 * scale
+        np.array(flat(many), float), np.array(flat(one), float), rtol=few, atol=few * scale
     )
     if "moved" in many and case not in ("driven", "tall"):
         assert many["moved"], "no point changed rank: the scene tests nothing"

@@ -110,7 +110,7 @@ def test_extraction_gives_the_same_function():
     grid = unit_grid("quadrilateral", 4)
     points = mpm.fill(grid, everything(grid), per_cell=3, density=1.0)
     for basis in ("bspline2", "bspline3"):
-        V = mpm.Space(grid, basis, shape=())
+        V = mpm.Space(grid, basis, shape=(), averaged=False)
         u = np.random.default_rng(2).uniform(-1, 1, (V.basis.nodes.size, 1))
         V.increment.x.array[:] = (extraction(V) @ u)[:, 0]
         value, gradient = np.empty((len(points), 1)), np.empty((len(points), 1, 2))
@@ -148,6 +148,28 @@ def test_gimp_is_the_average_of_the_linear_functions():
             slope[:, e] *= kink if d == e else hat
     np.testing.assert_allclose(N, expected, atol=2e-3)
     np.testing.assert_allclose(dN, slope, atol=2e-2)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("graded", [False, True])
+def test_splines_are_averaged_over_domains(degree, graded):
+    """Against integrals of SciPy's splines, exact by their antiderivatives."""
+    grid = mesh.create_unit_interval(MPI.COMM_WORLD, 7)
+    if graded:
+        grid.geometry.x[:, 0] **= 1.5
+    line = np.sort(grid.geometry.x[:, 0])
+    points = mpm.fill(grid, mpm.Box(0.5, 0.51), per_cell=1, density=1.0)
+    V = mpm.Space(grid, "gimp" if degree == 1 else f"bspline{degree}")
+    knots = np.concatenate([[0.0] * degree, line, [1.0] * degree])
+    for x, half in ((0.5, 0.31), (0.42, 0.02), (0.05, 0.05), (0.9, 0.1), (2 / 7, 0.01)):
+        points["x"], points["l"] = (x,), (half,)
+        nodes, N, dN = V.basis.stencils(points).row(0)
+        for a, i in enumerate(V.basis.halo.node_ijk[nodes, 0]):
+            spline = BSpline(knots, np.eye(line.size - 1 + degree)[i], degree)
+            low, high = max(x - half, 0.0), min(x + half, 1 - 1e-15)
+            assert N[a] == pytest.approx(spline.integrate(low, high) / (high - low), abs=1e-12)
+            slope = (spline(high) - spline(low)) / (high - low)
+            assert dN[a, 0] == pytest.approx(float(slope), abs=1e-10)
 
 
 def test_a_domain_that_ends_on_a_line_activates_nothing_beyond():

@@ -1,0 +1,137 @@
+"""Sweeps, observed orders, tables on disk and their pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import matplotlib.image
+import numpy as np
+import pytest
+from conftest import unit_grid
+
+import dolfinmpm as mpm
+from dolfinmpm import study
+from dolfinmpm.errors import ParameterError
+
+
+def test_sweep_takes_what_a_scene_returns():
+    @dataclass
+    class Figures:
+        kappa: float
+
+    assert study.sweep(Figures, [1.0, 2.0]) == [
+        {"place": 1.0, "kappa": 1.0},
+        {"place": 2.0, "kappa": 2.0},
+    ]
+    assert study.sweep(lambda place: {"sum": sum(place)}, [(1, 2)]) == [{"place": (1, 2), "sum": 3}]
+    assert study.sweep(lambda place: place / 2, [3]) == [{"place": 3, "error": 1.5}]
+
+
+def test_convergence_finds_the_orders_of_all_errors():
+    def scene(h):
+        return {"coarse": 2 * h, "fine": 3 * h**3, "points": round(1 / h)}
+
+    rows = study.convergence(scene, [0.5, 0.25, 0.1])
+    assert [row["h"] for row in rows] == [0.5, 0.25, 0.1]
+    assert rows[0]["coarse_order"] is rows[0]["fine_order"] is None
+    assert [row["coarse_order"] for row in rows[1:]] == pytest.approx([1, 1])
+    assert [row["fine_order"] for row in rows[1:]] == pytest.approx([3, 3])
+    assert "points_order" not in rows[0]
+    rows = study.convergence(scene, [0.5, 0.25], errors=["fine"])
+    assert "coarse_order" not in rows[1]
+    shifted = study.convergence(lambda h: {"h": h + 0.1, "error": (h + 0.1) ** 2}, [1, 0.5])
+    assert shifted[1]["error_order"] == pytest.approx(2)
+    assert study.convergence(lambda h: h**2, [1, 0.5])[1]["error_order"] == pytest.approx(2)
+
+
+def test_runs_that_did_not_finish_have_no_order():
+    rows = study.convergence(lambda h: {"error": None if h == 0.5 else h}, [1.0, 0.5, 0.25, 0.125])
+    assert [row["error_order"] for row in rows] == [None, None, None, pytest.approx(1)]
+    assert np.isnan(study.observed_orders([1, 0.5], [0.0, 0.0])).all()
+
+
+def test_overall_order():
+    h = np.array([1.0, 0.5, 0.2, 0.1])
+    assert study.overall_order(h, 3 * h**2) == pytest.approx(2)
+    assert study.overall_order(h, [1.0, None, 0.04, 0.0]) == pytest.approx(2)
+    assert np.isnan(study.overall_order(h, [1.0, None, None, 0.0]))
+
+
+@pytest.mark.parametrize("sizes", [[], [1.0, 0.0], [-1.0], [np.nan]])
+def test_sizes_are_positive(sizes):
+    with pytest.raises(ParameterError, match="positive"):
+        study.convergence(lambda h: h, sizes)
+
+
+def test_errors_are_among_the_figures():
+    with pytest.raises(ParameterError, match="returned no stress, but h, displacement"):
+        study.convergence(lambda h: {"displacement": h}, [1.0, 0.5], errors=["stress"])
+
+
+ROWS = [
+    {"place": [0.1, 2], "kappa": 1.5e-300, "basis": "gimp", "done": True, "order": None},
+    {"place": [0.2, 3], "kappa": float("inf"), "basis": "12", "done": False, "order": 0.1 + 0.2},
+]
+
+
+@pytest.mark.parametrize("name", ["table.csv", "new/table.json"])
+def test_tables_come_back_as_they_were(tmp_path, name):
+    study.write_table(ROWS, tmp_path / name)
+    assert study.read_table(tmp_path / name) == ROWS
+
+
+def test_tables_of_numpys_numbers_and_of_rows_that_differ(tmp_path):
+    rows = [{"n": np.int64(3), "x": np.array([1.0, 2.0])}, {"y": np.float64(0.5), "text": "a, b"}]
+    study.write_table(rows, tmp_path / "a.csv")
+    first, second = study.read_table(tmp_path / "a.csv")
+    assert first == {"n": 3, "x": [1.0, 2.0], "y": None, "text": None}
+    assert second == {"n": None, "x": None, "y": 0.5, "text": "a, b"}
+
+
+def test_tables_have_a_known_ending(tmp_path):
+    with pytest.raises(ParameterError, match=r"\.csv or \.json"):
+        study.write_table(ROWS, tmp_path / "table.txt")
+    with pytest.raises(ParameterError, match=r"\.csv or \.json"):
+        study.read_table(tmp_path / "table")
+    with pytest.raises(OSError, match="nothing"):
+        study.read_table(tmp_path / "nothing.csv")
+    with pytest.raises(TypeError, match="cannot be written"):
+        study.write_table([{"a": object()}], tmp_path / "table.csv")
+
+
+def test_pictures(tmp_path):
+    sweep = [
+        {"place": (a, 0.0), "kappa_K": 10 / a, "kappa_M": np.inf if a > 1 else 3}
+        for a in (2, 1, 0.1)
+    ]
+    study.plot_sweep(sweep, tmp_path / "sweep.png", lambda row: row["place"][0], xlabel="offset")
+    rows = study.convergence(lambda h: {"error": h**2, "other": None}, [0.25, 0.125, 0.0625])
+    study.plot_convergence({"one": rows, "two": rows[:1]}, tmp_path / "convergence.png")
+    study.plot_convergence({"none": rows}, tmp_path / "empty.png", "other")
+    for name in ("sweep", "convergence", "empty"):
+        assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
+
+
+def test_a_penalty_of_ones_own_enters_the_mass():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0.0, 0.0), (0.5 + 1e-5, 1.0)), 2, 1.0, aligned="body")
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, u, v)
+    problem = mpm.QuasiStatic(F, u, points)
+    penalty = mpm.ghost(points, u, v, 0.25, scaling="literal")
+    bare = study.conditioning(problem, 1.0)
+    own = study.conditioning(problem, 1.0, extra=penalty)
+    assert own.kappa_K == pytest.approx(bare.kappa_K)
+    assert own.kappa_M < 1e4 < 1e8 < bare.kappa_M
+
+
+def test_drawn_sweeps_show_numbers_and_nested_curves_differ(tmp_path):
+    with mpm.figure(tmp_path / "drawn.png", 5, 2.5, ncols=2) as (_, (left, right)):
+        study.draw_sweep(left, [{"place": k, "kappa": 20.0 + k} for k in range(3)], keys=["kappa"])
+        assert left.get_ylim() == pytest.approx((10, 100))
+        rows = [{"h": h, "error": h} for h in (1.0, 0.5)]
+        study.draw_convergence(right, {"one": rows, "other": rows}, nested=True)
+        sizes = [line.get_markersize() for line in right.lines[:2]]
+        assert sizes[0] > sizes[1]
+    assert (tmp_path / "drawn.png").stat().st_size > 0

@@ -1,0 +1,88 @@
+"""Footings against conforming elements and Prandtl's limit, by the demo."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from conftest import figures_of
+
+
+@functools.cache
+def footing(options):
+    figures = figures_of("demos/footing.py", "--no-plot", "--json", "-", *options.split())
+    assert figures["completed"], figures["reason"]
+    return figures
+
+
+CLAY = "--law cam-clay --h 0.5 --points-per-cell 4 --steps 25"
+
+
+@pytest.mark.parametrize(
+    ("basis", "centre", "mean"),
+    # the mean has the edge in it, where the settlement changes within a cell or two
+    [("gimp", 0.01, 0.03), ("bspline2", 0.01, 0.02)],
+)
+def test_cam_clay_settles_as_with_conforming_elements(basis, centre, mean):
+    figures = footing(f"{CLAY} --basis {basis}")
+    assert figures["compared_at"] == pytest.approx(90e3)
+    assert figures["max_deviation_centre"] < centre
+    assert figures["max_deviation_mean"] < mean
+    assert abs(figures["deviation_mean"]) < mean
+
+
+def test_small_strain_overestimates_the_settlement():
+    large, small = (footing(f"{CLAY} --basis bspline2 --strain {s}") for s in ("large", "small"))
+    assert small["max_deviation_centre"] < 0.01
+    assert small["max_deviation_mean"] < 0.02
+    for name in ("settlement_centre", "settlement_mean"):
+        assert small[name] > 1.25 * large[name]
+
+
+def test_newton_converges_in_every_step():
+    figures = footing(f"{CLAY} --basis bspline2")
+    assert figures["halvings"] == 0
+    assert len(figures["last_ratios"]) == 20 + 25
+    before, last = np.array(figures["last_ratios"]).T
+    assert last.max() <= 1e-9
+    # quadratic, as far as rounding lets it: the ratio falls by many orders at the end
+    assert np.median(last / before) < 1e-3
+
+
+@pytest.mark.parametrize("strain", ["large", "jaumann"])
+def test_prandtl_with_f_bar(strain):
+    figures = footing(f"--law tresca-perfect --basis gimp --h 0.1 --fbar on --strain {strain}")
+    assert 0 < figures["bearing_error"] < 0.03
+    assert figures["last_rise"] < 5e-3
+
+
+def test_the_limit_load_is_missed_without_f_bar():
+    errors = {}
+    for h in ("0.4", "0.2"):
+        for fbar in ("on", "off"):
+            figures = footing(f"--law tresca-perfect --basis gimp --h {h} --fbar {fbar}")
+            errors[h, fbar] = figures["bearing_error"]
+    assert 0 < errors["0.2", "on"] < 0.04
+    assert errors["0.2", "on"] < errors["0.4", "on"]
+    assert errors["0.2", "off"] > 3 * errors["0.2", "on"]
+    assert errors["0.4", "off"] > 3 * errors["0.4", "on"]
+
+
+def test_f_bar_and_splines_are_softer():
+    """Locking, by the mean settlement of hardening Tresca clay under the last load."""
+    s = {
+        (basis, fbar): footing(
+            f"--law tresca --basis {basis} --fbar {fbar} --points-per-cell 3 --steps 50"
+        )["settlement_mean"]
+        for basis in ("linear", "gimp", "bspline2")
+        for fbar in ("off", "on")
+    }
+    for basis in ("linear", "gimp", "bspline2"):
+        assert s[basis, "on"] > s[basis, "off"]
+    # linear functions and GIMP lock alike
+    assert s["gimp", "off"] == pytest.approx(s["linear", "off"], rel=0.03)
+    assert s["bspline2", "off"] > 1.05 * s["gimp", "off"]
+    gain = {basis: s[basis, "on"] / s[basis, "off"] for basis in ("linear", "gimp", "bspline2")}
+    assert gain["linear"] > gain["bspline2"]
+    assert gain["gimp"] > gain["bspline2"]
