@@ -204,7 +204,9 @@ def errors(points, nu):
         stress[:, i, i] = values
 
     def mean_square(values):
-        return points.comm.allreduce(V0 @ (values**2).reshape(len(V0), -1).sum(axis=1)) / volume
+        square = values**2
+        parts = square.sum(axis=tuple(range(1, square.ndim)))
+        return points.comm.allreduce(V0 @ parts) / volume
 
     volume = points.comm.allreduce(V0.sum())
     off = np.sqrt(mean_square(points["x"] - x0 - u))

@@ -1,6 +1,9 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
+from mpi4py import MPI
+
 from dolfinmpm import materials, study
+from dolfinmpm.abort import end_all_ranks
 from dolfinmpm.boundary import fixed, prescribed, rollers
 from dolfinmpm.fill import fill
 from dolfinmpm.grid import cell_size
@@ -52,3 +55,5 @@ __all__ = [
     "steps",
     "study",
 ]
+
+end_all_ranks(MPI.COMM_WORLD)
