@@ -1,4 +1,4 @@
-"""Every scene of `cases.py` on 1, 2 and 3 ranks: the same figures, and no hang."""
+"""Every scene of `cases` on 1, 2 and 3 ranks: the same figures, and no hang."""
 
 from __future__ import annotations
 
@@ -7,43 +7,16 @@ import shutil
 
 import numpy as np
 import pytest
+from cases import CASES
 from conftest import figures_of
 
-CASES = (
-    "column",
-    "triangles",
-    "carried_2d",
-    "carried_3d",
-    "stencils_across_corners",
-    "tall",
-    "two_fields",
-    "driven",
-    "remedies_gimp",
-    "remedies_linear",
-    "remedies_triangles",
-    "remedies_bspline2",
-    "large_strain",
-    "small_strain",
-    "jaumann",
-    "surface_loads",
-    "snap_through",
-    "fbar_bases",
-    "fbar_3d",
-    "fbar_triangles",
-    "fbar_ties",
-    "fbar_tangent",
-    "plastic",
-    "law_in_ufl",
-    "errors_on_all_ranks",
-    "tables",
-)
 # where a point yields a little earlier, rounding is carried on from step to step
 TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 
 
 @functools.cache
 def figures(case: str, ranks: int) -> dict:
-    return figures_of("tests/mpi/cases.py", case, ranks=ranks, timeout=120)
+    return figures_of("tests/mpi/run_case.py", case, ranks=ranks, timeout=120)
 
 
 def flat(value):

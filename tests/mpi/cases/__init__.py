@@ -1,0 +1,40 @@
+"""Scenes that give the same figures on any number of ranks; `run_case.py NAME` runs one."""
+
+from __future__ import annotations
+
+from . import failures, fbar, loads, plasticity, remedies, tables, transport
+
+__all__ = ["CASES"]
+
+# a case's name is that of its function, which returns its figures; it is collective
+CASES = {
+    case.__name__: case
+    for case in (
+        transport.column,
+        transport.triangles,
+        transport.carried_2d,
+        transport.carried_3d,
+        transport.stencils_across_corners,
+        transport.tall,
+        transport.two_fields,
+        transport.driven,
+        remedies.remedies_gimp,
+        remedies.remedies_linear,
+        remedies.remedies_triangles,
+        remedies.remedies_bspline2,
+        plasticity.large_strain,
+        plasticity.small_strain,
+        plasticity.jaumann,
+        loads.surface_loads,
+        loads.snap_through,
+        fbar.fbar_bases,
+        fbar.fbar_3d,
+        fbar.fbar_triangles,
+        fbar.fbar_ties,
+        fbar.fbar_tangent,
+        plasticity.plastic,
+        plasticity.law_in_ufl,
+        failures.errors_on_all_ranks,
+        tables.tables,
+    )
+}

@@ -1,0 +1,102 @@
+"""F-bar, whose means over cells couple points of several ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+
+from .common import COMM, run, sums
+
+
+def _fbar(basis, law=None, remedy="ghost", dimension=2, wide=False, kind=None, load=1.0):
+    """A nearly incompressible body that leans over, across rank borders."""
+    law = law or mpm.materials.Hencky(E=100.0, nu=0.49)
+    if dimension == 2:
+        kind = kind or mesh.CellType.quadrilateral
+        grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9), kind)
+        body = mpm.Box((1.3, 0), (6.2, 5.15)) if not wide else mpm.Box((1.3, 2), (6.2, 7.15))
+    else:
+        size = (6, 4, 4)
+        grid = mesh.create_box(COMM, [(0, 0, 0), size], size, mesh.CellType.hexahedron)
+        body = mpm.Box((0.3, 0.7, 0), (2.4, 3.1, 2.6))
+    points = mpm.fill(grid, body, 2, 1.0)
+    if wide:
+        points["l0"] = points["l"] = 0.85, 0.8
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0,) * dimension)
+    F = mpm.momentum(law, points, u, v, fbar=True) - ufl.inner(g, v) * points.dX
+    bcs = mpm.fixed(V, "bottom" if not wide else lambda x: x[1] < 3)
+    stabilisation = mpm.Stabilisation(remedy, E=100.0, nu=0.3)
+    loads = [load * k * np.array([0.6, *(0.0,) * (dimension - 2), -0.8]) for k in range(1, 5)]
+    problem, figures = run(points, V, F, bcs, loads, g, stabilisation=stabilisation)
+    if wide:
+        figures.pop("moved")
+    return problem, figures | sums(points, "J_bar")
+
+
+def fbar_bases():
+    """F-bar in every basis of a lattice."""
+    return {basis: _fbar(basis)[1] for basis in ("linear", "gimp", "bspline2", "bspline3")}
+
+
+def fbar_3d():
+    """F-bar in 3D, with a law that yields."""
+    law = mpm.materials.VonMises(100.0, 0.49, 6.0, 80.0)
+    problem, figures = _fbar("gimp", law, dimension=3, load=1.5)
+    figures["plastic"] = sums(problem.points, "plastic_strain")
+    assert problem.points.comm.allreduce(problem.points["plastic_strain"].sum()) > 0
+    return figures
+
+
+def fbar_triangles():
+    """F-bar in cells that have no lattice."""
+    return _fbar("linear", kind=mesh.CellType.triangle)[1]
+
+
+def fbar_ties():
+    """F-bar where nodes follow others across rank borders."""
+    return {remedy: _fbar("gimp", remedy=remedy)[1] for remedy in ("aggregation", "extended")}
+
+
+def fbar_tangent():
+    """Domains that span many cells make the halo grow; the tangent fits the residual on any ranks.
+
+    The tangent is compared with differences of the residual along a direction that
+    does not depend on the ranks.
+    """
+    figures = {}
+    for basis, remedy in (("gimp", "ghost"), ("gimp", "aggregation"), ("bspline3", "ghost")):
+        problem, figures[basis + remedy] = _fbar(
+            basis, remedy=remedy, wide=remedy == "ghost", load=0.3
+        )
+        system = problem.system
+        system.activate(1.0)
+        nodes = system.unknowns.owned_nodes
+        x = system.basis.node_coordinates()[nodes, :2]
+        free = ~system.unknowns.fixed[nodes]
+        start = np.stack([np.sin(x @ (1.0, 0.7)), np.cos(x @ (0.4, 1.1))], axis=1)[free] * 0.02
+        direction = np.stack([np.cos(x @ (2.0, 1.7)), np.sin(x @ (1.4, 2.1))], axis=1)[free]
+        y, f = system._x.duplicate(), system._x.duplicate()
+
+        def residual(values, y=y, f=f, system=system):
+            y.array[:] = values
+            system._residual(None, y, f)
+            return f.array.copy()
+
+        t = 1e-6
+        numerical = (residual(start + t * direction) - residual(start - t * direction)) / (2 * t)
+        residual(start)
+        system._jacobian(None, None, None, None)
+        y.array[:] = direction
+        system._matrix.petsc.mult(y, f)
+        exact = f.array.copy()
+        scale = COMM.allreduce(np.abs(exact).max(initial=0.0), op=MPI.MAX)
+        error = COMM.allreduce(np.abs(exact - numerical).max(initial=0.0), op=MPI.MAX)
+        assert error < 2e-6 * scale, (basis, remedy, error, scale)
+        figures["norm " + basis + remedy] = COMM.allreduce(float(exact @ exact))
+    return figures
