@@ -36,15 +36,14 @@
 # `tests/reference/footings.py`.
 
 # %%
-import csv
 import time
-from pathlib import Path
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from footing_curves import compared, describe, draw_compared, draw_run, stored
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from scene import finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
 from dolfinmpm.errors import ConvergenceError
@@ -53,7 +52,6 @@ from dolfinmpm.locate import destinations
 WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
 COHESION, GRAVITY = 10e3, 10.0  # Pa, m/s²
 LIMIT = (2 + np.pi) * COHESION
-STORED = Path(__file__).resolve().parent.parent / "tests" / "reference"
 DEFAULTS = {  # by the law
     "cam-clay": {
         "h": 0.5, "points_per_cell": 4, "steps": 50, "load": 90e3, "footing": "flexible",
@@ -263,10 +261,22 @@ class Scene:
         edge = s[-1] + (s[-1] - s[-2]) / (x[-1] - x[-2]) * (HALF_WIDTH - x[-1])
         return np.array([centre, s @ size / size.sum(), edge])
 
+    def look(self):
+        """What is drawn of all points: x, F, l0 and what the law remembers; None beyond rank 0."""
+        state = self.points.gather("x", "F", "l0", self.internal)
+        if self.args.strain == "small" and not self.rigid:
+            # the linear theory moves nothing; the picture does
+            moved = self.points.gather("moved", "turned")
+            if state is not None:
+                state = state[0] + moved[0], state[1] + moved[1], *state[2:]
+        return state
+
 
 # %% [markdown]
 # ## A run
 # Settlement counts from when the footing is loaded. A run that finds no equilibrium ends there.
+# Where there is a stored curve of conforming elements, the run is compared with it, in
+# `footing_curves.py`, where the pictures are drawn too.
 
 
 # %%
@@ -323,131 +333,6 @@ def run(args):
 
 
 # %% [markdown]
-# ## Against the stored curves
-# The conforming curves with cells of 0.25 m are known to 0.1 % (centre) and 0.5 % (mean) for
-# Cam-Clay. For Tresca's clay they are up to 56 kPa; beyond, the ground beside the edge stretches
-# the further the smaller the elements.
-
-
-# %%
-def stored(args):
-    """Load and settlement of centre, mean and edge by conforming elements, or None."""
-    rough = args.rough == "on"
-    if (
-        args.footing == "rigid"
-        or args.law == "tresca-perfect"
-        or (args.law == "cam-clay" and rough)
-    ):
-        return None
-    scene = "cam_clay" if args.law == "cam-clay" else "tresca" if rough else "tresca_smooth"
-    strain = "small" if args.strain == "small" else "large"
-    with open(STORED / f"{scene}_footing.csv", newline="") as file:
-        table = csv.DictReader(line for line in file if not line.startswith("#"))
-        names = "load_Pa", "centre_m", "mean_m", "edge_m"
-        rows = [
-            [float(row[k]) for k in names]
-            for row in table
-            if row["strain"] == strain and float(row["h_m"]) == 0.25
-        ]
-    return np.array(rows).T
-
-
-def compared(curve, reference):
-    """Figures of a curve against another, at the last load of both and at most on the way."""
-    at = min(curve[0, -1], reference[0, -1])
-    found, expected = ([np.interp(at, c[0], c[k]) for k in (1, 2)] for c in (curve, reference))
-    figures = {"compared_at": float(at)}
-    common = curve[:, curve[0] < at * (1 + 1e-12)]
-    for k, name in ((1, "centre"), (2, "mean")):
-        gap = common[k] - np.interp(common[0], reference[0], reference[k])
-        figures[f"reference_{name}"] = float(expected[k - 1])
-        figures[f"deviation_{name}"] = float(found[k - 1] / expected[k - 1] - 1)
-        figures[f"max_deviation_{name}"] = float(np.abs(gap).max() / expected[k - 1])
-    return figures
-
-
-def describe(args, f):
-    """Some lines on a run."""
-    text = (
-        f"{args.law}, {args.strain} strain, {args.basis}, F-bar {args.fbar}, {args.footing}, rough "
-        f"{args.rough}, h = {args.h:g} m, {args.points_per_cell}² points, {args.stabilisation}: at "
-        f"{f['load'] / 1e3:.2f} kPa {f['settlement_centre']:.4f} m in the centre, "
-        f"{f['settlement_mean']:.4f} m on average; {f['newton_iterations']} iterations, "
-        f"{f['halvings']} halvings, {f['seconds_solve']:.1f} s"
-    )
-    if "compared_at" in f:
-        text += (
-            f"\n    conforming elements at {f['compared_at'] / 1e3:g} kPa: "
-            f"{f['reference_centre']:.4f} and {f['reference_mean']:.4f} m; deviation "
-            f"{f['deviation_centre']:+.2%} and {f['deviation_mean']:+.2%}"
-        )
-    if "bearing_factor" in f:
-        text += (
-            f"\n    bearing factor {f['bearing_factor']:.4f}, Prandtl's {2 + np.pi:.4f} "
-            f"({f['bearing_error']:+.2%}); the last fifth added {f['last_rise']:.2%}"
-        )
-    return text + (f"\n    ended early: {f['reason'][:400]}" if f["reason"] else "")
-
-
-# %% [markdown]
-# ## Pictures
-# Pressure over settlement, and the ground as it is at the end, coloured by what its law
-# remembers: the preconsolidation pressure of Cam-Clay, else the plastic strain.
-
-# %%
-LABELS = {
-    "preconsolidation_pressure": "preconsolidation pressure $p_c$ (kPa)",
-    "plastic_strain": r"plastic strain $\bar\varepsilon^p$ (%)",
-}
-SCALES = {"preconsolidation_pressure": 1e-3, "plastic_strain": 100.0}
-
-
-def draw_curve(axes, args, figures, label, **look):
-    """Draw pressure (kPa) over the mean settlement: of the axis if the footing is flexible."""
-    curve = np.array(figures["curve"])
-    unit = 1e3 if args.settlement < 0.1 and args.footing == "rigid" else 1.0
-    axes.plot(curve[0] / 1e3, unit * curve[1], label=label, **look)
-    what = "settlement" if args.footing == "rigid" else "settlement in the centre"
-    axes.set(xlabel="pressure on the footing (kPa)", xlim=(0, None))
-    axes.set_ylabel(f"{what} ({'mm' if unit > 1 else 'm'})")
-
-
-def finish_curves(axes, args, strains):
-    """Add what the curves are compared with; settlement points down."""
-    for strain, dashes in zip(strains, ("-", (0, (4, 2)))):
-        reference = stored(type(args)(**{**vars(args), "strain": strain}))
-        if reference is not None:
-            name = "conforming elements" + (f", {strain}" if len(strains) > 1 else "")
-            axes.plot(
-                reference[0] / 1e3, reference[1], "k", ls=dashes, lw=0.8, label=name, zorder=1
-            )
-    if args.law == "tresca-perfect":
-        axes.axvline(LIMIT / 1e3, color="k", lw=0.8, label=r"$(2 + \pi)\,c$")
-    axes.set_ylim(0, None)
-    axes.invert_yaxis()
-    axes.legend(loc="lower left")
-
-
-def picture(path, args, figures, state, name):
-    """The curve beside the ground at the end."""
-    rigid = args.footing == "rigid"
-    ratio = 1.4 if rigid else 1.7
-    with mpm.figure(path, 7.5, 2.5, ncols=2, width_ratios=(1, ratio)) as (figure, (left, right)):
-        every = max(1, args.steps // 25)
-        draw_curve(left, args, figures, "material points", color="C1", marker="o", ms=3, lw=0,
-                   markevery=every)  # fmt: skip
-        finish_curves(left, args, ["small" if args.strain == "small" else "large"])
-        x, F, l0, values = state
-        values = SCALES[name] * values
-        limit = np.percentile(values, 98 if rigid else 99.5)
-        drawn = draw_points(right, x, F, l0, values, cmap="viridis", clim=(values.min(), limit))
-        right.plot([0, WIDTH], [DEPTH, DEPTH], color="0.4", lw=0.6, ls="--")
-        right.set(xlim=(0, 8 if rigid else WIDTH), ylim=(0, DEPTH + (0.2 if rigid else ROOM)))
-        bar = figure.colorbar(drawn, ax=right, extend="max", shrink=0.8, aspect=15)
-        bar.set_label(LABELS[name])
-
-
-# %% [markdown]
 # ## Runs
 
 # %%
@@ -481,14 +366,10 @@ if not args.compare:
     figures, history, scene = run(args)
     history.write(args.output / "footing.csv")
     if not args.no_plot:
-        state = scene.points.gather("x", "F", "l0", scene.internal)
-        if scene.args.strain == "small" and not scene.rigid:
-            # the linear theory moves nothing; the picture does
-            moved = scene.points.gather("moved", "turned")
-            if state is not None:
-                state = state[0] + moved[0], state[1] + moved[1], *state[2:]
+        state = scene.look()
         if state is not None:
-            picture(args.output / f"footing_{args.law}.png", args, figures, state, scene.internal)
+            picture = args.output / f"footing_{args.law}.png"
+            draw_run(picture, args, figures, state, scene.internal, (WIDTH, DEPTH, ROOM), LIMIT)
     finish(args, figures)
 else:
     results = []
@@ -499,16 +380,5 @@ else:
     rows = [{k: v for k, v in r.items() if k not in short} for r in results]
     mpm.study.write_table(rows, args.output / f"footing_{args.law}_compared.csv")
     if not args.no_plot:
-        with mpm.figure(args.output / f"footing_{args.law}_compared.png", 3.5, 3.2) as (_, axes):
-            pairs = args.law != "cam-clay"
-            for k, r in enumerate(results):
-                look = {"color": f"C{k // 2}", "ls": ":" if k % 2 == 0 else "-"}
-                if not pairs:
-                    look = {"color": f"C{k + 1}", "marker": "o", "ms": 3, "lw": 0}
-                    look["markevery"] = max(1, args.steps // 20)
-                draw_curve(axes, args, r, r["label"], **look)
-            finish_curves(axes, args, ["large"] if pairs else ["large", "small"])
-            if args.law == "tresca":
-                # they part only when much of the ground flows
-                axes.set(xlim=(0.6 * args.load / 1e3, 1.01 * args.load / 1e3), ylim=(1.05, 0.1))
+        draw_compared(args.output / f"footing_{args.law}_compared.png", args, results, LIMIT)
     finish(args, {"runs": results})
