@@ -34,6 +34,21 @@ def random_strains(n: int, seed: int, low: float = 1e-12, high: float = 1.0) -> 
     return strains
 
 
+def states(n: int, seed: int = 0) -> Array:
+    """Trial strains of all sizes and signs, many with equal values, some zero.
+
+    Unlike `random_strains` it holds a quarter of strains that are all large, and
+    sizes of shear and volume go together. Shape (n, 3), values within ±0.2.
+    """
+    rng = np.random.default_rng(seed)
+    strain = rng.uniform(-0.2, 0.2, (n, 3)) * 10 ** rng.uniform(-7, 0, (n, 1))
+    strain[: n // 4] = rng.uniform(-0.2, 0.2, (n // 4, 3))
+    strain[::7, 1] = strain[::7, 0]
+    strain[::21, 2] = strain[::21, 0]
+    strain[5::500] = 0.0
+    return strain
+
+
 def default_scale(law: Law, result: Response, parameters: Array) -> Array:
     """Size (Pa) that |f| is measured by: the largest stress, or the strength without stress.
 
@@ -43,6 +58,12 @@ def default_scale(law: Law, result: Response, parameters: Array) -> Array:
     """
     strength = np.abs(law.yield_function(np.zeros_like(result.stress), result.internal, parameters))
     return np.maximum(np.abs(result.stress).max(axis=1), strength)
+
+
+def check_finite(result: Response) -> None:
+    """Every number of a response is one."""
+    for values in (result.strain, result.internal, result.stress, result.tangent):
+        assert np.isfinite(values).all()
 
 
 def check_return(
@@ -73,8 +94,7 @@ def check_return(
     old = law.first_internal(parameters) if internal is None else internal
     old = np.broadcast_to(old, (len(strains), len(law.internal)))
     result = law.respond(strains, old, x)
-    for values in (result.strain, result.internal, result.stress, result.tangent):
-        assert np.isfinite(values).all()
+    check_finite(result)
 
     f = law.yield_function(result.stress, result.internal, parameters)
     yielded = (result.strain != strains).any(axis=1) | (result.internal != old).any(axis=1)
@@ -148,6 +168,29 @@ def check_tangent(
     assert smooth.mean() >= share, smooth.mean()
     error = np.abs(numeric - here.tangent).max(axis=(1, 2))[smooth] / size[smooth]
     assert error.max() <= tolerance, (strains[smooth][error.argmax()], error.max())
+
+
+def central_differences(
+    law: Law, strains: Array, step: float
+) -> tuple[Array, list[tuple[Array, Response]]]:
+    """The tangent by central differences of one step, whatever lies between their ends.
+
+    Args:
+        law: Law under test.
+        strains: Principal trial strains, shape (n, 3).
+        step: Step in every principal strain.
+
+    Returns:
+        The differences (Pa), shape (n, 3, 3), and their six ends: strains and response.
+    """
+    found = np.empty((len(strains), 3, 3))
+    ends = []
+    for j in range(3):
+        for sign in (1, -1):
+            moved = strains + sign * step * np.eye(3)[j]
+            ends.append((moved, law.respond(moved)))
+        found[:, :, j] = (ends[-2][1].stress - ends[-1][1].stress) / (2 * step)
+    return found, ends
 
 
 def check_permutations(law: Law, strains: Array, internal: Array | None = None) -> None:
