@@ -20,7 +20,7 @@ from mpi4py import MPI
 
 from dolfinmpm.assemble import Pattern
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
-from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.errors import ParameterError
 from dolfinmpm.fractions import domain_shares
 from dolfinmpm.points import MaterialPoints
@@ -29,16 +29,6 @@ from dolfinmpm.unknowns import Unknowns
 __all__ = ["CellCouplings", "CellMeans", "widen"]
 
 Array = npt.NDArray[np.float64]
-
-
-@numba.njit(cache=True)
-def _to_cells(order, groups, cell_start, cells, share_start, shares, values, out):
-    for g in range(groups.size - 1):
-        number = cell_start[g + 1] - cell_start[g]
-        for position in range(groups[g], groups[g + 1]):
-            start = share_start[g] + (position - groups[g]) * number
-            for k in range(number):
-                out[cells[cell_start[g] + k]] += shares[start + k] * values[order[position]]
 
 
 @numba.njit(cache=True)
@@ -86,7 +76,7 @@ class CellMeans:
     def _sums(self, values: Array) -> Array:
         out = self._shared.array
         out[:] = 0.0
-        _to_cells(*self._graph, values, out)
+        add_weighted(*self._graph, values, out)
         if self.exchanges:
             self._shared.scatter_reverse(InsertMode.add)
             self._shared.scatter_forward()

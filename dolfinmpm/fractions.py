@@ -9,7 +9,7 @@ from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
 from dolfinmpm.basis.bspline import integrals
-from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid import cell_volumes
 from dolfinmpm.points import MaterialPoints
 
@@ -117,16 +117,6 @@ def fill_fractions(
     return shared.array / volumes
 
 
-@numba.njit(cache=True)
-def _add_integrals(order, groups, node_start, nodes, value_start, N, volume, out):
-    for g in range(groups.size - 1):
-        m = node_start[g + 1] - node_start[g]
-        for position in range(groups[g], groups[g + 1]):
-            start = value_start[g] + (position - groups[g]) * m
-            for a in range(m):
-                out[nodes[node_start[g] + a]] += N[start + a] * volume[order[position]]
-
-
 def support_shares(points: MaterialPoints, stencils: Stencils, basis: LatticeBasis) -> Array:
     """Share of each function's integral that lies in the body, shape (nodes,). Collective.
 
@@ -137,7 +127,7 @@ def support_shares(points: MaterialPoints, stencils: Stencils, basis: LatticeBas
     """
     shared = basis.nodes.vector()
     s = stencils
-    _add_integrals(
+    add_weighted(
         s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, points["V"], shared.array
     )
     if basis.nodes.comm.size > 1:

@@ -61,6 +61,19 @@ def invert(J, K):
 
 
 @numba.njit(cache=True)
+def _map(kind, X, xi, N, dN, J, K):
+    """The functions at xi, and Jacobian J and its inverse K of the cell with vertices X there."""
+    reference_functions(kind, xi, N, dN)
+    d = xi.size
+    for i in range(d):
+        for j in range(d):
+            J[i, j] = 0.0
+            for a in range(N.size):
+                J[i, j] += X[a, i] * dN[a, j]
+    invert(J, K)
+
+
+@numba.njit(cache=True)
 def pull_back(kind, X, x, xi, N, dN, J, K):
     """Reference coordinates of x in the cell with vertices X, by Newton's method.
 
@@ -71,13 +84,7 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
     for j in range(d):
         xi[j] = 1.0 / 3.0 if kind == SIMPLEX else 0.5
     for _ in range(25):
-        reference_functions(kind, xi, N, dN)
-        for i in range(d):
-            for j in range(d):
-                J[i, j] = 0.0
-                for a in range(N.size):
-                    J[i, j] += X[a, i] * dN[a, j]
-        invert(J, K)
+        _map(kind, X, xi, N, dN, J, K)
         largest = 0.0
         for j in range(d):
             step = 0.0
@@ -92,13 +99,7 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
         if not largest < 1e3:
             return False
         if largest < 1e-12:
-            reference_functions(kind, xi, N, dN)
-            for i in range(d):
-                for j in range(d):
-                    J[i, j] = 0.0
-                    for a in range(N.size):
-                        J[i, j] += X[a, i] * dN[a, j]
-            invert(J, K)
+            _map(kind, X, xi, N, dN, J, K)
             return True
         for j in range(d):
             xi[j] += J[j, j]

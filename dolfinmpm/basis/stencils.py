@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Stencils", "gather"]
+__all__ = ["Stencils", "add_weighted", "gather"]
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,26 @@ def running_sum(counts: npt.NDArray[np.integer], dtype: npt.DTypeLike) -> npt.ND
     total = np.zeros(counts.size + 1, dtype)
     np.cumsum(counts, out=total[1:])
     return total
+
+
+@numba.njit(cache=True)
+def add_weighted(order, groups, start, targets, weight_start, weights, values, out):
+    """Add Σ_p w_pa m_p over the points to every node, or to every cell, a.
+
+    Args:
+        order, groups: Those of the stencils.
+        start, targets: `node_start` and `nodes` of the stencils, or `cell_start` and `cells`.
+        weight_start: First entry of every group in `weights`, shape (groups + 1,).
+        weights: w, for each of a group's points one row of the group's targets.
+        values: m at the points, shape (points,).
+        out: Sums at the targets, shape (nodes,) or (cells,).
+    """
+    for g in range(groups.size - 1):
+        number = start[g + 1] - start[g]
+        for position in range(groups[g], groups[g + 1]):
+            at = weight_start[g] + (position - groups[g]) * number
+            for k in range(number):
+                out[targets[start[g] + k]] += weights[at + k] * values[order[position]]
 
 
 @numba.njit(cache=True)

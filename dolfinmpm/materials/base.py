@@ -165,6 +165,23 @@ class Law:
             values: Name → values, all of one shape.
         """
 
+    def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
+        """Raise ParameterError where a strength falls too fast for one stress by strain.
+
+        Args:
+            what: The strength, in words.
+            fall: By how much it falls by plastic strain (Pa), shape (n,).
+            limit: What this must be less than (Pa), shape (n,).
+            symbol: The limit in symbols, for the message.
+        """
+        if (fall >= limit).any():
+            worst = np.argmax(fall - limit)
+            bound = f"{symbol} = {limit[worst]:g}" if symbol else f"{limit[worst]:g}"
+            raise ParameterError(
+                f"{type(self).__name__}: {what} falls by {fall[worst]:g} Pa per plastic strain, "
+                f"must be less than {bound} Pa"
+            )
+
     @property
     def address(self) -> int:
         """Address of the compiled kernel."""

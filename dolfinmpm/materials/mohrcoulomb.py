@@ -316,12 +316,7 @@ class MohrCoulomb(Law):
             stiff = 4.0 * lmbda * s * s_flow
             stiff += 2.0 * mu * (first * (1.0 + s) * up + third * (1.0 - s) * down)
             limit = stiff / (2.0 * np.cos(np.radians(phi)) * _ROOT * flow)
-            if (fall >= limit).any():
-                worst = np.argmax(fall - limit)
-                raise ParameterError(
-                    f"{name}: the cohesion falls by {fall[worst]:g} Pa per plastic strain, "
-                    f"must be less than {limit[worst]:g} Pa"
-                )
+            self._bound_softening("the cohesion", fall, limit)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses (Pa), shape (n,)."""

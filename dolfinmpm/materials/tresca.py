@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinmpm.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
 from dolfinmpm.materials.mohrcoulomb import return_to_planes
 from dolfinmpm.materials.principal import moduli
@@ -72,12 +71,7 @@ class Tresca(Law):
         """Raise ParameterError where softening leaves a strain with more than one stress."""
         fall = values["rate"] * (values["cohesion"] - values["ultimate_cohesion"])
         limit = 0.75 * values["E"] / (1.0 + values["nu"])
-        if (fall >= limit).any():
-            worst = np.argmax(fall - limit)
-            raise ParameterError(
-                f"{type(self).__name__}: the cohesion falls by {fall[worst]:g} Pa per plastic "
-                f"strain, must be less than 3/2 μ = {limit[worst]:g} Pa"
-            )
+        self._bound_softening("the cohesion", fall, limit, "3/2 μ")
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses (Pa), shape (n,)."""

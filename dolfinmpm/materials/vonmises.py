@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from dolfinmpm.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
 from dolfinmpm.materials.principal import elastic, moduli
 
@@ -159,13 +158,8 @@ class VonMises(Law):
         """Raise ParameterError where softening leaves a strain with more than one stress."""
         rise = values["rate"] * (values["saturation"] - values["yield_stress"])
         steepest = values["hardening"] + np.minimum(rise, 0.0)
-        limit = -math.sqrt(1.5) * values["E"] / (1.0 + values["nu"])
-        if (steepest <= limit).any():
-            worst = np.argmax(limit - steepest)
-            raise ParameterError(
-                f"{type(self).__name__}: the yield stress falls by {-steepest[worst]:g} Pa per "
-                f"plastic strain, must be less than √6 μ = {-limit[worst]:g} Pa"
-            )
+        limit = math.sqrt(1.5) * values["E"] / (1.0 + values["nu"])
+        self._bound_softening("the yield stress", -steepest, limit, "√6 μ")
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses (Pa), shape (n,)."""
