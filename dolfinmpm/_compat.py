@@ -14,6 +14,8 @@ from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
 from petsc4py import PETSc
 
+from dolfinmpm.jit import patiently
+
 
 def geometry_dofmap(grid) -> npt.NDArray[np.int32]:
     """Vertices of every local cell, shape (cells, vertices of a cell)."""
@@ -38,8 +40,9 @@ def jit_expression(comm, expression, points) -> tuple[int, Any]:
 
     Collective: rank 0 compiles, the others load what it built.
     """
-    compiled, module, _ = jit.ffcx_jit(
-        comm, (expression, points), form_compiler_options={"scalar_type": np.float64}
+    options = {"scalar_type": np.float64}
+    compiled, module, _ = patiently(
+        comm, lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options)
     )
     function = compiled.tabulate_tensor_float64
     return int(module.ffi.cast("uintptr_t", function)), (module, compiled)
@@ -47,7 +50,8 @@ def jit_expression(comm, expression, points) -> tuple[int, Any]:
 
 def compile_form(comm, form: ufl.Form) -> Any:
     """Compile a form through FFCx without any data. Collective."""
-    return fem.compile_form(comm, form, form_compiler_options={"scalar_type": np.float64})
+    options = {"scalar_type": np.float64}
+    return patiently(comm, lambda: fem.compile_form(comm, form, form_compiler_options=options))
 
 
 def create_form(compiled, spaces, grid, subdomains, coefficients, constants) -> fem.Form:

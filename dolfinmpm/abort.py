@@ -32,9 +32,7 @@ def end_all_ranks(comm: MPI.Comm) -> None:
         return
     before = sys.excepthook
 
-    def hook(
-        kind: type[BaseException], error: BaseException, trace: TracebackType | None
-    ) -> None:
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         before(kind, error, trace)
         if is_together(error):
             return

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from dolfinmpm._compat import geometry_degree, geometry_dofmap
 from dolfinmpm.errors import UnsupportedGridError
+from dolfinmpm.jit import patiently
 
 __all__ = ["Lattice", "cell_size", "lattice_of"]
 
@@ -141,7 +142,7 @@ def require_lattice(grid: Mesh, what: str) -> Lattice:
 def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
     """Volume of every local cell, shape (cells,); exact for straight-sided cells."""
     space = fem.functionspace(grid, ("DG", 0))
-    form = fem.form(ufl.TestFunction(space) * ufl.dx)
+    form = patiently(grid.comm, lambda: fem.form(ufl.TestFunction(space) * ufl.dx))
     volumes = fem.assemble_vector(form)
     volumes.scatter_forward()
     return np.abs(volumes.array)

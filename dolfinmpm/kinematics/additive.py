@@ -7,13 +7,20 @@ compiled apart.
 from __future__ import annotations
 
 import functools
-import math
 
 import numba
 import numpy as np
 
 from dolfinmpm.basis.cells import invert
-from dolfinmpm.materials.base import call_law
+from dolfinmpm.kinematics.pieces import (
+    ask_law,
+    from_axes,
+    multiply,
+    read_symmetric,
+    volume_ratio,
+    write_stress,
+    write_symmetric,
+)
 from dolfinmpm.tensors import eigen
 
 __all__ = ["additive_kernel"]
@@ -36,7 +43,7 @@ def additive_kernel(d: int, corotated: bool):
         state, internal, sigma,
     ):  # fmt: skip
         e, Q = np.zeros((3, 3)), np.eye(3)
-        old, work = np.empty((d, d)), np.empty((d, d))
+        old, work = np.empty((3, 3)), np.empty((d, d))
         spin, turn = np.empty((d, d)), np.empty((d, d))
         strain, trial, tau, D = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
         N, T = np.empty((pairs, dd)), np.empty((dd, dd))
@@ -47,14 +54,7 @@ def additive_kernel(d: int, corotated: bool):
         scratch = np.empty(max(internal_n.shape[1], 1))
         volume = 1.0
         for p in range(H.shape[0]):
-            old[0, 0] = state_n[p, 0]
-            if d > 1:
-                old[1, 1] = state_n[p, 1]
-                old[0, 1] = old[1, 0] = state_n[p, 3]
-            if d > 2:
-                old[2, 2] = state_n[p, 2]
-                old[1, 2] = old[2, 1] = state_n[p, 4]
-                old[0, 2] = old[2, 0] = state_n[p, 5]
+            read_symmetric(state_n, p, old)
             for i in range(d):
                 for j in range(d):
                     g[i, j] = H[p, i * d + j]
@@ -83,11 +83,7 @@ def additive_kernel(d: int, corotated: bool):
                         turn[i, j] = 0.0
                         for k in range(d):
                             turn[i, j] += spin[i, k] * work[j, k]
-                for i in range(d):
-                    for j in range(d):
-                        work[i, j] = 0.0
-                        for k in range(d):
-                            work[i, j] += turn[i, k] * old[k, j]
+                multiply(d, turn, old, work)
                 for i in range(d):
                     for j in range(d):
                         old[i, j] = 0.0
@@ -101,48 +97,17 @@ def additive_kernel(d: int, corotated: bool):
             eigen(d, e, trial, Q)
             for i in range(3):
                 strain[i] = trial[i]
-            at = p if parameters.shape[0] > 1 else 0
-            status = call_law(
-                law, parameters.ctypes.data + 8 * at * parameters.shape[1], strain.ctypes.data,
-                internal_n.ctypes.data + 8 * p * internal_n.shape[1],
-                (internal.ctypes.data + 8 * p * internal.shape[1]) if commit
-                else scratch.ctypes.data,
-                tau.ctypes.data, D.ctypes.data,
-            )  # fmt: skip
-            if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
+            if not ask_law(
+                law, parameters, p, strain, internal_n, internal, commit, scratch, tau, D
+            ):  # fmt: skip
                 return p
             if commit:
-                for i in range(3):
-                    state[p, i] = strain[i] if i >= d else 0.0
-                    state[p, 3 + i] = 0.0
-                    for j in range(3):
-                        sigma[p, i, j] = tau[i] if i == j and i >= d else 0.0
-                for a in range(d):
-                    for i in range(d):
-                        state[p, i] += strain[a] * Q[i, a] * Q[i, a]
-                        for j in range(d):
-                            sigma[p, i, j] += tau[a] * Q[i, a] * Q[j, a]
-                    if d > 1:
-                        state[p, 3] += strain[a] * Q[0, a] * Q[1, a]
-                    if d > 2:
-                        state[p, 4] += strain[a] * Q[1, a] * Q[2, a]
-                        state[p, 5] += strain[a] * Q[0, a] * Q[2, a]
+                write_symmetric(d, state, p, strain, Q)
+                write_stress(d, sigma, p, tau, Q, 1.0)
                 continue
-            for i in range(d):
-                for j in range(d):
-                    cauchy[i, j] = 0.0
-                    for a in range(d):
-                        cauchy[i, j] += tau[a] * Q[i, a] * Q[j, a]
+            from_axes(d, tau, Q, cauchy)
             if corotated:
-                if d == 1:
-                    volume *= F_n[p, 0, 0]
-                elif d == 2:
-                    volume *= F_n[p, 0, 0] * F_n[p, 1, 1] - F_n[p, 0, 1] * F_n[p, 1, 0]
-                else:
-                    for i in range(d):
-                        for j in range(d):
-                            dF[i, j] = F_n[p, i, j]
-                    volume *= invert(dF, work)
+                volume *= volume_ratio(d, F_n, p, dF, work)
                 for i in range(d):
                     for j in range(d):
                         S[p, i * d + j] = 0.0

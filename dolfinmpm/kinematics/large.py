@@ -18,7 +18,14 @@ import numpy.typing as npt
 
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.kinematics.framework import Array, Framework, symmetric, widened
-from dolfinmpm.materials.base import call_law
+from dolfinmpm.kinematics.pieces import (
+    ask_law,
+    multiply,
+    read_symmetric,
+    volume_ratio,
+    write_stress,
+    write_symmetric,
+)
 from dolfinmpm.tensors import eigen
 
 __all__ = ["LargeStrain"]
@@ -49,15 +56,8 @@ def _stress_kernel(d: int):
                     dF[i, j] = H[p, i * d + j] + (1.0 if i == j else 0.0)
                     small[i, j] = dF[i, j]
             det = invert(small, small_inv)
-            bn[0, 0], bn[1, 1], bn[2, 2] = be_n[p, 0], be_n[p, 1], be_n[p, 2]
-            bn[0, 1] = bn[1, 0] = be_n[p, 3]
-            bn[1, 2] = bn[2, 1] = be_n[p, 4]
-            bn[0, 2] = bn[2, 0] = be_n[p, 5]
-            for i in range(d):
-                for j in range(d):
-                    work[i, j] = 0.0
-                    for k in range(d):
-                        work[i, j] += dF[i, k] * bn[k, j]
+            read_symmetric(be_n, p, bn)
+            multiply(d, dF, bn, work)
             for i in range(d):
                 for j in range(d):
                     b[i, j] = 0.0
@@ -75,50 +75,19 @@ def _stress_kernel(d: int):
             for i in range(3):
                 strain[i] = 0.5 * math.log(stretch[i])
                 trial[i] = strain[i]
-            at = p if parameters.shape[0] > 1 else 0
-            status = call_law(
-                law, parameters.ctypes.data + 8 * at * parameters.shape[1], strain.ctypes.data,
-                internal_n.ctypes.data + 8 * p * internal_n.shape[1],
-                (internal.ctypes.data + 8 * p * internal.shape[1]) if commit
-                else scratch.ctypes.data,
-                tau.ctypes.data, D.ctypes.data,
-            )  # fmt: skip
-            if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
+            if not ask_law(
+                law, parameters, p, strain, internal_n, internal, commit, scratch, tau, D
+            ):  # fmt: skip
                 failed = p
                 break
             # B = ΔF⁻¹ Q: from here all is done in the principal axes
-            for J in range(d):
-                for a in range(d):
-                    B[J, a] = 0.0
-                    for m in range(d):
-                        B[J, a] += small_inv[J, m] * Q[m, a]
+            multiply(d, small_inv, Q, B)
             if commit:
-                total = det
-                if d == 1:
-                    total *= F_n[p, 0, 0]
-                elif d == 2:
-                    total *= F_n[p, 0, 0] * F_n[p, 1, 1] - F_n[p, 0, 1] * F_n[p, 1, 0]
-                else:
-                    for i in range(3):
-                        for j in range(3):
-                            small[i, j] = F_n[p, i, j]
-                    total *= invert(small, small_inv)
+                total = det * volume_ratio(d, F_n, p, small, small_inv)
+                write_stress(d, sigma, p, tau, Q, 1.0 / total)
                 for i in range(3):
-                    be[p, i] = math.exp(2.0 * strain[i]) if i >= d else 0.0
-                    be[p, 3 + i] = 0.0
-                    for j in range(3):
-                        sigma[p, i, j] = tau[i] / total if i == j and i >= d else 0.0
-                for a in range(d):
-                    squared = math.exp(2.0 * strain[a])
-                    for i in range(d):
-                        be[p, i] += squared * Q[i, a] * Q[i, a]
-                        for j in range(d):
-                            sigma[p, i, j] += tau[a] / total * Q[i, a] * Q[j, a]
-                    if d > 1:
-                        be[p, 3] += squared * Q[0, a] * Q[1, a]
-                    if d > 2:
-                        be[p, 4] += squared * Q[1, a] * Q[2, a]
-                        be[p, 5] += squared * Q[0, a] * Q[2, a]
+                    stretch[i] = math.exp(2.0 * strain[i])
+                write_symmetric(d, be, p, stretch, Q)
                 continue
             for i in range(d):
                 for J in range(d):

@@ -24,6 +24,7 @@ from dolfinmpm.ordinary import OrdinaryAssembler
 from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.prolong import Prolongation, reduce_blocks
 from dolfinmpm.solve.linesearch import SEARCHES, has_search, name_of, set_search
+from dolfinmpm.solve.solver import create_snes, set_mumps
 from dolfinmpm.solve.unsoftened import Unsoftened
 from dolfinmpm.space import Space, extraction
 from dolfinmpm.stabilise import Stabilisation
@@ -103,30 +104,13 @@ class NewtonSystem:
         database = PETSc.Options()
         for name, value in options.items():
             database[prefix + name] = value
-        if self._tangent_only and not database.hasName(prefix + "ksp_converged_maxits"):
-            # Newton's method corrects what is left
-            database[prefix + "ksp_converged_maxits"] = True
         self._searches = () if has_search(prefix) else SEARCHES
-        self._snes = snes = PETSc.SNES().create(self.comm)
-        snes.setOptionsPrefix(prefix)
-        snes.setType("newtonls")
-        snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self._max_iterations)
-        ksp = snes.getKSP()
-        ksp.setType("preonly")
-        if self._tangent_only:
-            ksp.setType("gmres")
-            ksp.setTolerances(rtol=1e-11, max_it=60)
-            ksp.setGMRESRestart(60)
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
-        snes.setFromOptions()
+        self._snes = create_snes(self.comm, prefix, bool(self._tangent_only))
+        self._snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self._max_iterations)
+        self._snes.setFromOptions()
         if self._searches:
             self._search = self._searches[0]
-            set_search(snes, prefix, self._search)
-        pc = ksp.getPC()
-        mumps = pc.getType() == "lu" and pc.getFactorSolverType() == "mumps"
-        own = database.hasName(prefix + "mat_mumps_icntl_7")
-        self._minimum_fill = mumps and not own and self._points.gdim < 3
+            set_search(self._snes, prefix, self._search)
 
     # -- activate -------------------------------------------------------------
 
@@ -225,12 +209,8 @@ class NewtonSystem:
             else:
                 self._snes.setJacobian(self._jacobian, tangent)
             self._snes.setConvergenceTest(self._test)
-            if self._minimum_fill and self.unknowns.total:
-                # a tenth less time and memory than with the ordering that MUMPS chooses
-                ksp = self._snes.getKSP()
-                ksp.setOperators(self._matrix.petsc)
-                ksp.getPC().setFactorSetUpSolverType()
-                ksp.getPC().getFactorMatrix().setMumpsIcntl(7, 2)
+            if self.unknowns.total:
+                set_mumps(self._snes, self._matrix.petsc, self._points.gdim)
         self._assemble_external()
 
     @property
