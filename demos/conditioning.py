@@ -87,7 +87,7 @@ def arguments():
     options.add_argument(
         "--threshold", type=float, help="filled share of a root cell; 0.995 in 1D, 0.9 in 2D"
     )
-    options.add_argument("--eta", type=float, default=1e-2, help="share of soft stiffness")
+    options.add_argument("--eta", type=float, default=3e-2, help="share of soft stiffness")
     options.add_argument("--spacing", type=float, default=1.0, help="size of the cells h (m)")
     options.add_argument("--points-per-cell", type=int, help="2 in 1D, 3 in 2D")
     args = options.parse_args()

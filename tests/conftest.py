@@ -22,6 +22,8 @@ def figures_of(script, *options, ranks=1, timeout=300):
     # what this process's own MPI put into the environment must not reach the launcher's
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
     clean["OMP_NUM_THREADS"] = "1"
+    # ranks that wait leave the cores to tests that run beside them
+    clean["OMPI_MCA_mpi_yield_when_idle"] = "1"
     clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     # mpi4py's runner ends all ranks when one of them raises
