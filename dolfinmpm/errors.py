@@ -26,12 +26,10 @@ __all__ = [
     "StateError",
     "UnsupportedGridError",
     "call_together",
-    "is_together",
     "raise_together",
 ]
 
 Result = TypeVar("Result")
-TOGETHER = "_on_all_ranks"  # attribute of the errors that all ranks raise
 
 
 class DolfinMPMError(Exception):
@@ -119,15 +117,10 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
         return
     first = (type(error), str(error)) if comm.rank == failing else None
     kind, message = comm.bcast(first, root=failing)
-    if error is None:
-        try:
-            error = kind(message)
-        except TypeError:  # some exceptions of other packages take more arguments
-            error = DolfinMPMError(f"{kind.__name__}: {message}")
-    error.__dict__[TOGETHER] = True
-    raise error
-
-
-def is_together(error: BaseException) -> bool:
-    """Whether :func:`raise_together` raised an error, on all ranks."""
-    return TOGETHER in error.__dict__
+    if error is not None:
+        raise error
+    try:
+        other = kind(message)
+    except TypeError:  # some exceptions of other packages take more arguments
+        other = DolfinMPMError(f"{kind.__name__}: {message}")
+    raise other

@@ -17,8 +17,8 @@ COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def figures_of(script, *options, ranks=1, timeout=300):
-    """The JSON that a script prints last, run by interpreters of its own on some ranks."""
+def start(script, *options, ranks=1, timeout=300):
+    """A script run to its end by interpreters of its own; returns its code and what it printed."""
     # what this process's own MPI put into the environment must not reach the launcher's
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
     clean["OMP_NUM_THREADS"] = "1"
@@ -26,9 +26,13 @@ def figures_of(script, *options, ranks=1, timeout=300):
     clean["OMPI_MCA_mpi_yield_when_idle"] = "1"
     clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    # mpi4py's runner ends all ranks when one of them raises
-    command = [*launcher, sys.executable, "-m", "mpi4py", str(ROOT / script), *options]
-    done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=timeout)
+    command = [*launcher, sys.executable, str(ROOT / script), *options]
+    return subprocess.run(command, env=clean, capture_output=True, text=True, timeout=timeout)
+
+
+def figures_of(script, *options, ranks=1, timeout=300):
+    """The JSON that a script prints last, run by interpreters of its own on some ranks."""
+    done = start(script, *options, ranks=ranks, timeout=timeout)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     return json.loads(done.stdout.strip().splitlines()[-1])
 
