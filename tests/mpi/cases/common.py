@@ -11,14 +11,14 @@ COMM = MPI.COMM_WORLD
 
 
 def sums(points, *names):
-    """Weighted sums over all points of the fields and their squares."""
+    """Weighted sums over all points of the fields, and of their squares."""
     figures = {}
     for name in names:
         values = points[name].reshape(len(points), int(np.prod(points[name].shape[1:])))
         weight = points["V0"] * (1 + points["x0"].sum(axis=1))
         total = COMM.allreduce(weight @ values)
         square = COMM.allreduce(weight @ values**2)
-        figures[name] = [*np.ravel(total), *np.ravel(square)]
+        figures |= {name: list(np.ravel(total)), f"{name} squared": list(np.ravel(square))}
     return figures
 
 

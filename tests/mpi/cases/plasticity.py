@@ -22,7 +22,7 @@ def _measure(strain):
     F = mpm.momentum(law, points, V.increment, V.test, strain=strain)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     mpm.set_stress(points, law, mpm.geostatic_stress(6, 1800 * 9.81, 0.5), strain=strain)
-    start = sums(points, "stress")["stress"]
+    start = sums(points, "stress")
     # the load goes beyond what it starts from
     loads = [(0.05 * k, -9.81 - 0.5 * k) for k in range(1, 5)]
     bcs = mpm.fixed(V, "bottom")
