@@ -32,7 +32,7 @@ def active_cells(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.boo
     return _flags(stencils.cells, numbering)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _mark_boundary(active, owned, cell_facets, facet_cells, boundary):
     for c in range(owned):
         if active[c]:
@@ -42,7 +42,7 @@ def _mark_boundary(active, owned, cell_facets, facet_cells, boundary):
                     boundary[c] = True
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _select_facets(active, boundary, owned_facets, cell_facets, facet_cells, rows):
     number = 0
     for c in range(cell_facets.shape[0]):

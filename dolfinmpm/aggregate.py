@@ -33,7 +33,7 @@ __all__ = ["SEARCH_RADIUS", "ties"]
 SEARCH_RADIUS = 4
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _linear_index(ijk, origin, shape):
     at = 0
     for d in range(ijk.size):
@@ -44,7 +44,7 @@ def _linear_index(ijk, origin, shape):
     return at
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
     """Whether each node has a good cell among those of its support."""
     gdim = node_ijk.shape[1]
@@ -62,7 +62,7 @@ def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
                 break
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _roots(
     outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, growth,
     found,

@@ -19,7 +19,7 @@ __all__ = ["Matrix", "Pattern", "add_blocks", "add_stiffness", "add_vector", "mu
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux, out):
     components, gdim = out.shape[1], dN.shape[1]
     for g in range(begin, end):
@@ -145,7 +145,7 @@ def add_stiffness(
     )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _add_blocks(rows, columns, blocks, row_of, indptr, indices, data, prescribed, lift):
     for e in range(rows.size):
         for i in range(blocks.shape[1]):
@@ -175,7 +175,7 @@ def add_blocks(rows, columns, blocks, unknowns: Unknowns, pattern: Pattern, data
     )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def multiply_blocks(rows, columns, blocks, u, out):
     """Add A u to nodal forces, A given by blocks; u and out have shape (nodes, components)."""
     for e in range(rows.size):
@@ -186,7 +186,7 @@ def multiply_blocks(rows, columns, blocks, u, out):
             out[rows[e], i] += f
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours):
     """Neighbours of every active node, in increasing order; only counts if the array is empty."""
     n = active.size
@@ -238,7 +238,7 @@ def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start
         start[a + 1] = total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _covers(start, neighbours, new_start, new_neighbours):
     """Whether every coupling of the second graph is one of the first."""
     for a in range(start.size - 1):
@@ -251,7 +251,7 @@ def _covers(start, neighbours, new_start, new_neighbours):
     return True
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _expand(start, neighbours, rows, indptr, indices):
     """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none."""
     nc = rows.shape[1]

@@ -31,7 +31,7 @@ __all__ = ["CellCouplings", "CellMeans", "widen"]
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _to_points(order, groups, cell_start, cells, share_start, shares, values, out):
     for g in range(groups.size - 1):
         number = cell_start[g + 1] - cell_start[g]
@@ -91,7 +91,7 @@ class CellMeans:
         return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _cell_nodes(
     node_start, nodes, group_of, first, of_cell, seen, place, start, out, entry_start, entry
 ):
@@ -121,7 +121,7 @@ def _cell_nodes(
                     entry[entry_start[pair] + b] = place[nodes[node_start[g] + b]]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _add_forces(
     begin, end, groups, node_start, value_start, N, dN, cell_start, share_start, shares,
     entry_start, entry, flux, out,
@@ -143,7 +143,7 @@ def _add_forces(
                         out[entry[entry_start[cell_start[g] + k] + a], i] += shares[share + k] * f
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _add_outer(start, nodes, volume, left, right, row_of, indptr, indices, data, prescribed, lift):
     components = left.shape[1]
     for c in range(start.size - 1):

@@ -18,7 +18,7 @@ __all__ = ["domain_shares", "fill_fractions", "support_shares"]
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _share(low, high, cell, x, half, p):
     """Share of a point's domain that lies in a cell."""
     share = 1.0
@@ -29,7 +29,7 @@ def _share(low, high, cell, x, half, p):
     return share
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _spread(order, groups, cell_start, cells, low, high, x, half, volume, out):
     """Add each point's volume to the cells it overlaps, by the shares of its domain."""
     for g in range(groups.size - 1):
@@ -41,7 +41,7 @@ def _spread(order, groups, cell_start, cells, low, high, x, half, volume, out):
                 out[cells[at]] += share * volume[p]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _fill_shares(order, groups, cell_start, cells, low, high, x, half, share_start, shares):
     for g in range(groups.size - 1):
         number = cell_start[g + 1] - cell_start[g]

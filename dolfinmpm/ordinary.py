@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 Entities = dict[int, npt.NDArray[np.int32]]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _entries(indptr, indices, rows, columns):
     at = 0
     for row in range(indptr.size - 1):

@@ -18,7 +18,7 @@ from dolfinmpm.errors import ParameterError
 __all__ = ["Prolongation", "reduce_blocks"]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _tie(
     groups, node_start, nodes, value_start, N, dN, indptr, indices, weights, place, counts,
     new_start, new_value_start, new_nodes, new_N, new_dN,

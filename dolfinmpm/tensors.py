@@ -7,7 +7,7 @@ import math
 import numba
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def eigen(d, a, values, vectors):
     """Eigenvalues and eigenvectors (columns) of the leading d x d block of a symmetric a.
 

@@ -36,7 +36,7 @@ def _knot(line, degree, i):
     return line[min(max(i - degree, 0), line.size - 1)]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def spline_weights(line, cell, degree, x, S, dS):
     """The degree + 1 functions of a cell and their slopes (1/m) at x, by Cox and de Boor."""
     span = cell + degree
@@ -64,7 +64,7 @@ def spline_weights(line, cell, degree, x, S, dS):
         S[k] = saved
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def averaged_spline_weights(line, first, count, degree, x, half, S, dS, part, slope):
     """Averages over a domain of the count + degree functions that it meets, and of their slopes.
 

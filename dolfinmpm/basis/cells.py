@@ -12,7 +12,7 @@ import numpy as np
 SIMPLEX, BOX = 0, 1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def reference_functions(kind, xi, N, dN):
     """Linear functions and their reference gradients at xi; writes N (m,) and dN (m, d)."""
     d = xi.size
@@ -37,7 +37,7 @@ def reference_functions(kind, xi, N, dN):
                 dN[a, j] *= slope if i == j else value
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def invert(J, K):
     """Inverse K of a 1x1, 2x2 or 3x3 matrix J; returns det J."""
     d = J.shape[0]
@@ -60,7 +60,7 @@ def invert(J, K):
     return det
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _map(kind, X, xi, N, dN, J, K):
     """The functions at xi, and Jacobian J and its inverse K of the cell with vertices X there."""
     reference_functions(kind, xi, N, dN)
@@ -73,7 +73,7 @@ def _map(kind, X, xi, N, dN, J, K):
     invert(J, K)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def pull_back(kind, X, x, xi, N, dN, J, K):
     """Reference coordinates of x in the cell with vertices X, by Newton's method.
 
@@ -106,7 +106,7 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
     return False
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def outside_by(kind, xi):
     """How far xi lies outside the reference cell; negative or zero inside."""
     far = -1.0
@@ -121,7 +121,7 @@ def outside_by(kind, xi):
     return far
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def contained(kind, vertices, coordinates, cells, x, tolerance, result):
     """Whether each point x[p] lies in cells[p] (-1: in none); writes result (points,)."""
     m, d = vertices.shape[1], x.shape[1]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numba
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def domain_weights(line, first, count, x, half, S, dS):
     """Average of the linear functions over a domain and its gradient, in one direction."""
     for i in range(count + 1):

@@ -35,7 +35,7 @@ def _cell_of(line, uniform, x):
     return min(max(cell, 0), n - 1)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, low, count):
     """First overlapped cell and number of them a direction; returns whether the table has all."""
     inside = True
@@ -58,7 +58,7 @@ def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, lo
     return inside
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _keys(low, count, table_shape, key):
     for p in range(low.shape[0]):
         k, c = 0, 0
@@ -69,7 +69,7 @@ def _keys(low, count, table_shape, key):
         key[p] = k * 262144 + c
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _fill(
     x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
     order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,

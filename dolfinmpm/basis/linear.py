@@ -20,7 +20,7 @@ def kind_of(grid: Mesh) -> int:
     return SIMPLEX if grid.topology.cell_type in simplices else BOX
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _fill(kind, vertices, coordinates, dofs, x, cells, order, groups, nodes, N, dN):
     m, d = vertices.shape[1], x.shape[1]
     X, N_ref, dN_ref = np.empty((m, d)), np.empty(m), np.empty((m, d))

@@ -65,7 +65,7 @@ def running_sum(counts: npt.NDArray[np.integer], dtype: npt.DTypeLike) -> npt.ND
     return total
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def add_weighted(order, groups, start, targets, weight_start, weights, values, out):
     """Add Σ_p w_pa m_p over the points to every node, or to every cell, a.
 
@@ -85,7 +85,7 @@ def add_weighted(order, groups, start, targets, weight_start, weights, values, o
                 out[targets[start[g] + k]] += weights[at + k] * values[order[position]]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _gather(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
     components, gdim = gradient.shape[1], gradient.shape[2]
     for g in range(groups.size - 1):

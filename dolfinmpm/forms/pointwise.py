@@ -60,7 +60,7 @@ def _pointer(typingctx, address):
     return signature, generate
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _run(function, addresses, strides, sizes, out):
     constants = np.empty(max(sizes.sum(), 1))
     for p in range(out.shape[0]):

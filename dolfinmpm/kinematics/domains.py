@@ -15,7 +15,7 @@ __all__ = ["update_domains"]
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _stretches(F, l0, lengths):
     d = F.shape[1]
     C, Q, values = np.empty((d, d)), np.empty((d, d)), np.empty(d)

@@ -62,7 +62,7 @@ def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
     return signature, generate
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _respond(law, parameters, strain, old, new, stress, tangent):
     for p in range(strain.shape[0]):
         at = p if parameters.shape[0] > 1 else 0

@@ -306,7 +306,7 @@ def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
     return kernel
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _values(function, z, out):
     for p in range(z.shape[0]):
         out[p] = 0.0

@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 DENSE_LIMIT = 1500
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _jacobi(A, tolerance):
     """One-sided Jacobi rotations make columns orthogonal, to high relative accuracy.
 
