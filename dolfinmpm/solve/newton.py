@@ -24,7 +24,7 @@ from dolfinmpm.ordinary import OrdinaryAssembler
 from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.prolong import Prolongation, reduce_blocks
 from dolfinmpm.solve.linesearch import SEARCHES, has_search, name_of, set_search
-from dolfinmpm.solve.solver import create_snes, set_mumps
+from dolfinmpm.solve.solver import Mumps, create_snes
 from dolfinmpm.solve.unsoftened import Unsoftened
 from dolfinmpm.space import Space, extraction
 from dolfinmpm.stabilise import Stabilisation
@@ -108,6 +108,7 @@ class NewtonSystem:
         self._snes = create_snes(self.comm, prefix, bool(self._tangent_only))
         self._snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self._max_iterations)
         self._snes.setFromOptions()
+        self._mumps = Mumps(self._snes, self._points.gdim)
         if self._searches:
             self._search = self._searches[0]
             set_search(self._snes, prefix, self._search)
@@ -210,7 +211,7 @@ class NewtonSystem:
                 self._snes.setJacobian(self._jacobian, tangent)
             self._snes.setConvergenceTest(self._test)
             if self.unknowns.total:
-                set_mumps(self._snes, self._matrix.petsc, self._points.gdim)
+                self._mumps.attach(self._matrix.petsc)
         self._assemble_external()
 
     @property
@@ -421,6 +422,8 @@ class NewtonSystem:
         self.iterations += snes.getIterationNumber() if krylov else snes.getLinearSolveIterations()
         reason = snes.getConvergedReason()
         if reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
+            if self._mumps.enlarge(self._matrix.petsc):
+                return self._newton()
             # factors that failed fail again, whatever the matrix: begin anew
             self._configure(*self._settings)
             self._pattern = self._matrix = None

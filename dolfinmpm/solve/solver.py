@@ -5,10 +5,11 @@ from __future__ import annotations
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["create_snes", "set_mumps"]
+__all__ = ["Mumps", "create_snes"]
 
-# MUMPS's own settings: what it chooses by default is not the best for these matrices
+# MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
 ORDERING, WORKSPACE = 7, 14
+SHORT_OF_WORKSPACE = (-8, -9, -17)
 
 
 def create_snes(comm: MPI.Intracomm, prefix: str, softened: bool) -> PETSc.SNES:
@@ -38,32 +39,52 @@ def create_snes(comm: MPI.Intracomm, prefix: str, softened: bool) -> PETSc.SNES:
     return snes
 
 
-def set_mumps(snes: PETSc.SNES, matrix: PETSc.Mat, gdim: int) -> None:
-    """Settings of MUMPS for a matrix, where it is the solver and no option sets them. Collective.
+class Mumps:
+    """Settings of MUMPS for the matrices of a run, where it is the solver and no option sets them.
 
     Args:
         snes: Solver.
-        matrix: What will be factorised; at least one unknown.
         gdim: Dimension of space.
     """
-    ksp = snes.getKSP()
-    pc = ksp.getPC()
-    if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
-        return
-    # a plastic tangent near a limit load needs pivots off the diagonal, and room for what
-    # they fill in: with MUMPS's 20 % the factorisation of a regular matrix may end for want of it
-    wanted = {WORKSPACE: 100}
-    if gdim < 3:
+
+    def __init__(self, snes: PETSc.SNES, gdim: int):
+        self._snes = snes
+        pc = snes.getKSP().getPC()
+        self._used = pc.getType() == "lu" and pc.getFactorSolverType() == "mumps"
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
-        wanted[ORDERING] = 2
-    database, prefix = PETSc.Options(), snes.getOptionsPrefix() or ""
-    wanted = {
-        number: value
-        for number, value in wanted.items()
-        if not database.hasName(f"{prefix}mat_mumps_icntl_{number}")
-    }
-    if wanted:
-        ksp.setOperators(matrix)
-        pc.setFactorSetUpSolverType()
-        for number, value in wanted.items():
-            pc.getFactorMatrix().setMumpsIcntl(number, value)
+        self._settings = {ORDERING: 2} if gdim < 3 else {}
+
+    def attach(self, matrix: PETSc.Mat) -> None:
+        """Create the factors of a matrix of at least one unknown. Collective."""
+        ksp = self._snes.getKSP()
+        settings = {k: v for k, v in self._settings.items() if not self._given(k)}
+        if self._used and settings:
+            ksp.setOperators(matrix)
+            ksp.getPC().setFactorSetUpSolverType()
+            for number, value in settings.items():
+                ksp.getPC().getFactorMatrix().setMumpsIcntl(number, value)
+
+    def enlarge(self, matrix: PETSc.Mat) -> bool:
+        """Double the workspace if the last factorisation ended for want of it. Collective.
+
+        Returns whether it did, with new factors for the matrix, because those that
+        failed fail again. A plastic tangent near a limit load needs pivots off the
+        diagonal, and room
+        for what they fill in, beyond the 20 % more than foreseen that MUMPS takes.
+        """
+        if not self._used or self._given(WORKSPACE):
+            return False
+        factors = self._snes.getKSP().getPC().getFactorMatrix()
+        if factors.getMumpsInfog(1) not in SHORT_OF_WORKSPACE:
+            return False
+        share = 2 * self._settings.get(WORKSPACE, 50)
+        if share > 1000:
+            return False
+        self._settings[WORKSPACE] = share
+        self._snes.getKSP().getPC().reset()
+        self.attach(matrix)
+        return True
+
+    def _given(self, number: int) -> bool:
+        prefix = self._snes.getOptionsPrefix() or ""
+        return PETSc.Options().hasName(f"{prefix}mat_mumps_icntl_{number}")

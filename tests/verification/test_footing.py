@@ -50,9 +50,11 @@ def test_newton_converges_in_every_step():
     assert np.median(last / before) < 1e-3
 
 
-@pytest.mark.parametrize("strain", ["large", "jaumann"])
+@pytest.mark.parametrize("strain", ["large", "small", "jaumann"])
 def test_prandtl_with_f_bar(strain):
     figures = footing(f"--law tresca-perfect --basis gimp --h 0.1 --fbar on --strain {strain}")
+    # near the limit load the factorisation may need more room than MUMPS foresees
+    assert figures["halvings"] == 0
     assert 0 < figures["bearing_error"] < 0.03
     assert figures["last_rise"] < 5e-3
 
@@ -70,19 +72,16 @@ def test_the_limit_load_is_missed_without_f_bar():
 
 
 def test_f_bar_and_splines_are_softer():
-    """Locking, by the mean settlement of hardening Tresca clay under the last load."""
-    s = {
-        (basis, fbar): footing(
-            f"--law tresca --basis {basis} --fbar {fbar} --points-per-cell 3 --steps 50"
-        )["settlement_mean"]
-        for basis in ("linear", "gimp", "bspline2")
-        for fbar in ("off", "on")
-    }
-    for basis in ("linear", "gimp", "bspline2"):
-        assert s[basis, "on"] > s[basis, "off"]
-    # linear functions and GIMP lock alike
-    assert s["gimp", "off"] == pytest.approx(s["linear", "off"], rel=0.03)
-    assert s["bspline2", "off"] > 1.05 * s["gimp", "off"]
-    gain = {basis: s[basis, "on"] / s[basis, "off"] for basis in ("linear", "gimp", "bspline2")}
-    assert gain["linear"] > gain["bspline2"]
-    assert gain["gimp"] > gain["bspline2"]
+    """Locking, by the settlement of hardening Tresca clay under the last load."""
+    bases = "linear", "gimp", "bspline2"
+    for where in ("settlement_mean", "settlement_centre"):
+        s = {
+            (basis, fbar): footing(f"--law tresca --basis {basis} --fbar {fbar} --steps 50")[where]
+            for basis in bases
+            for fbar in ("off", "on")
+        }
+        assert s["linear", "off"] < s["gimp", "off"] < s["bspline2", "off"]
+        assert s["bspline2", "off"] > 1.05 * s["gimp", "off"]
+        gain = {basis: s[basis, "on"] / s[basis, "off"] for basis in bases}
+        assert min(gain.values()) > 1.02
+        assert gain["linear"] > max(gain["gimp"], gain["bspline2"])
