@@ -69,8 +69,8 @@ class Mumps:
 
         Returns whether it did, with new factors for the matrix, because those that
         failed fail again. A plastic tangent near a limit load needs pivots off the
-        diagonal, and room
-        for what they fill in, beyond the 20 % more than foreseen that MUMPS takes.
+        diagonal, and more room for what they fill in than the 20 % beyond its forecast
+        that MUMPS takes.
         """
         if not self._used or self._given(WORKSPACE):
             return False
