@@ -100,9 +100,9 @@ args = options.parse_args()
 ghost = None if args.ghost == "none" else args.ghost
 
 figures: dict[str, dict] = {}
-for basis in args.bases.split(","):
+for basis in args.bases.split(",") if args.cases else ():
     column(1, 16, basis, ghost)  # compiles, or loads what was compiled before
-    for case in args.cases.split(",") if args.cases else ():
+    for case in args.cases.split(","):
         columns, elements = (int(n) for n in case.split("x"))
         gc.collect()
         before = memory("VmRSS")

@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx.fem import IntegralType
 
 from dolfinmpm._compat import compile_form, create_form, create_matrix, integration_domains
+from dolfinmpm.facets import FacetBlock, are_alike
 from dolfinmpm.forms.split import OrdinaryTerms
 from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.space import Space
@@ -48,8 +49,8 @@ class _Block:
         self._spaces = spaces
         self._ufl = form
         self._compiled = compile_form(grid.comm, form)
-        self._coefficients = form.coefficients()
-        self._constants = form.constants()
+        self.coefficients = form.coefficients()
+        self.constants = form.constants()
         (data,) = form.subdomain_data().values()
         self._fixed: dict[Any, list] = {}
         for integral in form.integrals():
@@ -79,7 +80,7 @@ class _Block:
             domains.setdefault(kind, []).append((number, entities[number]))
         spaces = [space.function_space for space in self._spaces]
         self._form = create_form(
-            self._compiled, spaces, self._grid, domains, self._coefficients, self._constants
+            self._compiled, spaces, self._grid, domains, self.coefficients, self.constants
         )
         if len(spaces) == 2:
             self._matrix = create_matrix(self._form)
@@ -115,6 +116,9 @@ class OrdinaryAssembler:
     Args:
         terms: The terms.
         spaces: Spaces of the fields, whose components are stacked at the nodes.
+
+    Attributes:
+        on_splines: Whether the Jacobian stands between splines, not between Lagrange nodes.
     """
 
     def __init__(self, terms: OrdinaryTerms, spaces: Sequence[Space]):
@@ -126,10 +130,20 @@ class OrdinaryAssembler:
         def block(form, *fields) -> _Block | None:
             return None if form is None else _Block(form, grid, [spaces[k] for k in fields])
 
+        def bilinear(form, *fields) -> _Block | FacetBlock | None:
+            if self.on_splines and form is not None:
+                return FacetBlock(form, spaces[0])
+            return block(form, *fields)
+
+        bilinear_form = terms.jacobian[0][0]
+        self.on_splines = (
+            len(spaces) == 1 and bilinear_form is not None and are_alike(bilinear_form, spaces[0])
+        )
+
         count = range(len(spaces))
         self._external = [block(terms.external[i], i) for i in count]
         self._internal = [block(terms.internal[i], i) for i in count]
-        self._jacobian = [[block(terms.jacobian[i][j], i, j) for j in count] for i in count]
+        self._jacobian = [[bilinear(terms.jacobian[i][j], i, j) for j in count] for i in count]
         self.linear = terms.linear
         self._all = [
             b for b in chain(self._external, self._internal, *self._jacobian) if b is not None
@@ -138,11 +152,11 @@ class OrdinaryAssembler:
 
     def constants(self) -> list[fem.Constant]:
         """DOLFINx constants in the terms."""
-        return [c for b in self._all for c in b._constants]
+        return [c for b in self._all for c in b.constants]
 
     def functions(self) -> list[fem.Function]:
         """DOLFINx functions in the terms."""
-        return [c for b in self._all for c in b._coefficients]
+        return [c for b in self._all for c in b.coefficients]
 
     def attach(self, entities: Entities) -> None:
         """Integrate over these ghost facets and active cells, by subdomain id, from now on."""

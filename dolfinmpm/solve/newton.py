@@ -162,6 +162,7 @@ class NewtonSystem:
         self._cells = stencils
         # u_Lagrange = T x: what splines and ties make of the solver's unknowns
         self._T = self._extraction
+        self._C: sparse.csr_matrix | None = None
         self._penalty: Any = None
         tie = self._ties(stencils, nodes)
         if self._numbering is not self.basis.nodes:
@@ -169,6 +170,7 @@ class NewtonSystem:
             return self.activate(share)
         if tie is not None:
             C = Prolongation(tie)
+            self._C = C.matrix
             self._T = C.matrix if self._T is None else self._T @ C.matrix
             stencils = C.stencils(stencils)
             nodes = nodes[~C.tied[nodes]]
@@ -279,7 +281,8 @@ class NewtonSystem:
         """Rows, columns and blocks of ordinary terms, on the solver's nodes."""
         assert assembler is not None
         blocks = assembler.rows, assembler.columns, assembler.jacobian()
-        return blocks if self._T is None else reduce_blocks(self._T, *blocks)
+        T = self._C if assembler.on_splines else self._T
+        return blocks if T is None else reduce_blocks(T, *blocks)
 
     def _couplings(self):
         """Pairs of active nodes that terms other than the points' couple."""
