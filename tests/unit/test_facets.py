@@ -1,0 +1,315 @@
+"""Terms over ghost facets of B-splines: classes of facets against every facet by DOLFINx."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem, mesh
+from scipy import sparse
+
+import dolfinmpm as mpm
+from dolfinmpm.active import GhostFacets
+from dolfinmpm.facets import FacetBlock
+
+SPLINES = ("bspline2", "bspline3")
+LAW = mpm.materials.Hencky(E=1e6, nu=0.3)
+CELLS = {1: (9,), 2: (8, 7), 3: (6, 5, 5)}
+
+
+def box(*cells, size=None):
+    """A grid of cells of 0.5 m by 0.4 m by 0.6 m, or of a box of that size."""
+    size = np.array(size or np.array([0.5, 0.4, 0.6])[: len(cells)] * cells)
+    if len(cells) == 1:
+        return mesh.create_interval(COMM, cells[0], [0.0, size[0]])
+    ends = [np.zeros(len(cells)), size]
+    if len(cells) == 2:
+        return mesh.create_rectangle(COMM, ends, cells, mesh.CellType.quadrilateral)
+    return mesh.create_box(COMM, ends, cells, mesh.CellType.hexahedron)
+
+
+def everywhere(grid):
+    """A body with holes and steps that reaches two corners of the grid."""
+    size = grid.geometry.x.max(axis=0)[: grid.geometry.dim]
+
+    def inside(x):
+        scaled = (x.T / size).T
+        hole = np.all(np.abs(scaled - 0.6) < 0.15, axis=0)
+        return (scaled.sum(axis=0) < 0.7 * len(size)) & ~hole | np.all(scaled > 0.75, axis=0)
+
+    return mpm.Where(inside)
+
+
+def problem_of(grid, basis, term, shape=None, **options):
+    """A problem with a term over facets, its blocks ready; the term is a function of its own."""
+    points = mpm.fill(grid, everywhere(grid), per_cell=2, density=1.0)
+    V = mpm.Space(grid, basis, shape, averaged=basis == "gimp")
+    u, v = V.increment, V.test
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * points.dx + term(points, u, v)
+    problem = mpm.QuasiStatic(F, u, points, **options)
+    problem.system.activate(1.0)
+    return problem
+
+
+def matrix_of(problem):
+    """Sum of the blocks of the terms over the grid, between the solver's nodes."""
+    rows, columns, blocks = problem.system._blocks
+    c, size = blocks.shape[1], problem.system.basis.nodes.size
+    i = rows[:, None, None] * c + np.arange(c)[:, None] + np.zeros((c, c), int)
+    j = columns[:, None, None] * c + np.arange(c) + np.zeros((c, c), int)
+    shape = size * c, size * c
+    return sparse.csr_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=shape).toarray()
+
+
+def on_splines(problem):
+    """Whether classes of facets are used."""
+    return problem.system.ordinary.on_splines
+
+
+def every_facet(monkeypatch):
+    """From now on DOLFINx integrates over every facet."""
+    monkeypatch.setattr("dolfinmpm.ordinary.are_alike", lambda *_: False)
+
+
+def check(monkeypatch, make):
+    """One matrix by classes and by all facets; returns that by classes."""
+    problem = make()
+    assert on_splines(problem)
+    found = matrix_of(problem)
+    with monkeypatch.context() as patch:
+        every_facet(patch)
+        reference = make()
+    assert not on_splines(reference)
+    expected = matrix_of(reference)
+    assert np.abs(expected).max() > 0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    return problem
+
+
+def ghost(points, u, v):
+    return mpm.ghost(points, u, v, gamma=2.0)
+
+
+# third derivatives in hexahedra take many minutes to compile: a term of one's own stands for them
+@pytest.mark.parametrize(
+    "basis,gdim",
+    [("bspline2", 1), ("bspline2", 2), ("bspline2", 3), ("bspline3", 1), ("bspline3", 2)],
+)
+def test_ghost_penalty(basis, gdim, monkeypatch):
+    problem = check(monkeypatch, lambda: problem_of(box(*CELLS[gdim]), basis, ghost))
+    block = problem.system.ordinary._jacobian[0][0]
+    assert isinstance(block, FacetBlock)
+    # borders of the grid on all sides, and insides
+    kinds = [np.unique(cells).size for cells, _ in block._kinds]
+    assert kinds == [3 if basis == "bspline2" else 5] * gdim
+    assert len(np.unique(block._direction)) == gdim
+    # a penalty on jumps is as large as its parts
+    A = matrix_of(problem)
+    np.testing.assert_allclose(A, A.T, atol=1e-11 * np.abs(A).max())
+
+
+@pytest.mark.parametrize("gdim", [1, 2, 3])
+def test_what_the_classes_leave_out(gdim):
+    """DOLFINx integrates over fewer facets than there are."""
+    problem = problem_of(box(*CELLS[gdim]), "bspline2", ghost)
+    block = problem.system.ordinary._jacobian[0][0]
+    assert 0 < block._codes.size <= problem.system.ghost_facets
+    assert gdim == 1 or block._codes.size < problem.system.ghost_facets
+    assert block._kind.size == problem.system.ghost_facets
+
+
+def one_sided(points, u, v):
+    """Unsymmetric, and other where the first cell is the upper one."""
+    n = ufl.FacetNormal(points.grid)("+")
+    a = ufl.as_vector(np.arange(1.0, 1 + points.gdim))
+    slope = ufl.dot(ufl.grad(u)("+"), n)
+    mixed = ufl.inner(ufl.outer(u("+"), a), ufl.outer(ufl.dot(n, a) * a, v("-")))
+    return (ufl.inner(slope, v("+")) + mixed) * points.dS
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+@pytest.mark.parametrize("basis", SPLINES)
+def test_a_term_of_ones_own(basis, gdim, monkeypatch):
+    if gdim == 3 and basis == "bspline3":
+        cells = (4, 4, 3)  # every cell is near a border on both sides
+    else:
+        cells = CELLS[gdim]
+    problem = check(monkeypatch, lambda: problem_of(box(*cells), basis, one_sided))
+    block = problem.system.ordinary._jacobian[0][0]
+    A = matrix_of(problem)
+    assert np.abs(A - A.T).max() > 0.05 * np.abs(A).max()
+    assert all(t.shape[2] == gdim**2 for t in block._tensors.values())
+
+
+@pytest.mark.parametrize("basis", SPLINES)
+def test_both_sides_come_first(basis, monkeypatch):
+    """DOLFINx numbers cells as it likes: a facet's first cell is the lower one or the upper."""
+    select = GhostFacets.select
+
+    def swapped(self, active, numbering):
+        rows = select(self, active, numbering).reshape(-1, 4)
+        rows[::2] = rows[::2][:, [2, 3, 0, 1]]
+        return rows.ravel()
+
+    straight = matrix_of(problem_of(box(8, 7), basis, one_sided))
+    monkeypatch.setattr(GhostFacets, "select", swapped)
+    problem = check(monkeypatch, lambda: problem_of(box(8, 7), basis, one_sided))
+    assert np.abs(matrix_of(problem) - straight).max() > 0.1 * np.abs(straight).max()
+
+
+def test_two_integrals_and_a_scalar(monkeypatch):
+    """Quadrature of its own makes a second integral over the same facets."""
+
+    def term(points, u, v):
+        fine = points.dS(metadata={"quadrature_degree": 9})
+        rough = points.dS(metadata={"quadrature_degree": 1})
+        return u("+") * v("-") * rough + 3.0 * ufl.jump(u) * v("+") * fine + u("-") * v("-") * fine
+
+    check(monkeypatch, lambda: problem_of(box(8, 7), "bspline2", term, shape=()))
+
+
+def test_constants_that_change(monkeypatch):
+    """Tensors are integrated again when a constant of the form has another value."""
+    grid = box(8, 7)
+    gamma, direction = fem.Constant(grid, 2.0), fem.Constant(grid, (1.0, 0.5))
+
+    def term(points, u, v):
+        a = ufl.dot(u("+"), direction) * ufl.dot(ufl.dot(direction, ufl.grad(v)("-")), direction)
+        return gamma * ufl.inner(ufl.jump(u), v("+")) * points.dS + gamma * a * points.dS
+
+    problem = check(monkeypatch, lambda: problem_of(grid, "bspline2", term))
+    once = matrix_of(problem)
+    problem.system.assemble_ordinary()
+    np.testing.assert_array_equal(matrix_of(problem), once)
+    gamma.value *= 3.0
+    problem.system.assemble_ordinary()
+    np.testing.assert_allclose(matrix_of(problem), 3 * once, atol=1e-11 * np.abs(once).max())
+    direction.value[:] = (0.2, -0.7)
+    problem.system.assemble_ordinary()
+    changed = matrix_of(problem)
+    assert np.abs(changed - 3 * once).max() > 0.1 * np.abs(once).max()
+    every_facet(monkeypatch)
+    expected = matrix_of(problem_of(grid, "bspline2", term))
+    np.testing.assert_allclose(changed, expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_points_that_move(monkeypatch):
+    """New facets and classes come, tensors of the old ones stay."""
+    grid = box(12, 9)
+    problem = problem_of(grid, "bspline3", ghost)
+    block = problem.system.ordinary._jacobian[0][0]
+    before = dict(block._tensors)
+    problem.points["x"][:] = problem.points["x"] * [0.9, 0.8] + [0.6, 0.2]
+    problem.system.activate(1.0)
+    assert before.keys() < block._tensors.keys()
+    assert all(block._tensors[code] is tensor for code, tensor in before.items())
+    every_facet(monkeypatch)
+    reference = problem_of(grid, "bspline3", ghost)
+    reference.points["x"][:] = reference.points["x"] * [0.9, 0.8] + [0.6, 0.2]
+    reference.system.activate(1.0)
+    expected = matrix_of(reference)
+    np.testing.assert_allclose(
+        matrix_of(problem), expected, rtol=0, atol=1e-11 * np.abs(expected).max()
+    )
+
+
+def graded(cells, ratio):
+    """Columns of cells each wider than the one before by a ratio; rows of two heights."""
+    grid = mesh.create_unit_square(COMM, cells, 6, mesh.CellType.quadrilateral)
+    x = grid.geometry.x
+    lines = np.concatenate([[0.0], np.cumsum(ratio ** np.arange(cells))])
+    x[:, 0] = np.interp(x[:, 0], np.linspace(0, 1, cells + 1), lines / lines[-1])
+    x[:, 1] = np.where(x[:, 1] < 0.49, x[:, 1], 2 * x[:, 1] - 0.5)
+    return grid
+
+
+def test_a_graded_grid():
+    """The size of a cell is a function there, and no class is of more than one column."""
+    assert not on_splines(problem_of(graded(20, 1.1), "bspline2", ghost))
+    assert not on_splines(problem_of(graded(20, 1.1), "bspline2", one_sided))
+
+
+@pytest.mark.parametrize("basis", SPLINES)
+def test_a_grid_of_few_sizes(basis, monkeypatch):
+    """Cells of other sizes nearby are another class."""
+    check(monkeypatch, lambda: problem_of(graded(8, 1.0), basis, one_sided))
+    check(monkeypatch, lambda: problem_of(graded(5, 1.3), basis, one_sided))
+
+
+@pytest.mark.parametrize("basis", ["bspline2", "gimp", "linear"])
+def test_what_is_not_alike(basis):
+    """Terms that vary in space, other entities, other bases: DOLFINx takes every facet."""
+    grid = box(8, 7)
+    x = ufl.SpatialCoordinate(grid)
+    f = fem.Function(fem.functionspace(grid, ("DG", 0)))
+    f.x.array[:] = 1.0
+    others = [
+        lambda points, u, v: x[0] * ufl.inner(u("+"), v("+")) * points.dS,
+        lambda points, u, v: f("+") * ufl.inner(u("+"), v("+")) * points.dS,
+        lambda points, u, v: ghost(points, u, v) + ufl.inner(u, v) * ufl.dx(grid),
+        lambda points, u, v: ghost(points, u, v) + ufl.inner(u("+"), v("+")) * ufl.dS(grid),
+        lambda points, u, v: ufl.inner(u, u)("+") * ufl.inner(u("+"), v("+")) * points.dS,
+    ]
+    for term in others:
+        problem = problem_of(grid, basis, term)
+        assert not on_splines(problem)
+    assert on_splines(problem_of(grid, basis, ghost)) == (basis == "bspline2")
+
+
+@pytest.mark.parametrize("basis", SPLINES)
+def test_with_nodes_that_follow_others(basis, monkeypatch):
+    """Ties alone are left to apply: the matrix is Cᵀ A C."""
+
+    def follow(stencils, nodes):
+        # the last active node is the mean of the two before it
+        size = problem_size[0]
+        C = sparse.identity(size, format="lil")
+        C[nodes[-1], nodes[-1]] = 0.0
+        C[nodes[-1], nodes[-3]] = C[nodes[-1], nodes[-2]] = 0.5
+        return C.tocsr()
+
+    grid = box(8, 7)
+    free = problem_of(grid, basis, ghost)
+    problem_size = [free.system.basis.nodes.size]
+    tied = check(monkeypatch, lambda: problem_of(grid, basis, ghost, prolongation=follow))
+    C = sparse.kron(follow(None, free.system.unknowns.nodes), sparse.identity(2)).toarray()
+    A = matrix_of(free)
+    np.testing.assert_allclose(matrix_of(tied), C.T @ A @ C, atol=1e-11 * np.abs(A).max())
+
+
+@pytest.mark.parametrize("kind", ["aggregation", "weak-aggregation", "extended"])
+def test_with_another_remedy(kind, monkeypatch):
+    """Whose search for roots makes more nodes known, and whose ties are applied on top."""
+    remedy = mpm.Stabilisation(kind, E=1.0)
+    grid = box(8, 7)
+    check(monkeypatch, lambda: problem_of(grid, "bspline2", ghost, stabilisation=remedy))
+
+
+@pytest.mark.parametrize("basis", SPLINES)
+def test_steps(basis, monkeypatch):
+    """A column under its weight with a ghost penalty comes to the same state."""
+
+    def settle():
+        grid = box(3, 12, size=(0.75, 3.0))
+        points = mpm.fill(grid, mpm.Box((0, 0), (0.75, 2.1)), per_cell=2, density=1e3)
+        V = mpm.Space(grid, basis)
+        g = fem.Constant(grid, (0.0, 0.0))
+        F = mpm.momentum(LAW, points, V.increment, V.test)
+        F -= ufl.inner(points.density * g, V.test) * points.dX
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+        for k in range(3):
+            g.value[1] = -10.0 * (k + 1)
+            problem.step()
+        return problem
+
+    problem = settle()
+    assert on_splines(problem)
+    every_facet(monkeypatch)
+    reference = settle()
+    assert not on_splines(reference)
+    moved = np.abs(reference.points["x"] - reference.points["x0"]).max()
+    np.testing.assert_allclose(problem.points["x"], reference.points["x"], rtol=0, atol=1e-8 * moved)
+    iterations = [[record.iterations for record in p.history] for p in (problem, reference)]
+    assert iterations[0] == iterations[1]
