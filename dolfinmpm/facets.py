@@ -13,22 +13,14 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem import IntegralType
-from ufl.classes import (
-    Argument,
-    CellVolume,
-    ConstantValue,
-    FacetArea,
-    FacetNormal,
-    Label,
-    MultiIndex,
-)
+from ufl.classes import Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._compat import compile_form, create_form, element_tensors
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.points import GHOST_FACETS
-from dolfinmpm.space import Space
+from dolfinmpm.space import Space, splines_at
 
 __all__ = ["FacetBlock", "are_alike"]
 
@@ -36,9 +28,7 @@ Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 # what has the same value, on each side, on all facets of a class
-_ALIKE = (
-    Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, Label, MultiIndex, fem.Constant,
-)  # fmt: skip
+_ALIKE = (Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex, fem.Constant)
 # relative difference of sizes of cells that is rounding
 _SAME = 1e-12
 
@@ -179,8 +169,8 @@ class FacetBlock:
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
         # nodes around a facet, by its direction: lattice position past its lower cell's first
         gdim, p = space.grid.geometry.dim, basis.degree
-        self._shapes = p + 1 + np.eye(gdim, dtype=np.int64)
-        macro = [np.array(list(np.ndindex(*shape))) for shape in self._shapes]
+        self._shapes = [tuple(p + 1 + (d == e) for e in range(gdim)) for d in range(gdim)]
+        macro = [list(np.ndindex(*shape)) for shape in self._shapes]
         self._macro = np.array(macro, np.int32)
         # where b is as seen from a, as one number
         strides = (2 * p + 3) ** np.arange(gdim)[::-1]
@@ -211,7 +201,7 @@ class FacetBlock:
         self._codes, chosen, kind = np.unique(code, return_index=True, return_inverse=True)
         self._kind = kind.ravel().astype(np.int32)
         self._chosen, self._low = facets[chosen], low[chosen]
-        self._chosen_direction = self._direction[chosen]
+        self._direction_of = self._direction[chosen]
         # tensors of a class stay; all ranks make the form, for that may be collective
         spaces, entity = [self._space.function_space] * 2, IntegralType.interior_facet
         domains = {entity: [(GHOST_FACETS, np.ascontiguousarray(self._chosen).ravel())]}
@@ -247,31 +237,23 @@ class FacetBlock:
             self._values = values
         missing = [k for k, code in enumerate(self._codes) if code not in self._tensors]
         if missing:
-            self._integrate(np.array(missing))
-        components = self._space.components
+            self._integrate(missing)
+        c, m = self._space.components, self._macro.shape[1]
         tensors = [self._tensors[code] for code in self._codes]
         single = all(t.shape[2] == 1 for t in tensors)
         if not single:
-            unit = np.eye(components).ravel()
-            tensors = [t * unit if t.shape[2] == 1 else t for t in tensors]
-        n, m = 1 if single else components**2, self._macro.shape[1]
+            tensors = [t * np.eye(c).ravel() if t.shape[2] == 1 else t for t in tensors]
+        n = 1 if single else c**2
         stacked = np.array(tensors).reshape(-1, m, m, n)
-        out = np.empty((self.rows.size, n))
-        sums = np.empty((self._slots, n))
-        _add(
-            self._kind, self._direction, *self._near, stacked, self._begin, self._slot_of, sums, out
-        )
-        if not single:
-            return out.reshape(-1, components, components)
-        blocks = np.zeros((self.rows.size, components, components))
-        for i in range(components):
-            blocks[:, i, i] = out[:, 0]
-        return blocks
+        sums, out = np.empty((self._slots, n)), np.empty((self.rows.size, n))
+        near = self._kind, self._direction, *self._near
+        _add(*near, stacked, self._begin, self._slot_of, sums, out)
+        return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
 
-    def _integrate(self, missing: npt.NDArray[np.int64]) -> None:
+    def _integrate(self, missing: list[int]) -> None:
         """Tensors of the classes whose numbers are given, by DOLFINx on their chosen facets."""
         components, number = self._space.components, len(self._codes)
-        extraction = dict(zip(missing.tolist(), self._extraction(missing)))
+        extraction: dict[int, Array] = dict(zip(missing, self._extraction(missing)))
         sums: dict[int, Array] = {}
         calls = 0
 
@@ -286,39 +268,30 @@ class FacetBlock:
 
         element_tensors(self._form, insert)
         for k, E in extraction.items():
-            K = sums[k].reshape(len(E), components, len(E), components)
-            K = np.ascontiguousarray(K.transpose(1, 3, 0, 2))
+            whole = sums[k].reshape(len(E), components, len(E), components)
+            K: Array = np.ascontiguousarray(whole.transpose(1, 3, 0, 2))
             if np.array_equal(K, np.eye(components)[:, :, None, None] * K[0, 0]):
                 # components do not mix, as in a ghost penalty: one number for all
                 K = K[:1, :1]
-            T = E.T @ K @ E
-            T = T.transpose(2, 3, 0, 1).reshape(E.shape[1], E.shape[1], -1)
-            self._tensors[self._codes[k]] = np.ascontiguousarray(T)
+            T = (E.T @ K @ E).transpose(2, 3, 0, 1)
+            self._tensors[self._codes[k]] = T.reshape(*T.shape[:2], -1)
 
-    def _extraction(self, classes: npt.NDArray[np.int64]) -> Array:
+    def _extraction(self, classes: list[int]) -> Array:
         """Splines around the chosen facets at the Lagrange nodes of their two cells.
 
         Returns:
             Values, shape (classes, Lagrange nodes of the first and the second cell, splines).
         """
         basis, V = self._basis, self._space.function_space
-        gdim, halo = self._space.grid.geometry.dim, basis.halo
         cells = self._chosen[classes][:, [0, 2]]
         dofs = V.dofmap.list[cells]
-        each = dofs.shape[2]
-        x = V.tabulate_dof_coordinates()[dofs.ravel(), :gdim]
-        low = np.repeat(basis.lattice.cell_ijk[cells.ravel()] - halo.origin, each, axis=0)
-        low = np.ascontiguousarray(low, np.int32)
-        s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
-        assert s is not None
-        per_cell = (basis.degree + 1) ** gdim
-        N, nodes = np.empty((len(x), per_cell)), np.empty((len(x), per_cell), np.int32)
-        N[s.order] = s.N.reshape(-1, per_cell)
-        nodes[s.order] = np.repeat(s.nodes.reshape(-1, per_cell), np.diff(s.groups), axis=0)
-        E = np.zeros((classes.size, 2 * each, self._macro.shape[1]))
-        nodes, N = nodes.reshape(*E.shape[:2], per_cell), N.reshape(*E.shape[:2], per_cell)
+        x = V.tabulate_dof_coordinates()[dofs.ravel(), : self._macro.shape[2]]
+        nodes, N = splines_at(basis, x, np.repeat(cells.ravel(), dofs.shape[2]))
+        shape = len(classes), 2 * dofs.shape[2], -1
+        nodes, N = nodes.reshape(shape), N.reshape(shape)
+        E = np.zeros((*N.shape[:2], self._macro.shape[1]))
         for k, one in enumerate(classes):
-            apart = np.moveaxis(halo.node_ijk[nodes[k]] - self._low[one], -1, 0)
-            at = np.ravel_multi_index(tuple(apart), tuple(self._shapes[self._chosen_direction[one]]))
+            apart = np.moveaxis(basis.halo.node_ijk[nodes[k]] - self._low[one], -1, 0)
+            at = np.ravel_multi_index(tuple(apart), self._shapes[self._direction_of[one]])
             np.put_along_axis(E[k], at, N[k], axis=1)
         return E

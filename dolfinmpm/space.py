@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -16,7 +17,7 @@ from dolfinmpm.basis.bspline import number_functions
 from dolfinmpm.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid import lattice_of, once_per_grid, require_lattice
 
-__all__ = ["Space"]
+__all__ = ["Space", "extraction", "splines_at"]
 
 Basis = LatticeBasis | LinearBasis
 _DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
@@ -48,6 +49,29 @@ def _basis_of(grid: Mesh, name: str, averaged: bool) -> _BasisOnGrid:
     return _BasisOnGrid(basis, scalar)
 
 
+def splines_at(
+    basis: LatticeBasis, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+    """The splines of a cell at each position, which may be on the cell's edge.
+
+    Args:
+        basis: Splines.
+        x: Positions (m), shape (n, gdim).
+        cells: Their local cells, shape (n,).
+
+    Returns:
+        Nodes and values, both of shape (n, splines of a cell).
+    """
+    low = np.ascontiguousarray(basis.lattice.cell_ijk[cells] - basis.halo.origin, np.int32)
+    s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
+    assert s is not None
+    each = (basis.degree + 1) ** x.shape[1]
+    nodes, N = np.empty((len(x), each), np.int32), np.empty((len(x), each))
+    nodes[s.order] = np.repeat(s.nodes.reshape(-1, each), np.diff(s.groups), axis=0)
+    N[s.order] = s.N.reshape(-1, each)
+    return nodes, N
+
+
 def extraction(space: Space) -> sparse.csr_matrix | None:
     """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
 
@@ -65,21 +89,11 @@ def extraction(space: Space) -> sparse.csr_matrix | None:
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
     cells = V.dofmap.list
     # any cell that a node is in will do, for splines are continuous
-    cell_of = np.zeros(len(x), np.int64)
-    cell_of[cells.ravel()] = np.repeat(np.arange(len(cells)), cells.shape[1])
-    low = (basis.lattice.cell_ijk[cell_of] - basis.halo.origin).astype(np.int32)
-    s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
-    assert s is not None
-    sizes = np.repeat(np.diff(s.node_start), np.diff(s.groups))
-    columns = np.concatenate(
-        [np.empty(0, np.int32)]
-        + [
-            np.tile(s.nodes[a:b], k)
-            for a, b, k in zip(s.node_start[:-1], s.node_start[1:], np.diff(s.groups))
-        ]
-    )
-    rows = np.repeat(s.order, sizes)
-    return sparse.csr_matrix((s.N, (rows, columns)), shape=(len(x), basis.nodes.size))
+    cell_of = np.zeros(len(x), np.int32)
+    cell_of[cells.ravel()] = np.repeat(np.arange(len(cells), dtype=np.int32), cells.shape[1])
+    nodes, N = splines_at(basis, x, cell_of)
+    rows = np.repeat(np.arange(len(x)), nodes.shape[1])
+    return sparse.csr_matrix((N.ravel(), (rows, nodes.ravel())), shape=(len(x), basis.nodes.size))
 
 
 class Space:

@@ -93,7 +93,7 @@ def ghost(points, u, v):
 
 # third derivatives in hexahedra take many minutes to compile: a term of one's own stands for them
 @pytest.mark.parametrize(
-    "basis,gdim",
+    ("basis", "gdim"),
     [("bspline2", 1), ("bspline2", 2), ("bspline2", 3), ("bspline3", 1), ("bspline3", 2)],
 )
 def test_ghost_penalty(basis, gdim, monkeypatch):
@@ -131,10 +131,8 @@ def one_sided(points, u, v):
 @pytest.mark.parametrize("gdim", [2, 3])
 @pytest.mark.parametrize("basis", SPLINES)
 def test_a_term_of_ones_own(basis, gdim, monkeypatch):
-    if gdim == 3 and basis == "bspline3":
-        cells = (4, 4, 3)  # every cell is near a border on both sides
-    else:
-        cells = CELLS[gdim]
+    # in the smallest grid every cell is near borders on both sides
+    cells = (4, 4, 3) if gdim == 3 and basis == "bspline3" else CELLS[gdim]
     problem = check(monkeypatch, lambda: problem_of(box(*cells), basis, one_sided))
     block = problem.system.ordinary._jacobian[0][0]
     A = matrix_of(problem)
@@ -310,6 +308,8 @@ def test_steps(basis, monkeypatch):
     reference = settle()
     assert not on_splines(reference)
     moved = np.abs(reference.points["x"] - reference.points["x0"]).max()
-    np.testing.assert_allclose(problem.points["x"], reference.points["x"], rtol=0, atol=1e-8 * moved)
+    np.testing.assert_allclose(
+        problem.points["x"], reference.points["x"], rtol=0, atol=1e-8 * moved
+    )
     iterations = [[record.iterations for record in p.history] for p in (problem, reference)]
     assert iterations[0] == iterations[1]
