@@ -22,6 +22,7 @@ CASES = {
         remedies.remedies_linear,
         remedies.remedies_triangles,
         remedies.remedies_bspline2,
+        remedies.facets_of_few_ranks,
         plasticity.large_strain,
         plasticity.small_strain,
         plasticity.jaumann,

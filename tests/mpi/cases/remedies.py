@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.assemble import multiply_blocks
+from dolfinmpm.locate import destinations
 
 from .common import COMM, hencky, run
 
@@ -50,3 +54,41 @@ def remedies_triangles():
 def remedies_bspline2():
     """Remedies with quadratic splines, whose facet terms act through their extraction."""
     return _remedies("bspline2")
+
+
+def facets_of_few_ranks():
+    """Terms over facets of splines as a small body goes along a strip, past one rank after another.
+
+    Most ranks have no facets, and meet classes of facets that others know.
+    """
+    figures = {}
+    for basis in ("bspline2", "bspline3"):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (24, 3)], (24, 3), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((0, 0), (3.3, 2.2)), 2, 1.0)
+        V = mpm.Space(grid, basis)
+        u, v, gamma = V.increment, V.test, fem.Constant(grid, 1.0)
+        # the second term mixes components; neither depends on which side comes first
+        F = hencky(points, V, ghost=False) + mpm.ghost(points, u, v, gamma)
+        F += gamma * ufl.avg(ufl.div(u)) * ufl.avg(v[0] + 2.0 * v[1]) * points.dS
+        system = mpm.QuasiStatic(F, u, points).system
+        assert system.ordinary.on_splines
+        found, moved, idle = [], 0, 0
+        for shift in (0.0, 6.5, 6.5, 6.5):
+            new = points["x"] + [shift, shift / 50]
+            to = destinations(grid, new, points["cell"])
+            points["x"][...] = new
+            moved += points.migrate(to)
+            system.activate(1.0)
+            x = system.basis.node_coordinates()[:, :2]
+            values, forces = np.sin(x) + x[:, ::-1], np.zeros_like(x)
+            multiply_blocks(*system._blocks, values, forces)
+            found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
+            idle += COMM.allreduce(int(system._blocks[0].size == 0), op=MPI.SUM)
+            gamma.value += 1.0
+            system.assemble_ordinary()
+            forces[:] = 0.0
+            multiply_blocks(*system._blocks, values, forces)
+            found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
+        assert idle > 0 or COMM.size == 1
+        figures[basis] = {"forces": found, "moved": (moved > 0) if COMM.size > 1 else None}
+    return figures
