@@ -290,22 +290,25 @@ def run(args):
     scene = Scene(args)
     ready = time.perf_counter()
     residuals, reason = [], ""
-    for part in mpm.steps(20, label="weight") if scene.weight else ():
-        scene.gravity.value[1] = -GRAVITY * part
-        residuals.append(scene.step())
-    first = scene.sunk()
     history = mpm.History(scene.grid.comm)
-    history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
-    for part in mpm.steps(args.steps, label="footing"):
-        scene.pressure.value[1] = -args.load * part
-        scene.settlement.value = args.settlement * part
-        try:
+    first = np.zeros(3)
+    try:
+        for part in mpm.steps(20, label="weight") if scene.weight else ():
+            scene.gravity.value[1] = -GRAVITY * part
             residuals.append(scene.step())
-        except ConvergenceError as error:
-            reason = str(error)
-            break
-        names = "centre", "mean", "edge"
-        history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
+        first = scene.sunk()
+        history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
+        for part in mpm.steps(args.steps, label="footing"):
+            scene.pressure.value[1] = -args.load * part
+            scene.settlement.value = args.settlement * part
+            residuals.append(scene.step())
+            names = "centre", "mean", "edge"
+            history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
+    except ConvergenceError as error:
+        reason = str(error)
+        if not len(history):
+            # under the weight already
+            history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
     curve = np.array([history[name] for name in ("load", "centre", "mean", "edge")])
     figures = {
         **{name: getattr(args, name) for name in ("law", "strain", "basis", "fbar", "h", "rough")},
@@ -328,9 +331,10 @@ def run(args):
         figures["bearing_factor_exact"] = 2 + np.pi
         figures["bearing_error"] = float(curve[0, -1] / LIMIT - 1)
         # what the last fifth of the settlement still adds
-        figures["last_rise"] = float(1 - curve[0, before] / curve[0, -1])
+        rise = curve[0, -1] - curve[0, before]
+        figures["last_rise"] = float(rise / curve[0, -1]) if rise else 0.0
     reference = stored(args)
-    if reference is not None:
+    if reference is not None and figures["load"] > 0:
         figures |= compared(curve, reference)
     say(describe(args, figures))
     return figures, history, scene

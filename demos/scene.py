@@ -49,12 +49,12 @@ def solver_figures(problem: Any) -> dict[str, Any]:
     iterations = [record.iterations for record in history]
     return {
         "newton_iterations": sum(iterations),
-        "max_newton_iterations": max(iterations),
+        "max_newton_iterations": max(iterations, default=0),
         "halvings": sum(record.halvings for record in history),
-        "last_residuals": history[-1].residuals,
+        "last_residuals": history[-1].residuals if history else [],
         "points": problem.points.total,
         "active_cells": problem.system.active_cells,
-        "unknowns": history[-1].unknowns,
+        "unknowns": history[-1].unknowns if history else 0,
         "migrated": sum(record.migrated for record in history),
         "ranks": problem.comm.size,
     }
