@@ -1,6 +1,12 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
+from pathlib import Path
+
 from mpi4py import MPI
+
+from dolfinmpm.kernelcache import forget_outdated
+
+forget_outdated(Path(__file__).parent)  # before any loop is loaded
 
 from dolfinmpm import materials, study
 from dolfinmpm.abort import end_all_ranks
