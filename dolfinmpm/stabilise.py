@@ -24,8 +24,9 @@ __all__ = ["Stabilisation", "ghost", "soft"]
 
 KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
-# Factors of the ghost penalty for linear functions, quadratic and cubic splines
+# Factors of the penalties for linear functions, quadratic and cubic splines
 GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
+WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
 # Fill fractions below which they are tied to others
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
 
@@ -142,8 +143,9 @@ class Stabilisation:
         E: Young's modulus (Pa) that penalties are scaled with; the law's by default.
         nu: Poisson's ratio, likewise.
         gamma: Penalty in units of E/30 for "ghost" and of E for "weak-aggregation". By
-            default 1, and 100 and 10⁴ for a ghost penalty on quadratic and cubic
-            splines, whose last functions are so much smaller where a body ends.
+            default 1; on quadratic and cubic splines 100 and 10⁴ for a ghost penalty,
+            because their last functions are so much smaller where a body ends, and 0.3
+            and 0.1 for weak aggregation, whose continuations weigh the more.
         scaling: Of the ghost penalty; see `ghost`.
         threshold: Share to which a cell must be filled to need no help; 0.5 by default,
             0.7 and 0.9 for quadratic and cubic splines. See `ties` in
@@ -184,12 +186,11 @@ class Stabilisation:
         return ghost(points, u, v, self.factor(u) * self.E / 30, scaling=self.scaling)
 
     def factor(self, u: Expr) -> float:
-        """The penalty's factor for an increment."""
+        """The ghost penalty's factor for an increment."""
         if self.gamma is not None:
             return self.gamma
         space = getattr(u, "_dolfinmpm_space", None)
-        degree = space.basis.degree if space is not None else 1
-        return GHOST_FACTORS[degree] if self.kind == "ghost" else 1.0
+        return GHOST_FACTORS[space.basis.degree if space is not None else 1]
 
     def tangent_terms(self, points: MaterialPoints, u: Expr, v: Expr) -> ufl.Form | None:
         """What it adds to the tangent only."""
@@ -216,7 +217,7 @@ class Stabilisation:
         return ties(basis, nodes, filled, threshold, self.kind == "extended", fixed)
 
     def penalty(
-        self, points: MaterialPoints, C: sparse.csr_matrix, nodes, components: int
+        self, points: MaterialPoints, degree: int, C: sparse.csr_matrix, nodes, components: int
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Weak aggregation: γ E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
 
@@ -237,7 +238,7 @@ class Stabilisation:
         # so that a far continuation, whose weights are large, does not outweigh the body
         norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
         share = own / np.maximum(norms, 1.0)
-        gamma = 1.0 if self.gamma is None else self.gamma
+        gamma = WEAK_FACTORS[degree] if self.gamma is None else self.gamma
         weights = sparse.diags(share * gamma * self.E * size ** (points.gdim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
         blocks = product.data[:, None, None] * np.eye(components)

@@ -246,7 +246,9 @@ class NewtonSystem:
             return None
         if C is not None and remedy.kind == "weak-aggregation":
             owned = nodes[: np.searchsorted(nodes, self._numbering.owned)]
-            self._penalty = remedy.penalty(self._points, C, owned, self.components)
+            self._penalty = remedy.penalty(
+                self._points, self.basis.degree, C, owned, self.components
+            )
             C = None
         if self._prolongate is not None:
             own = sparse.csr_matrix(self._prolongate(stencils, nodes))
