@@ -1,15 +1,7 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
-from pathlib import Path
-
-from mpi4py import MPI
-
-from dolfinmpm.kernelcache import forget_outdated
-
-forget_outdated(Path(__file__).parent)  # before any loop is loaded
-
+from dolfinmpm import _start as _start  # isort: skip
 from dolfinmpm import materials, study
-from dolfinmpm.abort import end_all_ranks
 from dolfinmpm.boundary import fixed, prescribed, rollers
 from dolfinmpm.fill import fill
 from dolfinmpm.grid import cell_size
@@ -61,5 +53,3 @@ __all__ = [
     "steps",
     "study",
 ]
-
-end_all_ranks(MPI.COMM_WORLD)
