@@ -7,9 +7,11 @@ C function, so that one compiled loop serves all laws.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -29,8 +31,24 @@ _DOUBLES = types.CPointer(types.float64)
 KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
 
 
-def law_kernel(function: Callable) -> Callable:
-    """Compile a law's kernel.
+class _Kernel:
+    """A law's kernel, compiled when its address is first asked for: no scene uses all laws."""
+
+    def __init__(self, function: Callable):
+        self._function = function
+
+    @functools.cached_property
+    def _compiled(self) -> Any:
+        return numba.cfunc(KERNEL_SIGNATURE, cache=True, error_model="numpy")(self._function)
+
+    @property
+    def address(self) -> int:
+        """Address of the C function."""
+        return self._compiled.address
+
+
+def law_kernel(function: Callable) -> _Kernel:
+    """Make a law's kernel, which is compiled when the law is first used.
 
     The function takes six arrays and returns 0, or another number if the strain
     admits no stress:
@@ -43,7 +61,7 @@ def law_kernel(function: Callable) -> Callable:
     (written); the three principal Kirchhoff stresses (Pa, written); and the nine
     derivatives of stress by trial strain, row by row (Pa, written).
     """
-    return numba.cfunc(KERNEL_SIGNATURE, cache=True, error_model="numpy")(function)
+    return _Kernel(function)
 
 
 @intrinsic
@@ -138,7 +156,7 @@ class Law:
 
     parameters: dict[str, Parameter] = {}
     internal: dict[str, tuple[str, float | str]] = {}
-    kernel: Callable
+    kernel: _Kernel
 
     def __init__(self, **values: Value):
         missing = set(self.parameters) ^ set(values)
@@ -185,7 +203,7 @@ class Law:
     @property
     def address(self) -> int:
         """Address of the compiled kernel."""
-        return self.kernel.address  # type: ignore[attr-defined]
+        return self.kernel.address
 
     @property
     def varies(self) -> bool:

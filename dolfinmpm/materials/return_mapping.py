@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -192,8 +193,7 @@ def _newton(
     return False
 
 
-@numba.cfunc(_LONG_SIGNATURE, cache=True, error_model="numpy")
-def _long_kernel(energy, value, full, count, parameters, strain, old, new, stress, tangent):
+def _long(energy, value, full, count, parameters, strain, old, new, stress, tangent):
     elastic = np.empty(12)
     z, y, f = np.empty(4 + count), np.empty(4 + count), np.empty(1)
     for k in range(count):
@@ -282,6 +282,12 @@ def _long_kernel(energy, value, full, count, parameters, strain, old, new, stres
     return 0
 
 
+@functools.cache
+def _long_kernel() -> Any:
+    """The mapping compiled, which most scenes do without."""
+    return numba.cfunc(_LONG_SIGNATURE, cache=True, error_model="numpy")(_long)
+
+
 def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
     """A law's kernel for functions at given addresses.
 
@@ -294,7 +300,7 @@ def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
             flow's direction n (3), and its derivatives by stresses and α, row by row (12).
         count: Number of parameters.
     """
-    long = _long_kernel.address
+    long = _long_kernel().address
 
     # addresses are this process's own, and so is what is compiled with them
     @numba.cfunc(KERNEL_SIGNATURE)
