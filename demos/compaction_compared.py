@@ -20,7 +20,7 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm.errors import DolfinMPMError
+from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")

@@ -50,8 +50,8 @@ from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import ConvergenceError
-from dolfinmpm.locate import destinations
+from dolfinmpm._platform.errors import ConvergenceError
+from dolfinmpm.body.location import destinations
 
 WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
 COHESION, GRAVITY = 10e3, 10.0  # Pa, m/s²

@@ -20,7 +20,7 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm.errors import DolfinMPMError
+from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, RHO, AMPLITUDE = 1.0, 0.0, 1.0, 0.1
 BUILT_IN = ("none", "ghost", "aggregation")

@@ -33,7 +33,7 @@ from mpi4py import MPI
 from scene import draw_points, finish, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import DolfinMPMError
+from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
 DENSITY, GRAVITY = 2400.0, 10.0

@@ -34,7 +34,7 @@ from scene import finish, parser, say, solver_figures
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
-from dolfinmpm.locate import destinations
+from dolfinmpm.body.location import destinations
 
 # %% [markdown]
 # ## The closed form

@@ -1,21 +1,22 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
-from dolfinmpm import _start as _start  # isort: skip
+from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
 from dolfinmpm import materials, study
-from dolfinmpm.boundary import fixed, prescribed, rollers
-from dolfinmpm.fill import fill
-from dolfinmpm.grid import cell_size
-from dolfinmpm.history import History
-from dolfinmpm.info import info
+from dolfinmpm._platform import errors
+from dolfinmpm._platform.report import info
+from dolfinmpm.basis.conditions import fixed, prescribed, rollers
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.filling import fill
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
+from dolfinmpm.body.surface import RigidFooting, Surface
+from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
+from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
+from dolfinmpm.io.history import History
+from dolfinmpm.io.progress import steps
 from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress
-from dolfinmpm.points import MaterialPoints
-from dolfinmpm.progress import steps
-from dolfinmpm.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.solve import ArcLength, QuasiStatic
-from dolfinmpm.space import Space
-from dolfinmpm.stabilise import Stabilisation, ghost, soft
-from dolfinmpm.surface import RigidFooting, Surface
 
 __version__ = "0.1.0"
 
@@ -37,6 +38,7 @@ __all__ = [
     "TurnedBox",
     "Where",
     "cell_size",
+    "errors",
     "figure",
     "fill",
     "fixed",

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from dolfinx.common import IndexMap
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._compat import make_index_map
-from dolfinmpm.grid import Lattice
+from dolfinmpm._platform.compat import make_index_map
+from dolfinmpm.grid.lattice import Lattice
 
 __all__ = [
     "averaged_spline_weights",

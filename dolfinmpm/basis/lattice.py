@@ -12,12 +12,12 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.basis.bspline import averaged_spline_weights, greville, spline_weights
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
-from dolfinmpm.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.grid import Lattice
-from dolfinmpm.halo import LatticeHalo, build_halo
+from dolfinmpm.grid.halo import LatticeHalo, build_halo
+from dolfinmpm.grid.lattice import Lattice
 
 __all__ = ["LatticeBasis"]
 

@@ -6,10 +6,10 @@ import numba
 import numpy as np
 from dolfinx.mesh import CellType, Mesh
 
-from dolfinmpm._compat import geometry_dofmap, make_index_map
+from dolfinmpm._platform.compat import geometry_dofmap, make_index_map
 from dolfinmpm.basis.cells import BOX, SIMPLEX, pull_back
 from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
-from dolfinmpm.halo import Numbering
+from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["LinearBasis", "kind_of"]
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm.points import MaterialPoints
+from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["AveragingLaw", "PointOperator", "PointwiseLaw"]
 

@@ -21,8 +21,8 @@ from numba.extending import intrinsic
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._compat import jit_expression
-from dolfinmpm.errors import FormError
+from dolfinmpm._platform.compat import jit_expression
+from dolfinmpm._platform.errors import FormError
 
 __all__ = ["Program", "compile_program"]
 

@@ -14,10 +14,10 @@ from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
-from dolfinmpm.errors import FormError
+from dolfinmpm._platform.errors import FormError
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
-from dolfinmpm.points import MaterialPoints, PointField
-from dolfinmpm.space import Space
 
 __all__ = ["Slots"]
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, plot
 
-from dolfinmpm.errors import ParameterError, raise_together
-from dolfinmpm.points import MaterialPoints
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["ParaView"]
 

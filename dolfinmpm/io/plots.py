@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._compat import geometry_dofmap
-from dolfinmpm.errors import ParameterError, raise_together
-from dolfinmpm.grid import lattice_of
-from dolfinmpm.points import MaterialPoints
+from dolfinmpm._platform.compat import geometry_dofmap
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.lattice import lattice_of
 
 __all__ = ["figure", "plot"]
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import ufl
 
-from dolfinmpm.errors import ParameterError
-from dolfinmpm.fbar import FBar
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
-from dolfinmpm.kinematics.domains import update_domains
-from dolfinmpm.kinematics.framework import Framework, parameters_at
+from dolfinmpm.kinematics.fbar import FBar
+from dolfinmpm.kinematics.frameworks import Framework, parameters_at
 from dolfinmpm.kinematics.initial import StressField, geostatic_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
-from dolfinmpm.points import MaterialPoints
 
 __all__ = [
     "Framework",

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from dolfinmpm.basis.cells import invert
+from dolfinmpm.grid.tensors import eigen
 from dolfinmpm.kinematics.pieces import (
     ask_law,
     from_axes,
@@ -21,7 +22,6 @@ from dolfinmpm.kinematics.pieces import (
     write_stress,
     write_symmetric,
 )
-from dolfinmpm.tensors import eigen
 
 __all__ = ["additive_kernel"]
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.errors import (
+from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     StateError,
     call_together,
 )
-from dolfinmpm.kinematics.framework import Array, Framework
+from dolfinmpm.kinematics.frameworks import Array, Framework
 from dolfinmpm.materials.inverse import elastic_strain
 
 __all__ = ["StressField", "geostatic_stress", "write_stress"]

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.kinematics.additive import additive_kernel
-from dolfinmpm.kinematics.framework import Array, Framework, symmetric, widened
+from dolfinmpm.kinematics.frameworks import Array, Framework, symmetric, widened
 
 __all__ = ["Jaumann"]
 

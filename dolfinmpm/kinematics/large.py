@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis.cells import invert
-from dolfinmpm.kinematics.framework import Array, Framework, symmetric, widened
+from dolfinmpm.grid.tensors import eigen
+from dolfinmpm.kinematics.frameworks import Array, Framework, symmetric, widened
 from dolfinmpm.kinematics.pieces import (
     ask_law,
     multiply,
@@ -26,7 +27,6 @@ from dolfinmpm.kinematics.pieces import (
     write_stress,
     write_symmetric,
 )
-from dolfinmpm.tensors import eigen
 
 __all__ = ["LargeStrain"]
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from dolfinmpm.errors import ParameterError, StateError
+from dolfinmpm._platform.errors import ParameterError, StateError
 
 __all__ = ["Law", "Parameter", "Response", "Value", "call_law", "law_kernel"]
 

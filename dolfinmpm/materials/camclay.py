@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import Law, Parameter, Value, law_kernel
 
 __all__ = ["CamClay"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Law, Parameter, Value, law_kernel
 
 __all__ = ["DruckerPrager"]

@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
 from dolfinmpm.materials.principal import descending, elastic, moduli
 

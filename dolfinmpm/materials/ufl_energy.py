@@ -13,8 +13,8 @@ from mpi4py import MPI
 from ufl.algorithms.ad import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinmpm._compat import jit_expression
-from dolfinmpm.errors import FormError, ParameterError, StateError
+from dolfinmpm._platform.compat import jit_expression
+from dolfinmpm._platform.errors import FormError, ParameterError, StateError
 from dolfinmpm.materials.base import Array, Law, Parameter, Value
 from dolfinmpm.materials.return_mapping import return_kernel, yield_values
 

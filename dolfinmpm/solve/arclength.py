@@ -13,9 +13,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm.boundary import Condition
-from dolfinmpm.errors import ConvergenceError, ParameterError
-from dolfinmpm.points import MaterialPoints
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.bordered import BorderedSystem, Constraint, LoadFactor
 from dolfinmpm.solve.newton import NewtonSystem
 from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord, _space_of

@@ -19,15 +19,15 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
-from dolfinmpm.active import ghost_facets
-from dolfinmpm.errors import FormError, ParameterError
-from dolfinmpm.evaluate import PointEvaluator
-from dolfinmpm.forms.split import split
-from dolfinmpm.ordinary import OrdinaryAssembler
-from dolfinmpm.points import GHOST_FACETS, MaterialPoints
+from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm.assembly.evaluation import PointEvaluator
+from dolfinmpm.assembly.gridterms import OrdinaryAssembler
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
+from dolfinmpm.cut.active import ghost_facets
+from dolfinmpm.forms.splitting import split
 from dolfinmpm.solve.linesearch import name_of
 from dolfinmpm.solve.newton import NewtonSystem
-from dolfinmpm.space import Space
 
 __all__ = ["BorderedSystem", "Constraint", "LoadFactor"]
 

@@ -13,22 +13,22 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy import sparse
 
-from dolfinmpm.active import active_cells, active_nodes, ghost_facets
-from dolfinmpm.assemble import Matrix, Pattern, add_blocks, multiply_blocks
+from dolfinmpm.assembly.cellmeans import CellCouplings, CellMeans, widen
+from dolfinmpm.assembly.evaluation import PointEvaluator
+from dolfinmpm.assembly.gridterms import OrdinaryAssembler
+from dolfinmpm.assembly.points import Matrix, Pattern, add_blocks, multiply_blocks
 from dolfinmpm.basis import Stencils
-from dolfinmpm.boundary import Condition, apply_conditions
-from dolfinmpm.cellmeans import CellCouplings, CellMeans, widen
-from dolfinmpm.evaluate import PointEvaluator
-from dolfinmpm.forms.split import OrdinaryTerms, SplitForm
-from dolfinmpm.ordinary import OrdinaryAssembler
-from dolfinmpm.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
-from dolfinmpm.prolong import Prolongation, reduce_blocks
+from dolfinmpm.basis.conditions import Condition, apply_conditions
+from dolfinmpm.basis.space import Space, extraction
+from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
+from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
+from dolfinmpm.cut.prolongation import Prolongation, reduce_blocks
+from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.splitting import OrdinaryTerms, SplitForm
 from dolfinmpm.solve.linesearch import SEARCHES, has_search, name_of, set_search
 from dolfinmpm.solve.solver import Mumps, create_snes
 from dolfinmpm.solve.unsoftened import Unsoftened
-from dolfinmpm.space import Space, extraction
-from dolfinmpm.stabilise import Stabilisation
-from dolfinmpm.unknowns import Unknowns
 
 __all__ = ["NewtonSystem", "Prolongate"]
 

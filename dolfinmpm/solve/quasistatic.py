@@ -17,8 +17,7 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm.boundary import Condition
-from dolfinmpm.errors import (
+from dolfinmpm._platform.errors import (
     ConvergenceError,
     FormError,
     ParameterError,
@@ -26,17 +25,18 @@ from dolfinmpm.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.evaluate import PointUpdates
-from dolfinmpm.forms.split import split
-from dolfinmpm.grid import cell_size
+from dolfinmpm.assembly.evaluation import PointUpdates
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.location import destinations
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.splitting import split
+from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.kinematics import parameters_at, update_domains
-from dolfinmpm.locate import destinations
 from dolfinmpm.materials.base import Law
-from dolfinmpm.points import MaterialPoints
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
-from dolfinmpm.space import Space
-from dolfinmpm.stabilise import Stabilisation
 
 __all__ = ["QuasiStatic", "StepRecord"]
 

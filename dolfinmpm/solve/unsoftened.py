@@ -8,9 +8,9 @@ import numpy as np
 from dolfinx.la import InsertMode
 from petsc4py import PETSc
 
-from dolfinmpm.assemble import multiply_blocks
-from dolfinmpm.halo import Numbering
-from dolfinmpm.unknowns import Unknowns
+from dolfinmpm.assembly.points import multiply_blocks
+from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["Unsoftened"]
 

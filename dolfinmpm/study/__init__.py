@@ -1,7 +1,6 @@
 """Studies: condition numbers, critical time steps, sweeps, convergence; their tables and plots."""
 
-from dolfinmpm.study.condition import Conditioning, conditioning
-from dolfinmpm.study.output import (
+from dolfinmpm.io.tables import (
     draw_convergence,
     draw_sweep,
     plot_convergence,
@@ -9,6 +8,7 @@ from dolfinmpm.study.output import (
     read_table,
     write_table,
 )
+from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 

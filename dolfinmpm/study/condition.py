@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.grid import cell_size
+from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
+from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.stabilise import GHOST_FACTORS, Stabilisation, ghost
 from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
 
 __all__ = ["Conditioning", "conditioning"]

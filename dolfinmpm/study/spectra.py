@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from scipy import linalg
 
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.solve.newton import NewtonSystem
 
 __all__ = ["condition_number", "critical_step", "rigid_modes"]

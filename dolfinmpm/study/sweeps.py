@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.errors import ParameterError
-from dolfinmpm.progress import progress
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.io.progress import progress
 
 __all__ = ["convergence", "observed_orders", "overall_order", "sweep", "worst"]
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from dolfinmpm.errors import ConvergenceError, StateError
+from dolfinmpm._platform.errors import ConvergenceError, StateError
 from dolfinmpm.materials import Law
 
 Array = npt.NDArray[np.float64]

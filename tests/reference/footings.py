@@ -24,7 +24,7 @@ if __name__ == "__main__":  # pytest sets this path itself
 
 from reference.conforming import Body, Mesh
 
-from dolfinmpm.errors import ConvergenceError, StateError
+from dolfinmpm._platform.errors import ConvergenceError, StateError
 from dolfinmpm.materials import CamClay, Law, Tresca
 
 Array = npt.NDArray[np.float64]

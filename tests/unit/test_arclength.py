@@ -12,7 +12,7 @@ from mpi4py import MPI
 from scipy.interpolate import CubicSpline
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import ConvergenceError, FormError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
 from dolfinmpm.materials.base import lame
 
 COMM = MPI.COMM_WORLD

@@ -10,10 +10,10 @@ from mpi4py import MPI
 from scipy.interpolate import BSpline
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis.bspline import extension_weights, greville, spline_weights
+from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import gather
-from dolfinmpm.errors import ParameterError, UnsupportedGridError
-from dolfinmpm.space import extraction
 
 
 def everything(grid):

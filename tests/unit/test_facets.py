@@ -10,8 +10,8 @@ from dolfinx import fem, mesh
 from scipy import sparse
 
 import dolfinmpm as mpm
-from dolfinmpm.active import GhostFacets
-from dolfinmpm.facets import FacetBlock
+from dolfinmpm.assembly.splinefacets import FacetBlock
+from dolfinmpm.cut.active import GhostFacets
 
 SPLINES = ("bspline2", "bspline3")
 LAW = mpm.materials.Hencky(E=1e6, nu=0.3)
@@ -69,7 +69,7 @@ def on_splines(problem):
 
 def every_facet(monkeypatch):
     """From now on DOLFINx integrates over every facet."""
-    monkeypatch.setattr("dolfinmpm.ordinary.are_alike", lambda *_: False)
+    monkeypatch.setattr("dolfinmpm.assembly.gridterms.are_alike", lambda *_: False)
 
 
 def check(monkeypatch, make):

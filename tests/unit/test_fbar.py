@@ -14,10 +14,10 @@ from scipy import sparse
 from test_tangent import box, check, strained
 
 import dolfinmpm as mpm
-from dolfinmpm import errors
-from dolfinmpm.cellmeans import CellMeans
-from dolfinmpm.fbar import FBar
+from dolfinmpm._platform import errors
+from dolfinmpm.assembly.cellmeans import CellMeans
 from dolfinmpm.forms import PointOperator
+from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.materials import Hencky, Tresca, VonMises
 
 KINDS = ("interval", "quadrilateral", "hexahedron")

@@ -8,7 +8,7 @@ from conftest import unit_grid
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import (
+from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
     ParameterError,

@@ -9,7 +9,7 @@ from conftest import unit_grid
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import FieldShapeError, FormError, ParameterError
+from dolfinmpm._platform.errors import FieldShapeError, FormError, ParameterError
 
 
 @pytest.fixture
@@ -179,7 +179,7 @@ def test_updates_accumulate_and_have_the_right_shape(scene):
 
 
 def test_a_form_is_compiled_once(scene, monkeypatch):
-    from dolfinmpm import _compat
+    from dolfinmpm._platform import compat as _compat
 
     grid, points, V = scene
     count = 0
@@ -191,7 +191,7 @@ def test_a_form_is_compiled_once(scene, monkeypatch):
             count += 1
             return original(*args)
 
-        for module in ("dolfinmpm.forms.pointwise", "dolfinmpm.ordinary"):
+        for module in ("dolfinmpm.forms.pointwise", "dolfinmpm.assembly.gridterms"):
             monkeypatch.setattr(f"{module}.{name}", counted, raising=False)
     g = fem.Constant(grid, (0.0, -0.1))
     F = mpm.momentum(LAW, points, V.increment, V.test) - ufl.inner(g, V.test) * points.dX

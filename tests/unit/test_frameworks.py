@@ -11,7 +11,7 @@ from conftest import COMM, unit_grid
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.kinematics import (
     Jaumann,
     LargeStrain,
@@ -20,7 +20,7 @@ from dolfinmpm.kinematics import (
     momentum,
     update_domains,
 )
-from dolfinmpm.kinematics.framework import symmetric
+from dolfinmpm.kinematics.frameworks import symmetric
 from dolfinmpm.materials.base import lame
 
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}

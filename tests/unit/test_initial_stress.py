@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from test_frameworks import KINDS, LAWS, MEASURES, each_dimension, each_law, each_measure
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import FieldShapeError, ParameterError, StateError
+from dolfinmpm._platform.errors import FieldShapeError, ParameterError, StateError
 from dolfinmpm.kinematics import framework
 from dolfinmpm.materials.inverse import elastic_strain
 

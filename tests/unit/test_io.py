@@ -21,7 +21,7 @@ from vtkmodules.vtkIOXML import (
 )
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.plots import _grid_lines, _label, _scalar, _stretched
 

@@ -8,7 +8,7 @@ import time
 import pytest
 from conftest import COMM
 
-from dolfinmpm import jit
+from dolfinmpm._platform import jit
 
 
 def timed_out(mark):

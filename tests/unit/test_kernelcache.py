@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from dolfinmpm.kernelcache import forget_outdated
+from dolfinmpm._platform.kernelcache import forget_outdated
 
 CALLEE = "import numba\n@numba.njit(cache=True)\ndef value():\n    return {}\n"
 CALLER = (

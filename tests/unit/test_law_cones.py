@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import central_differences, check_finite, states
 
-from dolfinmpm.errors import ParameterError, StateError
+from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials import DruckerPrager
 
 E, NU = 1e7, 0.3

@@ -16,7 +16,7 @@ from laws import (
     random_strains,
 )
 
-from dolfinmpm.errors import ParameterError, StateError
+from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials import Hencky, Law, MohrCoulomb, Tresca, VonMises
 from dolfinmpm.materials.base import lame
 

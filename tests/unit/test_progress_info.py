@@ -12,9 +12,9 @@ import pytest
 from mpi4py import MPI
 
 import dolfinmpm
-from dolfinmpm.errors import ParameterError
-from dolfinmpm.info import _blas, _which_blas, info
-from dolfinmpm.progress import steps
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.report import _blas, _which_blas, info
+from dolfinmpm.io.progress import steps
 
 ROOT = MPI.COMM_WORLD.rank == 0
 

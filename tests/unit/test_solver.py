@@ -12,7 +12,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import (
+from dolfinmpm._platform.errors import (
     ConflictingConditionsError,
     ConvergenceError,
     ParameterError,

@@ -11,7 +11,7 @@ from conftest import unit_grid
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 
 
 def test_sweep_takes_what_a_scene_returns():

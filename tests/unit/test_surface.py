@@ -10,7 +10,12 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import EmptyShapeError, FieldShapeError, ParameterError, UnsupportedGridError
+from dolfinmpm._platform.errors import (
+    EmptyShapeError,
+    FieldShapeError,
+    ParameterError,
+    UnsupportedGridError,
+)
 from dolfinmpm.materials.base import lame
 
 COMM = MPI.COMM_WORLD

@@ -10,7 +10,7 @@ from laws import check_return, check_tangent, random_strains
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.errors import FormError, ParameterError, StateError
+from dolfinmpm._platform.errors import FormError, ParameterError, StateError
 from dolfinmpm.materials import DruckerPrager, EnergyWithYield, Hencky, Parameter, VonMises
 
 

@@ -11,7 +11,7 @@ from scipy import linalg
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm.errors import ParameterError
+from dolfinmpm._platform.errors import ParameterError
 
 OFFSETS = (1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.999, 1 - 1e-6)
 

@@ -136,7 +136,7 @@ def test_ghost_penalty_leaves_linear_motions_alone():
     x = V.function_space.tabulate_dof_coordinates()[:, :2]
     A = np.array([[1.0, 0.3], [0.2, -0.7]])
     force = np.zeros_like(x)
-    from dolfinmpm.assemble import multiply_blocks
+    from dolfinmpm.assembly.points import multiply_blocks
 
     multiply_blocks(rows, columns, blocks, x @ A.T + 1.0, force)
     assert np.abs(force).max() < 1e-10 * np.abs(blocks).max()

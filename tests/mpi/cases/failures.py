@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
-from dolfinmpm import errors
+from dolfinmpm._platform import errors
 
 from .common import COMM, hencky
 

@@ -8,8 +8,8 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.assemble import multiply_blocks
-from dolfinmpm.locate import destinations
+from dolfinmpm.assembly.points import multiply_blocks
+from dolfinmpm.body.location import destinations
 
 from .common import COMM, hencky, run
 

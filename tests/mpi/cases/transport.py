@@ -86,7 +86,7 @@ def stencils_across_corners():
     V = mpm.Space(grid, "gimp")
     from dolfinx.la import InsertMode
 
-    from dolfinmpm.assemble import add_vector
+    from dolfinmpm.assembly.points import add_vector
 
     s = V.basis.stencils(points)
     sums_ = V.basis.nodes.vector(1)

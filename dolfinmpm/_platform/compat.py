@@ -1,0 +1,123 @@
+"""Every branch on the version of DOLFINx, and the one ctypes bridge to PETSc; nowhere else."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import cpp, fem, jit, la
+from dolfinx.common import IndexMap
+from dolfinx.fem.forms import get_integration_domains
+from petsc4py import PETSc
+
+from dolfinmpm._platform.jit import patiently
+
+
+def geometry_dofmap(grid) -> npt.NDArray[np.int32]:
+    """Vertices of every local cell, shape (cells, vertices of a cell)."""
+    dofmap = grid.geometry.dofmap
+    return dofmap() if callable(dofmap) else dofmap
+
+
+def geometry_degree(grid) -> int:
+    """Polynomial degree of the grid's geometry."""
+    return grid.ufl_domain().ufl_coordinate_element().embedded_superdegree
+
+
+def make_index_map(comm, owned: int, ghosts, owners) -> IndexMap:
+    """Index map with `owned` indices here and the given ghosts. Collective."""
+    return IndexMap(
+        comm, owned, np.asarray(ghosts, dtype=np.int64), np.asarray(owners, dtype=np.int32)
+    )
+
+
+def jit_expression(comm, expression, points) -> tuple[int, Any]:
+    """Compile an expression through FFCx: address of its C function, and the module that holds it.
+
+    Collective: rank 0 compiles, the others load what it built.
+    """
+    options = {"scalar_type": np.float64}
+    compiled, module, _ = patiently(
+        comm, lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options)
+    )
+    function = compiled.tabulate_tensor_float64
+    return int(module.ffi.cast("uintptr_t", function)), (module, compiled)
+
+
+def compile_form(comm, form: ufl.Form) -> Any:
+    """Compile a form through FFCx without any data. Collective."""
+    options = {"scalar_type": np.float64}
+    return patiently(comm, lambda: fem.compile_form(comm, form, form_compiler_options=options))
+
+
+def create_form(compiled, spaces, grid, subdomains, coefficients, constants) -> fem.Form:
+    """Attach spaces, entities, coefficients and constants to a compiled form."""
+    return fem.create_form(
+        compiled,
+        spaces,
+        grid,
+        {kind: list(rows) for kind, rows in subdomains.items()},
+        {c: c for c in coefficients},
+        {c: c for c in constants},
+    )
+
+
+def integration_domains(kind, subdomain_data, ids):
+    """Entities of the given subdomain ids, as DOLFINx's forms take them."""
+    return get_integration_domains(kind, subdomain_data, ids)
+
+
+def create_matrix(form: fem.Form) -> la.MatrixCSR:
+    """Matrix of a bilinear form with the sparsity of its own entities."""
+    return fem.create_matrix(form)
+
+
+def element_tensors(form: fem.Form, insert) -> None:
+    """Hand the element matrices of a bilinear form to a function, entity by entity.
+
+    Args:
+        form: The form.
+        insert: Function of the rows and the columns, both nodes, and the values between all
+            their components, row by row; returns 0. DOLFINx calls it for the entities
+            of an integral in their order, and uses the room again afterwards.
+    """
+    cpp.fem.assemble_matrix(insert, form._cpp_object, [])
+
+
+@functools.cache
+def _libpetsc() -> ctypes.CDLL:
+    import petsc4py.PETSc as module
+
+    # the symbols of libpetsc are reached through the extension module that links it
+    library = ctypes.CDLL(module.__file__)
+    library.MatSetPreallocationCOO.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_ssize_t,
+        ctypes.c_void_p,
+        ctypes.c_void_p,
+    ]
+    library.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
+    return library
+
+
+def preallocate_coo(matrix: PETSc.Mat, rows, columns) -> None:
+    """MatSetPreallocationCOO with global indices; petsc4py 3.22 does not bind it. Collective."""
+    # PETSc permutes the arrays it is given
+    rows, columns = (np.array(a, dtype=PETSc.IntType) for a in (rows, columns))
+    code = _libpetsc().MatSetPreallocationCOO(
+        matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data
+    )
+    if code:
+        raise RuntimeError(f"MatSetPreallocationCOO failed with PETSc error {code}")
+
+
+def set_values_coo(matrix: PETSc.Mat, values: npt.NDArray[np.float64]) -> None:
+    """MatSetValuesCOO, replacing what the matrix held. Collective."""
+    insert = int(PETSc.InsertMode.INSERT_VALUES)
+    code = _libpetsc().MatSetValuesCOO(matrix.handle, values.ctypes.data, insert)
+    if code:
+        raise RuntimeError(f"MatSetValuesCOO failed with PETSc error {code}")

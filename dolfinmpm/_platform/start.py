@@ -1,0 +1,13 @@
+"""What must be done once, before any compiled loop is loaded; the package imports it first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfinmpm._platform.abort import end_all_ranks
+from dolfinmpm._platform.kernelcache import forget_outdated
+
+forget_outdated(Path(__file__).parents[1])
+end_all_ranks(MPI.COMM_WORLD)

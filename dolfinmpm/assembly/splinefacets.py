@@ -1,0 +1,297 @@
+"""Terms over ghost facets of B-splines: one element tensor for all facets that are alike.
+
+On a rectangular grid the splines around a facet are the same, but for where they
+are, wherever the cells around it have the same sizes. DOLFINx integrates over one
+facet of each such class; its tensor between splines is then added for all others.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.fem import IntegralType
+from ufl.classes import Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm._platform.compat import compile_form, create_form, element_tensors
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.space import Space, splines_at
+from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.body.points import GHOST_FACETS
+
+__all__ = ["FacetBlock", "are_alike"]
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+# what has the same value, on each side, on all facets of a class
+_ALIKE = (Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex, fem.Constant)
+# relative difference of sizes of cells that is rounding
+_SAME = 1e-12
+
+
+def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
+    """Numbers, from 0, that are the same for cells of a line with the same splines.
+
+    The splines of a cell depend on its size and on those of degree − 1 cells to each side.
+
+    Returns:
+        Kinds of the cells, and of the pairs of neighbours.
+    """
+    steps = np.diff(line)
+    order = np.argsort(steps)
+    # coordinates themselves are no more exact than this
+    slack = max(_SAME * steps.max(), 8 * np.finfo(float).eps * np.abs(line).max())
+    size = np.empty(steps.size, np.int32)
+    size[order] = np.cumsum(np.diff(steps[order], prepend=steps[order[0]]) > slack)
+    # behind the ends of the grid knots are repeated: cells of no size
+    reach = degree - 1
+    padded = np.concatenate([np.full(reach, -1), size, np.full(reach, -1)])
+
+    def number(width: int) -> Ints:
+        if padded.size < width:
+            return np.empty(0, np.int32)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, width)
+        return np.unique(windows, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
+
+    return number(2 * reach + 1), number(2 * reach + 2)
+
+
+def are_alike(form: ufl.Form, space: Space) -> bool:
+    """Whether facets fall into few classes, in each of which the form has one element tensor.
+
+    The same on all ranks. The form must be bilinear, over ghost facets alone, and hold
+    nothing that varies in space but arguments.
+    """
+    basis = space.basis
+    if not isinstance(basis, LatticeBasis) or basis.degree == 1:
+        return False
+    for integral in form.integrals():
+        given = integral.subdomain_id()
+        ids = given if isinstance(given, tuple) else (given,)
+        if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
+            return False
+        for node in unique_pre_traversal(integral.integrand()):
+            if node._ufl_is_terminal_ and not isinstance(node, _ALIKE):
+                return False
+    # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
+    kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
+    return all(k.max() < 8 * basis.degree for k in kinds)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _collect(low, direction, table, table_shape, macro, nodes, count):
+    """Nodes around every facet, and how many facets each of them is near; whether all are known."""
+    gdim = low.shape[1]
+    known = True
+    for f in range(low.shape[0]):
+        for a in range(nodes.shape[1]):
+            at = 0
+            for d in range(gdim):
+                at = at * table_shape[d] + low[f, d] + macro[direction[f], a, d]
+            nodes[f, a] = table[at]
+            known = known and table[at] >= 0
+            count[table[at]] += 1
+    return known
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _turn(nodes, place, start, facet, position):
+    """Facets of every touched node, and its position among the nodes around each."""
+    fill = start[:-1].copy()
+    for f in range(nodes.shape[0]):
+        for a in range(nodes.shape[1]):
+            row = place[nodes[f, a]]
+            facet[fill[row]], position[fill[row]] = f, a
+            fill[row] += 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns, slots):
+    """Nodes that each touched node is coupled to; only counts them if the arrays are empty."""
+    seen[:] = -1
+    total = 0
+    for row in range(start.size - 1):
+        for e in range(start[row], start[row + 1]):
+            f = facet[e]
+            for b in range(nodes.shape[1]):
+                s = slot[direction[f], position[e], b]
+                if seen[s] != row:
+                    seen[s] = row
+                    if columns.size:
+                        columns[total], slots[total] = nodes[f, b], s
+                    total += 1
+        begin[row + 1] = total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add(kind, direction, start, facet, position, slot, tensors, begin, slots, sums, out):
+    """Sum the facets' tensors between every touched node and those coupled to it."""
+    m, n = tensors.shape[2], tensors.shape[3]
+    sums[:] = 0.0
+    for row in range(start.size - 1):
+        for e in range(start[row], start[row + 1]):
+            f, a = facet[e], position[e]
+            for b in range(m):
+                s = slot[direction[f], a, b]
+                for q in range(n):
+                    sums[s, q] += tensors[kind[f], a, b, q]
+        for at in range(begin[row], begin[row + 1]):
+            for q in range(n):
+                out[at, q] = sums[slots[at], q]
+                sums[slots[at], q] = 0.0
+
+
+class FacetBlock:
+    """A bilinear form over ghost facets, between splines. Collective in what it compiles.
+
+    Args:
+        form: The form, of which `are_alike` holds.
+        space: Space of both arguments.
+
+    Attributes:
+        rows, columns: Spline nodes of each block, in the basis's local numbering.
+        moving: Ids of the entities that it integrates over.
+        constants, coefficients: Data of the form; no coefficients.
+    """
+
+    def __init__(self, form: ufl.Form, space: Space):
+        assert isinstance(space.basis, LatticeBasis)
+        self._space = space
+        self._basis = basis = space.basis
+        self._compiled = compile_form(space.grid.comm, form)
+        self.constants: list[fem.Constant] = form.constants()
+        self.coefficients: list[fem.Function] = []
+        self.moving = {GHOST_FACETS}
+        self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
+        # nodes around a facet, by its direction: lattice position past its lower cell's first
+        gdim, p = space.grid.geometry.dim, basis.degree
+        self._shapes = [tuple(p + 1 + (d == e) for e in range(gdim)) for d in range(gdim)]
+        macro = [list(np.ndindex(*shape)) for shape in self._shapes]
+        self._macro = np.array(macro, np.int32)
+        # where b is as seen from a, as one number
+        strides = (2 * p + 3) ** np.arange(gdim)[::-1]
+        apart = self._macro[:, None, :, :] - self._macro[:, :, None, :] + p + 1
+        self._slot = (apart @ strides).astype(np.int32)
+        self._slots = (2 * p + 3) ** gdim
+        self._tensors: dict[int, Array] = {}
+        self._values: Array | None = None
+
+    def attach(self, entities: dict[int, Ints]) -> None:
+        """Integrate over these ghost facets from now on. Collective.
+
+        Args:
+            entities: Under GHOST_FACETS rows (cell, local facet, cell, local facet)
+                flattened, the first cell being "+".
+        """
+        facets = entities[GHOST_FACETS].reshape(-1, 4)
+        halo, ijk = self._basis.halo, self._basis.lattice.cell_ijk
+        first, second = ijk[facets[:, 0]], ijk[facets[:, 2]]
+        low = np.minimum(first, second)
+        self._direction = np.argmax(first != second, axis=1).astype(np.int32)
+        code = 2 * self._direction.astype(np.int64) + np.any(first > second, axis=1)
+        for d, (cells, pairs) in enumerate(self._kinds):
+            across = self._direction == d
+            kind = cells[low[:, d]]
+            kind[across] = pairs[low[across, d]]
+            code = code * (1 + max(cells.max(), pairs.max(initial=0))) + kind
+        self._codes, chosen, kind = np.unique(code, return_index=True, return_inverse=True)
+        self._kind = kind.ravel().astype(np.int32)
+        self._chosen, self._low = facets[chosen], low[chosen]
+        self._direction_of = self._direction[chosen]
+        # tensors of a class stay; all ranks make the form, for that may be collective
+        spaces, entity = [self._space.function_space] * 2, IntegralType.interior_facet
+        domains = {entity: [(GHOST_FACETS, np.ascontiguousarray(self._chosen).ravel())]}
+        self._form = create_form(
+            self._compiled, spaces, self._space.grid, domains, [], self.constants
+        )
+        nodes = np.empty((len(facets), self._macro.shape[1]), np.int32)
+        count = np.zeros(self._basis.nodes.size, np.int64)
+        shape = np.array(halo.node_table.shape, np.int64)
+        table = low - halo.origin, self._direction, halo.node_table.ravel(), shape
+        known = _collect(*table, self._macro, nodes, count)
+        assert known
+        touched = np.flatnonzero(count)
+        start = running_sum(count[touched], np.int64)
+        place = np.empty(count.size, np.int32)
+        place[touched] = np.arange(touched.size, dtype=np.int32)
+        facet, position = np.empty(start[-1], np.int32), np.empty(start[-1], np.int32)
+        _turn(nodes, place, start, facet, position)
+        self._near = start, facet, position, self._slot
+        self._begin = np.zeros(touched.size + 1, np.int64)
+        graph = nodes, self._direction, *self._near, np.empty(self._slots, np.int64), self._begin
+        self.columns = self._slot_of = np.empty(0, np.int32)
+        _couple(*graph, self.columns, self._slot_of)
+        self.columns, self._slot_of = np.empty((2, self._begin[-1]), np.int32)
+        _couple(*graph, self.columns, self._slot_of)
+        self.rows = np.repeat(touched.astype(np.int32), np.diff(self._begin))
+
+    def matrix(self) -> Array:
+        """This rank's share of the matrix, as blocks between `rows` and `columns`."""
+        values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
+        if self._values is None or not np.array_equal(values, self._values):
+            self._tensors = {}
+            self._values = values
+        missing = [k for k, code in enumerate(self._codes) if code not in self._tensors]
+        if missing:
+            self._integrate(missing)
+        c, m = self._space.components, self._macro.shape[1]
+        tensors = [self._tensors[code] for code in self._codes]
+        single = all(t.shape[2] == 1 for t in tensors)
+        if not single:
+            tensors = [t * np.eye(c).ravel() if t.shape[2] == 1 else t for t in tensors]
+        n = 1 if single else c**2
+        stacked = np.array(tensors).reshape(-1, m, m, n)
+        sums, out = np.empty((self._slots, n)), np.empty((self.rows.size, n))
+        near = self._kind, self._direction, *self._near
+        _add(*near, stacked, self._begin, self._slot_of, sums, out)
+        return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
+
+    def _integrate(self, missing: list[int]) -> None:
+        """Tensors of the classes whose numbers are given, by DOLFINx on their chosen facets."""
+        components, number = self._space.components, len(self._codes)
+        extraction: dict[int, Array] = dict(zip(missing, self._extraction(missing)))
+        sums: dict[int, Array] = {}
+        calls = 0
+
+        def insert(rows, columns, values) -> int:
+            nonlocal calls
+            # one facet after the other, and once more for every further integral
+            k = calls % number
+            calls += 1
+            if k in extraction:
+                sums[k] = sums.get(k, 0.0) + np.array(values)
+            return 0
+
+        element_tensors(self._form, insert)
+        for k, E in extraction.items():
+            whole = sums[k].reshape(len(E), components, len(E), components)
+            K: Array = np.ascontiguousarray(whole.transpose(1, 3, 0, 2))
+            if np.array_equal(K, np.eye(components)[:, :, None, None] * K[0, 0]):
+                # components do not mix, as in a ghost penalty: one number for all
+                K = K[:1, :1]
+            T = (E.T @ K @ E).transpose(2, 3, 0, 1)
+            self._tensors[self._codes[k]] = T.reshape(*T.shape[:2], -1)
+
+    def _extraction(self, classes: list[int]) -> Array:
+        """Splines around the chosen facets at the Lagrange nodes of their two cells.
+
+        Returns:
+            Values, shape (classes, Lagrange nodes of the first and the second cell, splines).
+        """
+        basis, V = self._basis, self._space.function_space
+        cells = self._chosen[classes][:, [0, 2]]
+        dofs = V.dofmap.list[cells]
+        x = V.tabulate_dof_coordinates()[dofs.ravel(), : self._macro.shape[2]]
+        nodes, N = splines_at(basis, x, np.repeat(cells.ravel(), dofs.shape[2]))
+        shape = len(classes), 2 * dofs.shape[2], -1
+        nodes, N = nodes.reshape(shape), N.reshape(shape)
+        E = np.zeros((*N.shape[:2], self._macro.shape[1]))
+        for k, one in enumerate(classes):
+            apart = np.moveaxis(basis.halo.node_ijk[nodes[k]] - self._low[one], -1, 0)
+            at = np.ravel_multi_index(tuple(apart), self._shapes[self._direction_of[one]])
+            np.put_along_axis(E[k], at, N[k], axis=1)
+        return E

@@ -1,0 +1,159 @@
+"""Function spaces of the step's increments: a DOLFINx space, and the basis that points see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from scipy import sparse
+
+from dolfinmpm._platform.compat import geometry_degree
+from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis.bspline import number_functions
+from dolfinmpm.grid.lattice import lattice_of, once_per_grid, require_lattice
+
+__all__ = ["Space", "extraction", "splines_at"]
+
+Basis = LatticeBasis | LinearBasis
+_DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
+
+
+@dataclass(frozen=True)
+class _BasisOnGrid:
+    """A basis, and the scalar Lagrange space of its degree."""
+
+    basis: Basis
+    lagrange: fem.FunctionSpace
+
+
+@once_per_grid
+def _basis_of(grid: Mesh, name: str, averaged: bool) -> _BasisOnGrid:
+    """The basis of that name on the grid, one for all fields that use it. Collective."""
+    degree = _DEGREES[name]
+    scalar = fem.functionspace(grid, ("Lagrange", degree))
+    node_map, x = scalar.dofmap.index_map, scalar.tabulate_dof_coordinates()
+    needs_lattice = name != "linear"
+    lattice = require_lattice(grid, f'basis="{name}"') if needs_lattice else lattice_of(grid)
+    if lattice is None:
+        return _BasisOnGrid(LinearBasis(grid, node_map, scalar.dofmap.list, x), scalar)
+    if degree == 1:
+        ijk = lattice.index(x[:, : grid.geometry.dim])
+    else:
+        node_map, ijk = number_functions(grid, lattice, degree)
+    basis = LatticeBasis(grid, lattice, degree, averaged, node_map, ijk)
+    return _BasisOnGrid(basis, scalar)
+
+
+def splines_at(
+    basis: LatticeBasis, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+    """The splines of a cell at each position, which may be on the cell's edge.
+
+    Args:
+        basis: Splines.
+        x: Positions (m), shape (n, gdim).
+        cells: Their local cells, shape (n,).
+
+    Returns:
+        Nodes and values, both of shape (n, splines of a cell).
+    """
+    low = np.ascontiguousarray(basis.lattice.cell_ijk[cells] - basis.halo.origin, np.int32)
+    s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
+    assert s is not None
+    each = (basis.degree + 1) ** x.shape[1]
+    nodes, N = np.empty((len(x), each), np.int32), np.empty((len(x), each))
+    nodes[s.order] = np.repeat(s.nodes.reshape(-1, each), np.diff(s.groups), axis=0)
+    N[s.order] = s.N.reshape(-1, each)
+    return nodes, N
+
+
+def extraction(space: Space) -> sparse.csr_matrix | None:
+    """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
+
+    A spline is a polynomial of the space's degree in every cell, so that nothing
+    is lost and UFL terms over cells and facets act on splines through E.
+
+    Returns:
+        E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
+        both are the same.
+    """
+    basis = space.basis
+    if basis.degree == 1 or not isinstance(basis, LatticeBasis):
+        return None
+    V = space.function_space
+    x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
+    cells = V.dofmap.list
+    # any cell that a node is in will do, for splines are continuous
+    cell_of = np.zeros(len(x), np.int32)
+    cell_of[cells.ravel()] = np.repeat(np.arange(len(cells), dtype=np.int32), cells.shape[1])
+    nodes, N = splines_at(basis, x, cell_of)
+    rows = np.repeat(np.arange(len(x)), nodes.shape[1])
+    return sparse.csr_matrix((N.ravel(), (rows, nodes.ravel())), shape=(len(x), basis.nodes.size))
+
+
+class Space:
+    """A field on the background grid: the increment that a step solves for, and its test function.
+
+    Args:
+        grid: Background grid.
+        basis: "linear" (standard material point method, any grid), "gimp"
+            (linear functions averaged over the points' domains), "bspline2" or
+            "bspline3" (quadratic or cubic B-splines); all but the first need a
+            rectangular grid.
+        shape: Shape of the field's value; a vector of the dimension of space by
+            default, () for a scalar such as a pore pressure.
+        averaged: Whether B-splines are averaged over the points' domains, as GIMP
+            averages linear functions: domains tile the body, so that the stiffness
+            of a body under constant stress is integrated exactly wherever points lie.
+            False evaluates B-splines at the points alone (Steffen, Kirby & Berzins
+            2008, doi 10.1002/nme.2360).
+
+    Attributes:
+        increment: The step's increment, a function for UFL.
+        test: The test function.
+        function_space: The DOLFINx space that both live in: Lagrange functions of
+            the basis's degree.
+
+    Raises:
+        ParameterError: The basis is not known.
+        UnsupportedGridError: The basis cannot be built on this grid.
+    """
+
+    def __init__(
+        self,
+        grid: Mesh,
+        basis: str = "linear",
+        shape: tuple[int, ...] | None = None,
+        averaged: bool = True,
+    ):
+        if basis not in _DEGREES:
+            known = ", ".join(f'"{name}"' for name in _DEGREES)
+            raise ParameterError(f"basis = {basis!r} must be one of {known}")
+        if basis == "gimp" and not averaged:
+            raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')
+        if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
+            raise UnsupportedGridError(
+                f"basis={basis!r} needs straight-sided cells of the dimension of space, got degree "
+                f"{geometry_degree(grid)}, dimension {grid.topology.dim} in {grid.geometry.dim}D"
+            )
+        self.grid = grid
+        on_grid = _basis_of(grid, basis, averaged and basis != "linear")
+        self.basis: Basis = on_grid.basis
+        gdim = grid.geometry.dim
+        shape = (gdim,) if shape is None else tuple(shape)
+        element = (
+            ("Lagrange", self.basis.degree, shape) if shape else ("Lagrange", self.basis.degree)
+        )
+        self.function_space = fem.functionspace(grid, element)
+        self.components = int(np.prod(shape, dtype=int))
+        self.increment = fem.Function(self.function_space, name="increment")
+        self.increment._dolfinmpm_space = self
+        self.test = ufl.TestFunction(self.function_space)
+        # points, DOLFINx's assemblers and the solver share one numbering of the nodes
+        if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
+            raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")

@@ -1,0 +1,1 @@
+"""The body: material points, shapes and filling, location, migration, domains, surfaces."""

@@ -1,0 +1,45 @@
+"""How the domains of GIMP change with the body."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.grid.tensors import eigen
+
+__all__ = ["update_domains"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _stretches(F, l0, lengths):
+    d = F.shape[1]
+    C, Q, values = np.empty((d, d)), np.empty((d, d)), np.empty(d)
+    for p in range(F.shape[0]):
+        for i in range(d):
+            for j in range(d):
+                C[i, j] = 0.0
+                for k in range(d):
+                    C[i, j] += F[p, k, i] * F[p, k, j]
+        eigen(d, C, values, Q)
+        for i in range(d):
+            stretch = 0.0
+            for a in range(d):
+                stretch += math.sqrt(values[a]) * Q[i, a] * Q[i, a]
+            lengths[p, i] = l0[p, i] * stretch
+
+
+def update_domains(F: Array, l0: Array) -> Array:
+    """Half-lengths l = l0 · diag(U), U = √(FᵀF), of the GIMP domains (m).
+
+    Args:
+        F: Deformation gradients, shape (points, d, d).
+        l0: First half-lengths (m), shape (points, d).
+    """
+    lengths = np.empty_like(l0)
+    _stretches(F, l0, lengths)
+    return lengths

@@ -1,0 +1,158 @@
+"""Which cell, and which rank, a position belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import geometry
+from dolfinx.mesh import Mesh
+
+from dolfinmpm._platform.compat import geometry_dofmap
+from dolfinmpm.basis.cells import contained
+from dolfinmpm.basis.linear import kind_of
+from dolfinmpm.grid.lattice import Lattice, lattice_of, once_per_grid
+
+__all__ = ["Destinations", "destinations"]
+
+# A point on a facet belongs to either cell; rounding must not put it outside both.
+_TOLERANCE = 1e-10
+
+
+class _LatticeLocator:
+    """Cells of a rectangular grid by division."""
+
+    def __init__(self, grid: Mesh, lattice: Lattice):
+        self._lattice = lattice
+        ijk = lattice.cell_ijk
+        known = ijk if len(ijk) else np.zeros((1, len(lattice.lines)), np.int32)
+        self._origin = known.min(axis=0)
+        self._table = np.full(known.max(axis=0) + 1 - self._origin, -1, np.int32)
+        self._table[tuple((ijk - self._origin).T)] = np.arange(len(ijk), dtype=np.int32)
+
+    def find(self, x, guess) -> npt.NDArray[np.int32]:
+        inside = np.ones(len(x), bool)
+        index = np.empty(x.shape, np.int64)
+        for d, line in enumerate(self._lattice.lines):
+            slack = _TOLERANCE * (line[-1] - line[0]) / (line.size - 1)
+            inside &= (x[:, d] >= line[0] - slack) & (x[:, d] <= line[-1] + slack)
+            if self._lattice.uniform:
+                scale = (line.size - 1) / (line[-1] - line[0])
+                with np.errstate(invalid="ignore"):
+                    cell = np.floor((x[:, d] - line[0]) * scale)
+                cell = np.where(inside, cell, 0).astype(np.int64)
+            else:
+                cell = np.searchsorted(line, x[:, d], side="right") - 1
+            index[:, d] = np.clip(cell, 0, line.size - 2) - self._origin[d]
+            inside &= (index[:, d] >= 0) & (index[:, d] < self._table.shape[d])
+        cells = np.full(len(x), -1, np.int32)
+        cells[inside] = self._table[tuple(index[inside].T)]
+        return cells
+
+
+class _MeshLocator:
+    """Cells of any grid: first the cell that the point was in, then the bounding-box tree."""
+
+    def __init__(self, grid: Mesh):
+        self._grid = grid
+        self._vertices = geometry_dofmap(grid)
+        self._gdim = grid.geometry.dim
+        self._coordinates = np.ascontiguousarray(grid.geometry.x[:, : self._gdim])
+        self._kind = kind_of(grid)
+        self._tree: Any = None
+
+    def _contained(self, x, cells):
+        result = np.empty(len(x), bool)
+        contained(
+            self._kind, self._vertices, self._coordinates, cells.astype(np.int32), x, _TOLERANCE,
+            result,
+        )  # fmt: skip
+        return result
+
+    def find(self, x, guess) -> npt.NDArray[np.int32]:
+        cells = np.where(self._contained(x, guess), guess, -1).astype(np.int32)
+        lost = np.flatnonzero((cells < 0) & np.isfinite(x).all(axis=1))
+        if lost.size == 0 or len(self._vertices) == 0:
+            return cells
+        if self._tree is None:
+            size = np.ptp(self._coordinates, axis=0).max()
+            self._tree = geometry.bb_tree(
+                self._grid, self._grid.topology.dim, padding=_TOLERANCE * size
+            )
+        padded = np.zeros((lost.size, 3))
+        padded[:, : self._gdim] = x[lost]
+        candidates = geometry.compute_collisions_points(self._tree, padded)
+        owner = np.repeat(np.arange(lost.size), np.diff(candidates.offsets))
+        hit = self._contained(np.ascontiguousarray(x[lost][owner]), candidates.array)
+        # the smallest cell index wins: owned cells come before ghosts
+        best = np.full(lost.size, np.iinfo(np.int32).max)
+        np.minimum.at(best, owner[hit], candidates.array[hit])
+        found = best < np.iinfo(np.int32).max
+        cells[lost[found]] = best[found]
+        return cells
+
+
+@once_per_grid
+def _locator(grid: Mesh) -> _LatticeLocator | _MeshLocator:
+    lattice = lattice_of(grid)
+    return _MeshLocator(grid) if lattice is None else _LatticeLocator(grid, lattice)
+
+
+@dataclass(frozen=True)
+class Destinations:
+    """Where positions belong.
+
+    Attributes:
+        rank: Owning rank, -1 where the position is outside the grid; shape (n,).
+        cell: Global index of the cell, -1 likewise; shape (n,).
+    """
+
+    rank: npt.NDArray[np.int32]
+    cell: npt.NDArray[np.int64]
+
+
+def destinations(
+    grid: Mesh, x: npt.NDArray[np.float64], guess: npt.NDArray[np.int32] | None = None
+) -> Destinations:
+    """Owner and cell of each position. Collective.
+
+    Every position gets one owner: a position on a facet between ranks goes to
+    the rank that finds it in a cell of its own, the lowest such rank if several do.
+
+    Args:
+        grid: Background grid.
+        x: Positions (m), shape (n, gdim).
+        guess: Local cells to look in first, shape (n,), -1 for none.
+    """
+    comm = grid.comm
+    cell_map = grid.topology.index_map(grid.topology.dim)
+    first = cell_map.local_range[0]
+    locator = _locator(grid)
+    x = np.ascontiguousarray(x)
+    if guess is None:
+        guess = np.full(len(x), -1, np.int32)
+    local = locator.find(x, guess)
+    owned = (local >= 0) & (local < cell_map.size_local)
+    ghost = local >= cell_map.size_local
+    rank = np.full(len(x), -1, np.int32)
+    cell = np.full(len(x), -1, np.int64)
+    rank[owned], cell[owned] = comm.rank, first + local[owned]
+    at = local[ghost] - cell_map.size_local
+    rank[ghost], cell[ghost] = cell_map.owners[at], cell_map.ghosts[at]
+    lost = np.flatnonzero(local < 0)
+    counts = comm.allgather(lost.size)
+    if comm.size == 1 or sum(counts) == 0:
+        return Destinations(rank, cell)
+    # positions that this rank does not know are few: every rank is asked about them
+    everyone = np.concatenate(comm.allgather(x[lost]))
+    claimed = locator.find(everyone, np.full(len(everyone), -1, np.int32))
+    mine = (claimed >= 0) & (claimed < cell_map.size_local)
+    bids = np.array(comm.allgather(np.where(mine, first + claimed, -1)))
+    winner = np.argmax(bids >= 0, axis=0)
+    taken = bids.max(axis=0) >= 0
+    here = slice(sum(counts[: comm.rank]), sum(counts[: comm.rank + 1]))
+    rank[lost] = np.where(taken, winner, -1)[here]
+    cell[lost] = np.where(taken, bids[winner, np.arange(taken.size)], -1)[here]
+    return Destinations(rank, cell)

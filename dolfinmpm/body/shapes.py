@@ -1,0 +1,185 @@
+"""Shapes to fill with material points; they combine with `|`, `&` and `-`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Shape:
+    """A region of space.
+
+    Args:
+        contains: Function of positions (m), shape (n, gdim), that returns n booleans.
+        low: Lower corner (m) of a box around the shape, or None if unknown.
+        high: Upper corner (m), likewise.
+    """
+
+    def __init__(
+        self,
+        contains: Callable[[Array], npt.NDArray[np.bool_]],
+        low: Array | None = None,
+        high: Array | None = None,
+    ):
+        self._contains = contains
+        self.low = low
+        self.high = high
+
+    def contains(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Whether each position x (m), shape (n, gdim), is in the shape."""
+        if self.low is not None and x.shape[1] != len(self.low):
+            raise ParameterError(
+                f"{type(self).__name__} has {len(self.low)} coordinates, the grid has {x.shape[1]}"
+            )
+        return np.asarray(self._contains(x), dtype=bool)
+
+    def __or__(self, other: Shape) -> Shape:
+        low = high = None
+        if self.low is not None and other.low is not None:
+            low = np.minimum(self.low, other.low)
+            high = np.maximum(self.high, other.high)  # type: ignore[arg-type]
+        return Shape(lambda x: self.contains(x) | other.contains(x), low, high)
+
+    def __and__(self, other: Shape) -> Shape:
+        lows = [s.low for s in (self, other) if s.low is not None]
+        highs = [s.high for s in (self, other) if s.high is not None]
+        low = np.max(lows, axis=0) if lows else None
+        high = np.min(highs, axis=0) if highs else None
+        return Shape(lambda x: self.contains(x) & other.contains(x), low, high)
+
+    def __sub__(self, other: Shape) -> Shape:
+        return Shape(lambda x: self.contains(x) & ~other.contains(x), self.low, self.high)
+
+
+class Box(Shape):
+    """An axis-aligned box (an interval in 1D, a rectangle in 2D).
+
+    Args:
+        low: Lower corner (m).
+        high: Upper corner (m).
+
+    Raises:
+        ParameterError: A corner is not finite, or the upper one is not above the lower one.
+    """
+
+    def __init__(self, low: float | Sequence[float], high: float | Sequence[float]):
+        lower, upper = np.atleast_1d(np.array(low, float)), np.atleast_1d(np.array(high, float))
+        finite = np.isfinite(lower).all() and np.isfinite(upper).all()
+        if lower.shape != upper.shape or not finite or np.any(upper <= lower):
+            raise ParameterError(
+                f"Box needs a lower and a higher corner, got {low} and {high}; "
+                "each coordinate of the second must be larger"
+            )
+        super().__init__(lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper)
+
+
+class TurnedBox(Shape):
+    """A box in 2D or 3D, turned about its middle in the plane of the first two axes.
+
+    Args:
+        low: Lower corner (m) before it is turned.
+        high: Upper corner (m), likewise.
+        angle: Angle (rad), counter-clockwise.
+
+    Raises:
+        ParameterError: The corners are no box, or have fewer than two coordinates.
+    """
+
+    def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
+        self.box = Box(low, high)
+        assert self.box.low is not None
+        assert self.box.high is not None
+        if len(self.box.low) < 2 or not math.isfinite(angle):
+            raise ParameterError(
+                f"a turned box needs 2 or 3 coordinates and a finite angle, got {low}, {angle}"
+            )
+        self.middle = 0.5 * (self.box.low + self.box.high)
+        self.rotation = np.eye(len(self.middle))
+        self.rotation[:2, :2] = [
+            [math.cos(angle), -math.sin(angle)],
+            [math.sin(angle), math.cos(angle)],
+        ]
+        reach = np.abs(self.rotation) @ (self.box.high - self.middle)
+        super().__init__(
+            lambda x: self.box.contains(self.middle + (x - self.middle) @ self.rotation),
+            self.middle - reach,
+            self.middle + reach,
+        )
+
+    def turn(self, x: Array) -> Array:
+        """Positions (m) of points of the box, shape (n, gdim), after it is turned."""
+        return self.middle + (x - self.middle) @ self.rotation.T
+
+
+class Ball(Shape):
+    """A ball (a disc in 2D).
+
+    Args:
+        centre: Its centre (m).
+        radius: Its radius (m).
+
+    Raises:
+        ParameterError: The radius is not positive.
+    """
+
+    def __init__(self, centre: Sequence[float], radius: float):
+        if not (math.isfinite(radius) and radius > 0):
+            raise ParameterError(f"radius = {radius} m must be positive")
+        middle = np.array(centre, float)
+        super().__init__(
+            lambda x: np.sum((x - middle) ** 2, axis=1) <= radius**2,
+            middle - radius,
+            middle + radius,
+        )
+
+
+Disc = Ball
+
+
+class Polygon(Shape):
+    """A polygon in 2D, convex or not.
+
+    Args:
+        vertices: Its corners (m) in order, shape (n, 2), n ≥ 3.
+
+    Raises:
+        ParameterError: The corners are not of that shape.
+    """
+
+    def __init__(self, vertices: Sequence[Sequence[float]]):
+        corners = np.array(vertices, float)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
+            raise ParameterError(
+                f"Polygon needs corners of shape (n, 2) with n >= 3, got {corners.shape}"
+            )
+
+        def contains(x: Array) -> npt.NDArray[np.bool_]:
+            inside = np.zeros(len(x), bool)
+            for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
+                if y0 != y1:
+                    crosses = (y0 > x[:, 1]) != (y1 > x[:, 1])
+                    inside ^= crosses & (x[:, 0] < x0 + (x[:, 1] - y0) * (x1 - x0) / (y1 - y0))
+            return inside
+
+        super().__init__(contains, corners.min(axis=0), corners.max(axis=0))
+
+
+class Where(Shape):
+    """All positions for which a function holds.
+
+    Args:
+        condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
+            returns n booleans.
+    """
+
+    def __init__(self, condition: Callable[[Array], npt.NDArray[np.bool_]]):
+        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)))

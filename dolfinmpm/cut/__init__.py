@@ -1,0 +1,1 @@
+"""Cut cells: what is active, fill fractions, aggregation, prolongation, unknowns, remedies."""

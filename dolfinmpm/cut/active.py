@@ -1,0 +1,130 @@
+"""Which nodes and cells take part in a step, and where ghost penalty acts."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh, exterior_facet_indices
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import UnsupportedGridError
+from dolfinmpm.basis import Stencils
+from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.lattice import once_per_grid
+
+__all__ = ["GhostFacets", "active_cells", "active_nodes"]
+
+
+def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[np.bool_]:
+    flags = np.zeros(numbering.size, bool)
+    flags[indices] = True
+    return numbering.share_flags(flags)
+
+
+def active_nodes(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.int32]:
+    """Nodes that any rank's points see, in increasing local order. Collective."""
+    return np.flatnonzero(_flags(stencils.nodes, numbering)).astype(np.int32)
+
+
+def active_cells(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.bool_]:
+    """Whether each local cell is overlapped by a point or its domain, on any rank. Collective."""
+    return _flags(stencils.cells, numbering)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_boundary(active, owned, cell_facets, facet_cells, boundary):
+    for c in range(owned):
+        if active[c]:
+            for f in cell_facets[c]:
+                other = facet_cells[f, 0] + facet_cells[f, 1] - c
+                if facet_cells[f, 1] >= 0 and not active[other]:
+                    boundary[c] = True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _select_facets(active, boundary, owned_facets, cell_facets, facet_cells, rows):
+    number = 0
+    for c in range(cell_facets.shape[0]):
+        if not active[c]:
+            continue
+        for i in range(cell_facets.shape[1]):
+            f = cell_facets[c, i]
+            other = facet_cells[f, 0] + facet_cells[f, 1] - c
+            if f >= owned_facets or facet_cells[f, 1] < 0 or other < c or not active[other]:
+                continue
+            if boundary[c] or boundary[other]:
+                if number < rows.shape[0]:
+                    j = 0
+                    while cell_facets[other, j] != f:
+                        j += 1
+                    rows[number, 0], rows[number, 1] = c, i
+                    rows[number, 2], rows[number, 3] = other, j
+                number += 1
+    return number
+
+
+class GhostFacets:
+    """Interior facets between active cells of which at least one borders on an inactive cell.
+
+    The definition of Coombs (2023, doi 10.1002/nme.7332): the outer edge of the
+    grid makes no cell a boundary cell.
+
+    Args:
+        grid: Background grid.
+
+    Raises:
+        UnsupportedGridError: The grid is distributed without ghost cells.
+    """
+
+    def __init__(self, grid: Mesh):
+        topology, tdim = grid.topology, grid.topology.dim
+        topology.create_connectivity(tdim, tdim - 1)
+        topology.create_connectivity(tdim - 1, tdim)
+        self._owned_facets = topology.index_map(tdim - 1).size_local
+        self._owned_cells = topology.index_map(tdim).size_local
+        to_cells = topology.connectivity(tdim - 1, tdim)
+        of_cells = topology.connectivity(tdim, tdim - 1)
+        ghosts = grid.comm.allreduce(topology.index_map(tdim).num_ghosts, op=MPI.SUM)
+        # a facet with one cell here, that is not on the edge of the grid, has its other elsewhere
+        cut = int(np.count_nonzero(np.diff(to_cells.offsets) == 1)) - len(
+            exterior_facet_indices(topology)
+        )
+        cut = grid.comm.allreduce(cut, op=MPI.SUM)
+        if grid.comm.size > 1 and ghosts == 0 and cut > 0:
+            raise UnsupportedGridError(
+                "terms over interior facets need ghost cells in parallel; create the mesh with "
+                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
+            )
+        first, count = to_cells.offsets[:-1], np.diff(to_cells.offsets)
+        self._facet_cells = np.full((len(count), 2), -1, np.int32)
+        for k in (0, 1):
+            has = count > k
+            self._facet_cells[has, k] = to_cells.array[first[has] + k]
+        per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
+        self._cell_facets = of_cells.array.reshape(-1, per_cell)
+
+    def select(self, active: npt.NDArray[np.bool_], numbering: Numbering) -> npt.NDArray[np.int32]:
+        """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
+
+        Args:
+            active: Whether each local cell is active.
+            numbering: Numbering of the cells.
+        """
+        boundary = np.zeros(numbering.size, bool)
+        _mark_boundary(active, self._owned_cells, self._cell_facets, self._facet_cells, boundary)
+        boundary = numbering.share_flags(boundary)
+        rows = np.empty((0, 4), np.int32)
+        for _ in range(2):  # first count, then fill
+            arguments = self._owned_facets, self._cell_facets, self._facet_cells
+            number = _select_facets(active, boundary, *arguments, rows)
+            if number <= len(rows):
+                break
+            rows = np.empty((number, 4), np.int32)
+        return rows.ravel()
+
+
+@once_per_grid
+def ghost_facets(grid: Mesh) -> GhostFacets:
+    """The facet tables of a grid, built once. Collective."""
+    return GhostFacets(grid)

@@ -1,0 +1,139 @@
+"""How full cells are, how points share in them, and how much of each spline the body holds."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from dolfinx.la import InsertMode
+
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.basis.bspline import integrals
+from dolfinmpm.basis.stencils import add_weighted, running_sum
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.lattice import cell_volumes
+
+__all__ = ["domain_shares", "fill_fractions", "support_shares"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _share(low, high, cell, x, half, p):
+    """Share of a point's domain that lies in a cell."""
+    share = 1.0
+    for d in range(x.shape[1]):
+        left = max(x[p, d] - half[p, d], low[cell, d])
+        right = min(x[p, d] + half[p, d], high[cell, d])
+        share *= max(right - left, 0.0) / (2.0 * half[p, d])
+    return share
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _spread(order, groups, cell_start, cells, low, high, x, half, volume, out):
+    """Add each point's volume to the cells it overlaps, by the shares of its domain."""
+    for g in range(groups.size - 1):
+        single = cell_start[g + 1] - cell_start[g] == 1
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            for at in range(cell_start[g], cell_start[g + 1]):
+                share = 1.0 if single else _share(low, high, cells[at], x, half, p)
+                out[cells[at]] += share * volume[p]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fill_shares(order, groups, cell_start, cells, low, high, x, half, share_start, shares):
+    for g in range(groups.size - 1):
+        number = cell_start[g + 1] - cell_start[g]
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            start = share_start[g] + (position - groups[g]) * number
+            if number == 1:
+                shares[start] = 1.0
+                continue
+            total = 0.0
+            for k in range(number):
+                shares[start + k] = _share(low, high, cells[cell_start[g] + k], x, half, p)
+                total += shares[start + k]
+            for k in range(number):
+                shares[start + k] /= total
+
+
+def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
+    """Lower and upper corners of the local cells (m); none where a point is in one cell only."""
+    if not isinstance(basis, LatticeBasis):
+        return (np.empty((0, basis.grid.geometry.dim)),) * 2
+    ijk = basis.halo.cell_ijk
+    low = np.column_stack([line[ijk[:, d]] for d, line in enumerate(basis.lattice.lines)])
+    high = np.column_stack([line[ijk[:, d] + 1] for d, line in enumerate(basis.lattice.lines)])
+    return low, high
+
+
+def domain_shares(
+    points: MaterialPoints, stencils: Stencils, basis: LatticeBasis | LinearBasis
+) -> tuple[npt.NDArray[np.int64], Array]:
+    """Shares of the points' domains in the cells that they overlap; those of a point sum to 1.
+
+    What of a domain lies outside the grid is left out; a point without a domain is
+    in its cell with all of it.
+
+    Returns:
+        First entry of every group, shape (groups + 1,), and the shares: for each of a
+        group's points one row of the group's cells.
+    """
+    counts = np.diff(stencils.cell_start).astype(np.int64) * np.diff(stencils.groups)
+    start = running_sum(counts, np.int64)
+    shares = np.empty(start[-1])
+    _fill_shares(
+        stencils.order, stencils.groups, stencils.cell_start, stencils.cells, *_boxes(basis),
+        points["x"], points["l"], start, shares,
+    )  # fmt: skip
+    return start, shares
+
+
+def fill_fractions(
+    points: MaterialPoints, stencils: Stencils, basis: LatticeBasis | LinearBasis
+) -> Array:
+    """Share of each local cell's volume that material points fill, shape (cells,). Collective.
+
+    The volume of a point is shared out among the cells that its domain overlaps.
+
+    Args:
+        points: Material points.
+        stencils: Their stencils.
+        basis: The basis that these belong to.
+    """
+    shared = basis.cells.vector()
+    low, high = _boxes(basis)
+    lattice = isinstance(basis, LatticeBasis)
+    volumes = np.prod(high - low, axis=1) if lattice else cell_volumes(points.grid)
+    _spread(
+        stencils.order, stencils.groups, stencils.cell_start, stencils.cells, low, high,
+        points["x"], points["l"], points["V"], shared.array,
+    )  # fmt: skip
+    if basis.cells.comm.size > 1:
+        shared.scatter_reverse(InsertMode.add)
+        shared.scatter_forward()
+    return shared.array / volumes
+
+
+def support_shares(points: MaterialPoints, stencils: Stencils, basis: LatticeBasis) -> Array:
+    """Share of each function's integral that lies in the body, shape (nodes,). Collective.
+
+    Args:
+        points: Material points.
+        stencils: Their stencils.
+        basis: The basis that these belong to.
+    """
+    shared = basis.nodes.vector()
+    s = stencils
+    add_weighted(
+        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, points["V"], shared.array
+    )
+    if basis.nodes.comm.size > 1:
+        shared.scatter_reverse(InsertMode.add)
+        shared.scatter_forward()
+    whole = np.ones(basis.nodes.size)
+    for d, line in enumerate(basis.lattice.lines):
+        whole *= integrals(line, basis.degree)[basis.halo.node_ijk[:, d]]
+    return shared.array / whole

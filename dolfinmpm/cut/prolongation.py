@@ -1,0 +1,154 @@
+"""Prolongation: some nodes' values as combinations of others'.
+
+The solver sees the unknowns x of the nodes that remain, the grid sees u = C x. At
+the material points C is taken into the stencils, so that what is assembled is
+Cᵀ K C and Cᵀ f already; the matrices of DOLFINx's assemblers are multiplied.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from scipy import sparse
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import running_sum
+
+__all__ = ["Prolongation", "reduce_blocks"]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _tie(
+    groups, node_start, nodes, value_start, N, dN, indptr, indices, weights, place, counts,
+    new_start, new_value_start, new_nodes, new_N, new_dN,
+):  # fmt: skip
+    """Rows of N C and ∇N C of every group; only counts their nodes if the arrays are empty."""
+    gdim = dN.shape[1]
+    for g in range(groups.size - 1):
+        count = 0
+        for at in range(node_start[g], node_start[g + 1]):
+            for k in range(indptr[nodes[at]], indptr[nodes[at] + 1]):
+                if place[indices[k]] < 0:
+                    place[indices[k]] = 0
+                    if new_start.size:
+                        new_nodes[new_start[g] + count] = indices[k]
+                    count += 1
+        counts[g] = count
+        if new_start.size:
+            own = new_nodes[new_start[g] : new_start[g] + count]
+            own.sort()
+            for b in range(count):
+                place[own[b]] = b
+            m = node_start[g + 1] - node_start[g]
+            for position in range(groups[g + 1] - groups[g]):
+                old, new = value_start[g] + position * m, new_value_start[g] + position * count
+                for b in range(count):
+                    new_N[new + b] = 0.0
+                    for d in range(gdim):
+                        new_dN[new + b, d] = 0.0
+                for a in range(m):
+                    node = nodes[node_start[g] + a]
+                    for k in range(indptr[node], indptr[node + 1]):
+                        b = new + place[indices[k]]
+                        new_N[b] += N[old + a] * weights[k]
+                        for d in range(gdim):
+                            new_dN[b, d] += dN[old + a, d] * weights[k]
+        for at in range(node_start[g], node_start[g + 1]):
+            for k in range(indptr[nodes[at]], indptr[nodes[at] + 1]):
+                place[indices[k]] = -1
+
+
+def reduce_blocks(matrix: sparse.csr_matrix, rows, columns, blocks):
+    """Tᵀ A T of a matrix A given by blocks between nodes; returned in the same form.
+
+    Args:
+        matrix: T, shape (nodes of A, nodes of the result).
+        rows: Node of each block's row, shape (n,).
+        columns: Node of each block's column, shape (n,).
+        blocks: The blocks, shape (n, components, components).
+    """
+    components = blocks.shape[1]
+    inner = np.arange(components)
+    # only what A touches takes part, however large the grid is
+    touched, place = np.unique(np.concatenate([rows, columns]), return_inverse=True)
+    part = matrix[touched]
+    kept, local = np.unique(part.indices, return_inverse=True)
+    part = sparse.csr_matrix((part.data, local, part.indptr), shape=(touched.size, kept.size))
+    rows, columns = place[: rows.size], place[rows.size :]
+    scalar = blocks[:, 0, 0]
+    if np.array_equal(blocks, scalar[:, None, None] * np.eye(components)):
+        # components do not mix, as in a ghost penalty: one product does for all
+        shape = touched.size, touched.size
+        whole = sparse.csr_matrix((scalar, (rows, columns)), shape=shape)
+        single = sparse.csr_matrix(part.T @ whole @ part)
+        new_rows = np.repeat(np.arange(kept.size), np.diff(single.indptr))
+        return (
+            kept[new_rows].astype(np.int32),
+            kept[single.indices].astype(np.int32),
+            single.data[:, None, None] * np.eye(components),
+        )
+    size = touched.size * components
+    i = (rows[:, None, None] * components + inner[:, None]) + 0 * inner
+    j = (columns[:, None, None] * components + inner) + 0 * inner[:, None]
+    whole = sparse.csr_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
+    T = sparse.kron(part, sparse.identity(components), format="csr")
+    reduced = sparse.bsr_matrix(T.T @ whole @ T, blocksize=(components, components))
+    new_rows = np.repeat(np.arange(reduced.indptr.size - 1), np.diff(reduced.indptr))
+    return (
+        kept[new_rows].astype(np.int32),
+        kept[reduced.indices].astype(np.int32),
+        np.ascontiguousarray(reduced.data),
+    )
+
+
+class Prolongation:
+    """A matrix C from the values of the nodes that remain to those of all nodes.
+
+    Args:
+        matrix: C, shape (nodes, nodes) in local numbering. The row of a node that
+            remains is its unit row; the column of one that does not is empty.
+
+    Raises:
+        ParameterError: The matrix is not of that form.
+    """
+
+    def __init__(self, matrix: sparse.spmatrix):
+        self.matrix = sparse.csr_matrix(matrix)
+        nodes = np.arange(self.matrix.shape[0])
+        if self.matrix.shape[0] != self.matrix.shape[1]:
+            raise ParameterError(f"C must be square in the nodes, got shape {self.matrix.shape}")
+        self.tied = np.diff(self.matrix.indptr) != 1
+        single = nodes[~self.tied]
+        at = self.matrix.indptr[single]
+        self.tied[single] = (self.matrix.indices[at] != single) | (self.matrix.data[at] != 1.0)
+        used = np.unique(self.matrix.indices)
+        if np.any(self.tied[used]):
+            raise ParameterError(
+                f"node {used[self.tied[used]][0]} is tied to others and others are tied to it; "
+                "multiply the matrices first"
+            )
+
+    def __matmul__(self, other: Prolongation) -> Prolongation:
+        """First `other`, then this one: u = C₁ C₂ x."""
+        return Prolongation(self.matrix @ other.matrix)
+
+    def stencils(self, s: Stencils) -> Stencils:
+        """Stencils on the nodes that remain, N C and ∇N C."""
+        if not np.any(self.tied[s.nodes]):
+            return s
+        C = self.matrix.indptr, self.matrix.indices, self.matrix.data
+        place = np.full(self.matrix.shape[1], -1, np.int32)
+        counts = np.zeros(s.groups.size - 1, np.int64)
+        nothing = np.empty(0, np.int32), np.empty(0), np.empty((0, s.dN.shape[1]))
+        layout = s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN
+        _tie(*layout, *C, place, counts, np.empty(0, np.int32), np.empty(0, np.int64), *nothing)
+        node_start = running_sum(counts, np.int32)
+        value_start = running_sum(counts * np.diff(s.groups), np.int64)
+        nodes = np.empty(node_start[-1], np.int32)
+        N = np.empty(value_start[-1])
+        dN = np.empty((value_start[-1], s.dN.shape[1]))
+        _tie(*layout, *C, place, counts, node_start, value_start, nodes, N, dN)
+        return Stencils(
+            s.order, s.groups, node_start, nodes, value_start, N, dN, s.cell_start, s.cells
+        )

@@ -1,0 +1,171 @@
+"""The background grid: its size of cell and, where cells are boxes, its lattice."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.mesh import CellType, Mesh
+from mpi4py import MPI
+
+from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
+from dolfinmpm._platform.errors import UnsupportedGridError
+from dolfinmpm._platform.jit import patiently
+
+__all__ = ["Lattice", "cell_size", "lattice_of"]
+
+
+def once_per_grid(function: Callable) -> Callable:
+    """Keep what a function of a grid returns on the grid itself, to be freed with it."""
+
+    @functools.wraps(function)
+    def wrapper(grid, *args):
+        kept = grid.__dict__.setdefault("_dolfinmpm", {})
+        key = (function.__qualname__, *args)
+        if key not in kept:
+            kept[key] = function(grid, *args)
+        return kept[key]
+
+    return wrapper
+
+
+_BOX_CELLS = (CellType.interval, CellType.quadrilateral, CellType.hexahedron)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A rectangular grid seen as the product of one line of coordinates a direction.
+
+    Attributes:
+        lines: One increasing array of node coordinates (m) a direction, of the
+            whole grid, the same on every rank.
+        cell_ijk: Lattice position of every local cell, shape (cells, gdim).
+        uniform: Whether all cells of a direction have the same size.
+    """
+
+    lines: tuple[npt.NDArray[np.float64], ...]
+    cell_ijk: npt.NDArray[np.int32]
+    uniform: bool
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of cells in each direction."""
+        return tuple(line.size - 1 for line in self.lines)
+
+    @property
+    def spacing(self) -> npt.NDArray[np.float64]:
+        """Mean size of the cells in each direction (m), shape (gdim,)."""
+        return np.array([(line[-1] - line[0]) / (line.size - 1) for line in self.lines])
+
+    def index(self, coordinates: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
+        """Nearest lattice node of each coordinate, shape (n, gdim)."""
+        columns = []
+        for d, line in enumerate(self.lines):
+            right = np.clip(np.searchsorted(line, coordinates[:, d]), 1, line.size - 1)
+            nearer_left = coordinates[:, d] - line[right - 1] < line[right] - coordinates[:, d]
+            columns.append(right - nearer_left)
+        return np.column_stack(columns).astype(np.int32)
+
+
+def _global_line(comm: MPI.Comm, values: npt.NDArray[np.float64], tolerance: float):
+    """Sorted coordinates that occur on any rank, those closer than the tolerance made one."""
+
+    def unique(sorted_values):
+        keep = np.ones(sorted_values.size, dtype=bool)
+        keep[1:] = np.diff(sorted_values) > tolerance
+        return sorted_values[keep]
+
+    pieces = comm.allgather(unique(np.sort(values)))
+    return unique(np.sort(np.concatenate(pieces)))
+
+
+@once_per_grid
+def lattice_of(grid: Mesh) -> Lattice | None:
+    """The lattice of a rectangular grid, or None for any other grid. Collective.
+
+    A grid is rectangular if its cells are axis-aligned boxes (intervals,
+    quadrilaterals or hexahedra, graded or not) that fill one large box.
+    """
+    comm, gdim = grid.comm, grid.geometry.dim
+    kind = grid.topology.cell_type
+    if kind not in _BOX_CELLS or grid.topology.dim != gdim or geometry_degree(grid) != 1:
+        return None
+    x = np.asarray(grid.geometry.x[:, :gdim], float)
+    vertices = geometry_dofmap(grid)
+    # a rank without cells takes part in every call all the same
+    low = comm.allgather(x.min(axis=0) if x.size else np.full(gdim, math.inf))
+    high = comm.allgather(x.max(axis=0) if x.size else np.full(gdim, -math.inf))
+    extent = np.max(high, axis=0) - np.min(low, axis=0)
+    lines = tuple(_global_line(comm, x[:, d], 1e-9 * extent[d]) for d in range(gdim))
+    corners = x[vertices]
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    slack = 1e-9 * extent
+    boxes = np.minimum(np.abs(corners - lower[:, None]), np.abs(corners - upper[:, None])) <= slack
+    lattice = Lattice(lines, np.empty((0, gdim), np.int32), False)
+    ijk = lattice.index(lower) if len(vertices) else np.empty((0, gdim), np.int32)
+    one_apart = np.all(lattice.index(upper) - ijk == 1) if len(vertices) else True
+    owned = grid.topology.index_map(gdim).size_global
+    ok = bool(boxes.all() and one_apart and owned == math.prod(lattice.shape))
+    if not comm.allreduce(ok, op=MPI.LAND):
+        return None
+    steps = [np.diff(line) for line in lines]
+    uniform = all(np.ptp(s) <= 1e-9 * s.mean() * line.size for s, line in zip(steps, lines))
+    if uniform:
+        # rounding in the mesh generator must not decide which cell a point on a line is in
+        lines = tuple(np.linspace(line[0], line[-1], line.size) for line in lines)
+    return Lattice(lines, ijk, uniform)
+
+
+def require_lattice(grid: Mesh, what: str) -> Lattice:
+    """The lattice of the grid, or an error that says what needs it. Collective.
+
+    Raises:
+        UnsupportedGridError: The grid is not rectangular.
+    """
+    lattice = lattice_of(grid)
+    if lattice is None:
+        raise UnsupportedGridError(
+            f"{what} needs a rectangular grid (axis-aligned intervals, quadrilaterals or "
+            f"hexahedra that fill one box), got a grid of {grid.topology.cell_type.name}s that "
+            'is not; use basis="linear" or dolfinx.mesh.create_rectangle / create_box'
+        )
+    return lattice
+
+
+@once_per_grid
+def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
+    """Volume of every local cell, shape (cells,); exact for straight-sided cells."""
+    space = fem.functionspace(grid, ("DG", 0))
+    form = patiently(grid.comm, lambda: fem.form(ufl.TestFunction(space) * ufl.dx))
+    volumes = fem.assemble_vector(form)
+    volumes.scatter_forward()
+    return np.abs(volumes.array)
+
+
+@once_per_grid
+def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
+    """Size of the cells, for UFL. Collective.
+
+    The edge of a square or a cube, and the leg of a right-angled triangle: the
+    d-th root of the volume of the box that the cell, or d! such simplices, fill.
+
+    Returns:
+        A Constant (m) where all cells have the same size; otherwise a piecewise
+        constant function, which needs `ufl.avg` in a facet term.
+    """
+    gdim = grid.topology.dim
+    simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
+    sizes = (cell_volumes(grid) * (math.factorial(gdim) if simplex else 1)) ** (1 / gdim)
+    least = grid.comm.allreduce(sizes.min(initial=math.inf), op=MPI.MIN)
+    largest = grid.comm.allreduce(sizes.max(initial=0.0), op=MPI.MAX)
+    if largest - least <= 1e-9 * largest:
+        return fem.Constant(grid, default_scalar_type(0.5 * (least + largest)))
+    h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")
+    h.x.array[:] = sizes
+    return h

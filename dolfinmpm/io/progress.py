@@ -1,0 +1,70 @@
+"""Loads of a stepwise computation, with a progress bar."""
+
+from __future__ import annotations
+
+import operator
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["progress", "steps"]
+
+Item = TypeVar("Item")
+
+
+def steps(number: int, label: str = "") -> Iterator[float]:
+    """Loads 1/number, 2/number, ..., 1 with a progress bar on rank 0.
+
+    The bar is drawn where standard error is a terminal. Under mpirun it usually is
+    not: the environment variable DOLFINMPM_PROGRESS=1 draws the bar all the same,
+    DOLFINMPM_PROGRESS=0 never draws it.
+
+    Args:
+        number: Number of steps, at least 1.
+        label: What the steps do, written before the bar.
+
+    Returns:
+        An iterator over the shares of the load (-), the last one exactly 1.
+
+    Raises:
+        ParameterError: The number is not a whole number of at least 1.
+    """
+    try:
+        count = 0 if isinstance(number, bool) else operator.index(number)
+    except TypeError:
+        count = 0
+    if count < 1:
+        raise ParameterError(f"number of steps = {number!r} must be a whole number of at least 1")
+    # checked here, not in the generator, whose first line runs at the first step only
+    return progress([k / count for k in range(1, count + 1)], label)
+
+
+def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:
+    """The items one after the other, with a progress bar on rank 0 as `steps` draws it."""
+    bar = _bar(len(items), label)
+    try:
+        for item in items:
+            yield item
+            if bar is not None:
+                bar.update()
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _bar(number: int, label: str):
+    """A tqdm bar where one is to be seen, else None."""
+    forced = os.environ.get("DOLFINMPM_PROGRESS", "")
+    shown = forced == "1" or (forced != "0" and sys.stderr is not None and sys.stderr.isatty())
+    if not shown or MPI.COMM_WORLD.rank != 0:
+        return None
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return None
+    return tqdm(total=number, desc=label or None, unit="step", file=sys.stderr)

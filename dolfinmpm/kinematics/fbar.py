@@ -1,0 +1,243 @@
+"""F-bar: a cell's points share one change of volume, so that incompressible bodies do not lock.
+
+De Souza Neto, Perić, Dutko & Owen (1996, doi 10.1016/0020-7683(95)00259-6) replace the
+volume change of every integration point by one of its element; Coombs, Charlton,
+Cortis & Augarde (2018, doi 10.1016/j.cma.2018.01.010) take the volume-weighted mean over
+the material points in a cell, or under the overlapping domains of GIMP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.basis.cells import invert
+from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["FBar", "StrainFramework"]
+
+Array = npt.NDArray[np.float64]
+
+
+class StrainFramework(Protocol):
+    """A `PointwiseLaw` of the increment's gradient H that F-bar may be put around.
+
+    Attributes:
+        law: The constitutive law in it.
+        multiplicative: Whether strain comes from ΔF = I + H and the flux is τ ΔF⁻ᵀ;
+            False for frameworks in which strain is additive in sym H.
+    """
+
+    law: Any
+    multiplicative: bool
+
+    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
+        """See `PointwiseLaw`."""
+
+    def commit(self, operand: Array) -> dict[str, Array]:
+        """See `PointwiseLaw`."""
+
+    def describe(self, operand: Array, row: int) -> str:
+        """What is known of a point at which there is no stress."""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _measure(H, d, multiplicative, out):
+    """ΔJ = det(I + H), or tr H."""
+    dF, inverse = np.empty((d, d)), np.empty((d, d))
+    for p in range(H.shape[0]):
+        if multiplicative:
+            for i in range(d):
+                for j in range(d):
+                    dF[i, j] = H[p, i * d + j] + (1.0 if i == j else 0.0)
+            out[p] = invert(dF, inverse)
+        else:
+            out[p] = 0.0
+            for i in range(d):
+                out[p] += H[p, i * d + i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _slope(H, d, multiplicative, out):
+    """ΔJ ΔF⁻ᵀ, or I."""
+    dF, inverse = np.empty((d, d)), np.empty((d, d))
+    for p in range(H.shape[0]):
+        det = 1.0
+        if multiplicative:
+            for i in range(d):
+                for j in range(d):
+                    dF[i, j] = H[p, i * d + j] + (1.0 if i == j else 0.0)
+            det = invert(dF, inverse)
+        for i in range(d):
+            for j in range(d):
+                if multiplicative:
+                    out[p, i * d + j] = det * inverse[j, i]
+                else:
+                    out[p, i * d + j] = 1.0 if i == j else 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _replace_volume(H, measure, mean, d, multiplicative, out):
+    """H̄ with the mean's change of volume; returns the first point that has none, or -1."""
+    for p in range(H.shape[0]):
+        if multiplicative:
+            if not (measure[p] > 0.0 and mean[p] > 0.0):
+                return p
+            r = (mean[p] / measure[p]) ** (1.0 / d)
+            for i in range(d):
+                for j in range(d):
+                    out[p, i * d + j] = r * H[p, i * d + j] + (r - 1.0 if i == j else 0.0)
+        else:
+            change = (mean[p] - measure[p]) / d
+            for i in range(d):
+                for j in range(d):
+                    out[p, i * d + j] = H[p, i * d + j] + (change if i == j else 0.0)
+    return -1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _true_gradient(H, measure, mean, history, d, multiplicative, S, A, by_mean):
+    """From S̄(H̄) and its slope Ā to S, its slope at constant mean, and that by the mean."""
+    n = d * d
+    dF, inverse = np.empty((d, d)), np.empty((d, d))
+    B = np.empty(n)
+    for p in range(H.shape[0]):
+        r, factor = 1.0, 1.0
+        if multiplicative:
+            r = (mean[p] / measure[p]) ** (1.0 / d)
+            factor = history[p] * r ** (1 - d)
+        if by_mean.size:
+            for i in range(d):
+                for j in range(d):
+                    dF[i, j] = 1.0 if i == j else 0.0
+                    if multiplicative:
+                        dF[i, j] += H[p, i * d + j]
+            invert(dF, inverse)
+            for a in range(n):
+                B[a] = 0.0
+                for i in range(d):
+                    for j in range(d):
+                        B[a] += r * A[p, a, i * d + j] * dF[i, j]
+                if multiplicative:
+                    B[a] += (1 - d) * S[p, a]
+                by_mean[p, a] = factor * B[a] / d
+                if multiplicative:
+                    by_mean[p, a] /= mean[p]
+                for i in range(d):
+                    for j in range(d):
+                        A[p, a, i * d + j] = factor * (
+                            r * A[p, a, i * d + j] - B[a] / d * inverse[j, i]
+                        )
+        for a in range(n):
+            S[p, a] *= factor
+
+
+class FBar:
+    """F-bar around a strain framework, as an operator of the increment's gradient H.
+
+    With ΔF = I + H, ΔJ = det ΔF and ΔJ̄ its mean over the cells of the point,
+    weighted with the volumes at the start of the step, the framework is given
+    ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), d the dimension of space (2 in plane strain). From
+    its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true volume with true
+    spatial gradients, S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ: Cauchy stress belongs to the
+    F̄ that made it, σ = τ/J̄, and the factor J/J̄ is left in as de Souza Neto et
+    al. have it, who integrate σ(F̄) over the true volume.
+
+    Where strain is additive the framework is given H + (mean(tr H) − tr H)/d I, and
+    its flux is taken as it is.
+
+    Adds to the points the field `J_bar`, the product J̄ of the means ΔJ̄ of all
+    steps, if strain is multiplicative. F, V and x of the points are the true ones.
+
+    Args:
+        framework: What gives the stress.
+        points: Material points.
+    """
+
+    def __init__(self, framework: StrainFramework, points: MaterialPoints):
+        self.framework = framework
+        self.points = points
+        self._multiplicative = framework.multiplicative
+        if self._multiplicative:
+            points.add_field("J_bar", (), "", 1.0)
+        self._measure: Array = np.empty(0)
+        self._mean: Array = np.empty(0)
+
+    @property
+    def law(self) -> Any:
+        """The constitutive law."""
+        return self.framework.law
+
+    def describe(self, operand: Array, row: int) -> str:
+        """What is known of a point at which there is no stress; see `Framework`."""
+        changed = np.empty((1, operand.size))
+        here, d = slice(row, row + 1), self.points.gdim
+        flat = np.ascontiguousarray(operand, float).reshape(1, -1)
+        bad = _replace_volume(
+            flat, self._measure[here], self._mean[here], d, self._multiplicative, changed
+        )
+        return self.framework.describe((flat if bad >= 0 else changed).reshape(d, d), row)
+
+    def _measured(self, operand: Array) -> Array:
+        out = np.empty(len(operand))
+        _measure(operand, self.points.gdim, self._multiplicative, out)
+        return out
+
+    def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
+        """Take the mean of ΔJ, or of tr H, for new increments; see `AveragingLaw`. Collective."""
+        self._measure = self._measured(operand)
+        self._mean = mean(self._measure)
+
+    def measure_slope(self, operand: Array) -> Array:
+        """ΔJ ΔF⁻ᵀ, or I; see `AveragingLaw`."""
+        out = np.empty_like(operand)
+        _slope(operand, self.points.gdim, self._multiplicative, out)
+        return out
+
+    def _history(self, rows) -> Array:
+        """J/J̄ at the start of the step."""
+        points, d = self.points, self.points.gdim
+        F = points["F"][rows].reshape(-1, d * d)
+        J = np.empty(len(F))
+        _measure(F - np.eye(d).ravel(), d, True, J)
+        return J / points["J_bar"][rows]
+
+    def evaluate(
+        self, operand: Array, value: Array, tangent: Array | None, rows,
+        by_mean: Array | None = None,
+    ) -> int:  # fmt: skip
+        """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`."""
+        d, kind = self.points.gdim, self._multiplicative
+        measure, mean = self._measure[rows], self._mean[rows]
+        changed = np.empty_like(operand)
+        bad = _replace_volume(operand, measure, mean, d, kind, changed)
+        if bad < 0:
+            bad = self.framework.evaluate(changed, value, tangent, rows)
+        if bad >= 0:
+            return bad
+        history = self._history(rows) if kind else np.empty(0)
+        if tangent is None:
+            tangent, by_mean = np.empty((0, 1, 1)), None
+        elif by_mean is None:
+            by_mean = np.empty_like(value)
+        slope = np.empty((0, 1)) if by_mean is None else by_mean
+        _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
+        return -1
+
+    def commit(self, operand: Array) -> dict[str, Array]:
+        """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
+        points = self.points
+        changed = np.empty_like(operand)
+        _replace_volume(
+            operand, self._measure, self._mean, points.gdim, self._multiplicative, changed
+        )
+        new = self.framework.commit(changed)
+        if self._multiplicative:
+            # the framework took det ΔF̄ times the true det F before the step for its volume
+            new["stress"] *= self._history(slice(None))[:, None, None]
+            new["J_bar"] = points["J_bar"] * self._mean
+        return new
