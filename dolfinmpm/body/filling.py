@@ -36,7 +36,12 @@ _SLIVER = 1e-9
 
 
 def fill(
-    grid: Mesh, shape: Shape, per_cell: int, density: Density, aligned: str = "grid"
+    grid: Mesh,
+    shape: Shape,
+    per_cell: int,
+    density: Density,
+    aligned: str = "grid",
+    tag: int = 0,
 ) -> MaterialPoints:
     """Place material points in a shape. Collective.
 
@@ -54,6 +59,7 @@ def fill(
         aligned: "grid" divides the cells of the grid; "body" divides a `Box` or a
             `TurnedBox` into parts of the same size that start at its own corner,
             wherever the grid's lines are.
+        tag: Number of the part of the body that these points are, from 0.
 
     Raises:
         ParameterError: `per_cell`, `density` or `aligned` is not what it may be.
@@ -66,6 +72,8 @@ def fill(
         raise ParameterError(f"per_cell = {per_cell!r} must be a whole number of at least 1")
     if aligned not in ("grid", "body"):
         raise ParameterError(f'aligned = {aligned!r} must be "grid" or "body"')
+    if not isinstance(tag, (int, np.integer)) or tag < 0:
+        raise ParameterError(f"tag = {tag!r} must be a whole number of at least 0")
     if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
         raise UnsupportedGridError(
             "the background grid must have straight-sided cells of the dimension of space, got "
@@ -102,7 +110,7 @@ def fill(
             raise ParameterError(f"density should have shape ({len(x)},) here, got {rho.shape}")
         return rho
 
-    return MaterialPoints(grid, x, cell, volume, half, call_together(grid.comm, evaluate))
+    return MaterialPoints(grid, x, cell, volume, half, call_together(grid.comm, evaluate), tag)
 
 
 def _check_inside(grid: Mesh, shape: Shape) -> None:

@@ -75,6 +75,7 @@ class MaterialPoints:
     ===========  ==========  =======  =====================================
     id           (n,)        -        number of the point, unique, constant
     cell         (n,)        -        local index of its cell
+    tag          (n,)        -        which part of the body it belongs to, a whole number
     x, x0        (n, d)      m        position, now and at first
     V, V0        (n,)        m^d      volume, now and at first
     density      (n,)        kg/m^d   mass per initial volume
@@ -90,6 +91,8 @@ class MaterialPoints:
         volume: Volumes (m^d), shape (n,).
         half_length: Half-lengths of the points' domains (m), shape (n, d).
         density: Mass per volume (kg/m^d), a number or an array of shape (n,).
+        tag: Which part of the body the points belong to: a whole number from 0, or an array of
+            shape (n,).
 
     Raises:
         ParameterError: A density or a volume is not positive and finite.
@@ -103,6 +106,7 @@ class MaterialPoints:
         volume: npt.NDArray[np.float64],
         half_length: npt.NDArray[np.float64],
         density: float | npt.NDArray[np.float64],
+        tag: int | npt.NDArray[np.int32] = 0,
     ):
         self.grid = grid
         self.comm: MPI.Intracomm = grid.comm
@@ -123,6 +127,7 @@ class MaterialPoints:
         first = self.comm.exscan(n) or 0
         self.fields["id"] = first + np.arange(n, dtype=np.int64)
         self.fields["cell"] = np.asarray(cell, np.int32)
+        self.fields["tag"] = np.broadcast_to(np.asarray(tag, np.int32), (n,)).copy()
         for name, values, unit in (
             ("x", x, "m"),
             ("x0", x, "m"),
