@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
-from ufl.core.expr import Expr
 
-from dolfinmpm._platform.errors import FieldShapeError
-from dolfinmpm.assembly.cellmeans import CellCouplings
-from dolfinmpm.assembly.points import Pattern, add_stiffness, add_vector
-from dolfinmpm.basis import Stencils
-from dolfinmpm.basis.space import Space
+from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import ActiveRegion
+from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
-from dolfinmpm.forms.pointwise import Program, compile_program
+from dolfinmpm.forms.pointwise import Program
 from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.splitting import PointTerms
 
-__all__ = ["PointEvaluator", "PointUpdates"]
+__all__ = ["Evaluation", "PointFailure"]
 
 Array = npt.NDArray[np.float64]
 
@@ -49,112 +46,207 @@ def _function_values(function: fem.Function, gradient: bool, points: MaterialPoi
     return np.ascontiguousarray(function.eval(x, points["cell"])).reshape(len(points), -1)
 
 
-class PointEvaluator:
-    """Fluxes and tangents of compiled point terms.
+@dataclass(frozen=True)
+class PointFailure:
+    """A point at which a law finds no stress.
 
-    Residual and tangent are pure functions of the points' state and the nodal
-    increments.
-
-    Args:
-        terms: Compiled terms.
-        spaces: Spaces of the fields, stacked.
-        points: Material points.
+    Attributes:
+        point: Which point of this rank.
+        cause: Why, in the law's own words; may be empty.
     """
 
-    def __init__(self, terms: PointTerms, spaces: Sequence[Space], points: MaterialPoints):
-        self._terms = terms
+    point: int
+    cause: str
+
+
+class Evaluation:
+    """The point terms of a weak form on an activation.
+
+    Fluxes and tangents are pure functions of the points' state and the nodal
+    increments; `interpolate` takes the increments that the other methods go by.
+
+    Args:
+        regions: Terms of the parts of the body.
+        points: Material points.
+        unknowns: Numbering of the unknowns.
+        parts: Stencils of the parts of the body.
+
+    Attributes:
+        value: Increments of each field at the points, shape (points, components).
+        gradient: Their gradients, shape (points, components, gdim).
+        failure: Where a law found no stress when it was last asked, or None.
+    """
+
+    def __init__(
+        self,
+        regions: Sequence[PointTerms],
+        points: MaterialPoints,
+        unknowns: Unknowns,
+        parts: Sequence[ActiveRegion],
+    ):
+        n, d = len(points), points.gdim
+        components = [field.components for field in unknowns.fields]
+        self.value = [np.zeros((n, c)) for c in components]
+        self.gradient = [np.zeros((n, c, d)) for c in components]
+        self.failure: PointFailure | None = None
         self._points = points
-        self._components = sum(space.components for space in spaces)
-        self._starts = np.cumsum([0] + [space.components for space in spaces])
-        self._data: dict[tuple, Array] = {}
-        self.failed_point = -1
-        self._failed: tuple[int, PointOperator, Array] | None = None
-
-    @property
-    def gradient_only(self) -> bool:
-        """Whether only gradients enter the tangent."""
-        return self._terms.gradient_only
-
-    @property
-    def averages(self) -> bool:
-        """Whether a law takes means over cells; it needs couplings then."""
-        return bool(self._terms.by_mean)
-
-    def start_step(self, stencils: Stencils, couplings: CellCouplings | None = None) -> None:
-        """Take the points' fields and stencils as they are now. Collective.
-
-        Args:
-            stencils: Stencils on the solver's nodes.
-            couplings: Means over cells and what they couple, if a law takes any.
-        """
-        self._couplings = couplings
-        points, n, d, nc = self._points, len(self._points), self._points.gdim, self._components
-        self._stencils = stencils
-        self._value = np.zeros((n, nc))
-        self._gradient = np.zeros((n, nc, d))
-        self._data.clear()
+        self._shared: dict[tuple, Array] = {}
+        shared = self._shared
         for name, values in points.fields.items():
             if values.dtype == np.float64:
-                self._data["field", name] = values
-        for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
-            whole = last - first == nc
-            self._data["value", k] = self._value if whole else np.empty((n, last - first))
-            self._data["gradient", k] = (
-                self._gradient.reshape(n, nc * d) if whole else np.empty((n, (last - first) * d))
-            )
-        for k, (function, gradient) in enumerate(self._terms.functions):
+                shared["field", name] = values
+        for k, (value, gradient) in enumerate(zip(self.value, self.gradient)):
+            shared["value", k] = value
+            shared["gradient", k] = gradient.reshape(n, components[k] * d)
+        self.regions = [
+            _Region(t, points, unknowns, part, shared) for t, part in zip(regions, parts)
+        ]
+
+    def update_constants(self) -> None:
+        """Take the values of the DOLFINx constants as they are now."""
+        for region in self.regions:
+            region.update_constants()
+
+    def interpolate(self, u: Sequence[Array]) -> None:
+        """Take nodal increments, (nodes, components) for each field.
+
+        Collective if a law takes means over cells.
+        """
+        for region in self.regions:
+            for s, nodal, value, gradient in zip(
+                region.part.stencils, u, self.value, self.gradient
+            ):
+                gather(s, nodal, value, gradient)
+            region.prepare()
+
+    def _all(self, act) -> bool:
+        """Let every region act until a law finds no stress; returns whether none failed."""
+        self.failure = None
+        for region in self.regions:
+            act(region)
+            if region.failure is not None:
+                self.failure = region.failure
+                return False
+        return True
+
+    def add_internal(self, out: Sequence[Array]) -> bool:
+        """Add the nodal forces of the internal terms; returns whether every law found a stress.
+
+        Args:
+            out: Nodal forces (N), (nodes, components) for each field.
+        """
+        return self._all(lambda region: region.add_flux(region.terms.internal, out))
+
+    def add_external(self, out: Sequence[Array]) -> None:
+        """Add the nodal forces of the terms that do not depend on the increments."""
+        self._all(lambda region: region.add_flux(region.terms.external, out))
+
+    def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """Add the tangent of the internal terms to the matrix.
+
+        Collective if a law takes means over cells.
+
+        Args:
+            entries: The matrix under assembly, by row and column field.
+        """
+        for region in self.regions:
+            region.add_tangent(entries)
+
+    def commit(self) -> dict[str, Array]:
+        """What the laws' fields are at the end of the step; `failure` tells where they are not."""
+        self.failure = None
+        new: dict[str, Array] = {}
+        for region in self.regions:
+            region.commit(new)
+            self.failure = self.failure or region.failure
+        return new
+
+    def blame(self, point: int) -> None:
+        """Take a point of this rank for the one that failed."""
+        self.failure = PointFailure(point, "")
+
+    def run(self, slots: Slots, program: Program, rows: npt.NDArray[np.integer]) -> Array:
+        """A program of state and increments at some points, shape (len(rows), size).
+
+        Args:
+            slots: What the program is made of; no operators.
+            program: The program.
+            rows: Which points.
+        """
+        data: dict[tuple, Array] = {}
+        for key in program.inputs:
+            if key[0] == "constant":
+                data[key] = np.array(slots.constants[key[1]].value, float).reshape(1, -1)
+            elif key[0] == "function":
+                function, gradient = slots.functions[key[1]]
+                values = _function_values(function, gradient, self._points)
+                data[key] = values.take(rows, axis=0)
+            else:
+                data[key] = self._shared[key].take(rows, axis=0)
+        values = np.empty((len(rows), program.size))
+        program.run(data, values)
+        return values
+
+
+class _Region:
+    """The terms of a part of the body on its points."""
+
+    def __init__(
+        self,
+        terms: PointTerms,
+        points: MaterialPoints,
+        unknowns: Unknowns,
+        part: ActiveRegion,
+        shared: Mapping[tuple, Array],
+    ):
+        self.terms, self.part = terms, part
+        self.failure: PointFailure | None = None
+        self._points, self._unknowns = points, unknowns
+        self._rows = np.sort(part.stencils[0].order)
+        widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
+        self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
+        self._data = dict(shared)
+        for k, (function, gradient) in enumerate(terms.slots.functions):
             self._data["function", k] = _function_values(function, gradient, points)
         self.update_constants()
 
     def update_constants(self) -> None:
-        """Take the values of the DOLFINx constants as they are now."""
-        for k, constant in enumerate(self._terms.constants):
+        for k, constant in enumerate(self.terms.slots.constants):
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
-    def interpolate(self, u: Array) -> None:
-        """Values and gradients at the points of nodal increments, shape (nodes, components).
+    def prepare(self) -> None:
+        """Let laws take their means over cells. Collective if there are any."""
+        for k in self.terms.by_mean:
+            assert self.part.couplings is not None
+            everywhere = np.arange(len(self._points))
+            law, means = self.averaging(k), self.part.couplings[0].means
+            law.prepare(self.operand(k, everywhere), means.mean)
 
-        Collective if a law takes means over cells.
-        """
-        gather(self._stencils, u, self._value, self._gradient)
-        if len(self._starts) > 2:
-            n = len(self._value)
-            for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
-                self._data["value", k][:] = self._value[:, first:last]
-                self._data["gradient", k][:] = self._gradient[:, first:last].reshape(
-                    n, (last - first) * self._gradient.shape[2]
-                )
-        for k in self._terms.by_mean:
-            assert self._couplings is not None
-            self._averaging(k).prepare(self.operand(k), self._couplings.means.mean)
-
-    def _averaging(self, k: int) -> AveragingLaw:
-        law = self._terms.operators[k].law
+    def averaging(self, k: int) -> AveragingLaw:
+        """The law of the k-th operator, which takes means over cells."""
+        law = self.terms.operators[k].law
         assert isinstance(law, AveragingLaw)
         return law
 
-    @property
-    def value(self) -> Array:
-        """Increments at the points, shape (points, components)."""
-        return self._value
+    def operand(self, k: int, rows: npt.NDArray[np.integer]) -> Array:
+        """Operand of the k-th operator at some points, shape (len(rows), size)."""
+        source = self.terms.operands[k]
+        if not isinstance(source, Program):
+            return self._data[source].take(rows, axis=0)
+        values = np.empty((len(rows), source.size))
+        source.run(self._taken(source.inputs, rows), values)
+        return values
 
-    @property
-    def gradient(self) -> Array:
-        """Their gradients, shape (points, components, gdim)."""
-        return self._gradient
-
-    def operand(self, k: int) -> Array:
-        """Operand of the k-th operator, shape (points, size)."""
-        source = self._terms.operands[k]
-        if isinstance(source, Program):
-            values = np.empty((len(self._points), source.size))
-            source.run(self._data, values)
-            return values
-        return self._data[source]
+    def _taken(self, keys, rows) -> dict[tuple, Array]:
+        """Data of some points; constants have one row for all."""
+        return {
+            key: self._data[key] if key[0] == "constant" else self._data[key].take(rows, axis=0)
+            for key in keys
+        }
 
     def _chunks(self) -> Iterator[tuple[int, int]]:
         """Ranges of groups of some thousand points each."""
-        groups, first = self._stencils.groups, 0
+        groups, first = self.part.stencils[0].groups, 0
         while first < groups.size - 1:
             last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
             last = max(last, first + 1)
@@ -167,34 +259,28 @@ class PointEvaluator:
         """Operators and programs, some thousand points at a time, in the order of the stencils.
 
         Yields the range of groups and the programs' values at their points; ends
-        early, with the point in `failed_point`, where a law finds no stress.
+        early, with the point in `failure`, where a law finds no stress.
         """
-        self.failed_point, self._failed = -1, None
+        self.failure = None
+        terms, s = self.terms, self.part.stencils[0]
         inputs = {key for program in programs for key in program.inputs}
         # dead loads, say, do not ask a law for its stress
-        asked = {key[1] for key in inputs if key[0].startswith("operator")}
-        operators = {k: self._terms.operators[k] for k in sorted(asked)}
-        whole = {k: self.operand(k) for k in operators}
-        varying = {key for key in inputs if not key[0].startswith("operator")}
-        varying = {key for key in varying if key[0] != "constant"}
+        asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
+        plain = [key for key in inputs if not key[0].startswith("operator")]
         for first, last in self._chunks():
-            s = self._stencils
             rows = s.order[s.groups[first] : s.groups[last]]
-            data = {key: self._data[key] for key in inputs if key[0] == "constant"}
-            for key in varying:
-                data[key] = self._data[key].take(rows, axis=0)
-            for k, operator in operators.items():
-                operand = whole[k].take(rows, axis=0)
+            data = self._taken(plain, rows)
+            for k in asked:
+                operator, operand = terms.operators[k], self.operand(k, rows)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
-                if slope is not None and k in self._terms.by_mean:
+                if slope is not None and k in terms.by_mean:
                     data["operator by mean", k] = by_mean = np.empty_like(value)
-                    bad = self._averaging(k).evaluate(operand, value, slope, rows, by_mean)
+                    bad = self.averaging(k).evaluate(operand, value, slope, rows, by_mean)
                 else:
                     bad = operator.law.evaluate(operand, value, slope, rows)
                 if bad >= 0:
-                    self.failed_point = int(rows[bad])
-                    self._failed = self.failed_point, operator, operand[bad]
+                    self._fail(operator, int(rows[bad]), operand[bad])
                     return
                 data["operator", k] = value
                 if slope is not None:
@@ -204,130 +290,78 @@ class PointEvaluator:
                 program.run(data, values)
             yield first, last, out
 
-    def failure(self) -> str:
-        """Why a law found no stress at `failed_point`, in the law's own words; may be empty."""
-        if self._failed is None or self._failed[0] != self.failed_point:
-            return ""
-        _, operator, operand = self._failed
+    def _fail(self, operator: PointOperator, point: int, operand: Array) -> None:
         describe = getattr(operator.law, "describe", None)
-        return "" if describe is None else describe(operand, self.failed_point)
+        cause = "" if describe is None else describe(operand, point)
+        self.failure = PointFailure(point, cause)
 
-    def add_internal(self, out: Array) -> bool:
-        """Add the nodal forces of the internal terms; returns whether every law found a stress.
-
-        Args:
-            out: Nodal forces (N), shape (nodes, components).
-        """
-        self.failed_point = -1
-        if self._terms.internal is not None:
-            for first, last, (flux,) in self._run([self._terms.internal], False):
-                add_vector(self._stencils, first, last, flux, out)
-        return self.failed_point < 0
-
-    def add_external(self, out: Array) -> None:
-        """Add the nodal forces of the terms that do not depend on the increments."""
-        if self._terms.external is not None:
-            for first, last, (flux,) in self._run([self._terms.external], False):
-                add_vector(self._stencils, first, last, flux, out)
-
-    def add_tangent(self, unknowns: Unknowns, pattern: Pattern, data: Array, lift: Array) -> None:
-        """Add the tangent of the internal terms to the matrix; see `add_stiffness`.
-
-        Collective if a law takes means over cells.
-        """
-        terms, couplings = self._terms, self._couplings
-        if terms.tangent is None:
+    def add_flux(self, program: Program | None, out: Sequence[Array]) -> None:
+        self.failure = None
+        if program is None:
             return
-        left = [couplings.forces(self._components) for _ in terms.by_mean] if couplings else []
-        programs = [terms.tangent, *terms.by_mean.values()]
-        for first, last, (tangent, *fluxes) in self._run(programs, True):
-            add_stiffness(
-                self._stencils, first, last, tangent, terms.gradient_only, unknowns, pattern, data,
-                lift,
-            )  # fmt: skip
-            for flux, out in zip(fluxes, left):
-                assert couplings is not None
-                couplings.add_forces(first, last, flux, out)
-        for k, out in zip(terms.by_mean, left):
-            assert couplings is not None
-            couplings.add_outer(out, self._mean_slope(k), unknowns, pattern, data, lift)
+        for first, last, (flux,) in self._run([program], False):
+            for s, column, nodal in zip(self.part.stencils, self._columns, out):
+                add_vector(s, first, last, flux, column, nodal)
 
-    def _mean_slope(self, k: int) -> Array:
-        """How the k-th operator's sums over cells change with the nodal increments."""
-        s, couplings, d = self._stencils, self._couplings, self._points.gdim
-        assert couplings is not None
-        slopes = self._averaging(k).measure_slope(self.operand(k))
-        slopes *= couplings.means.weight[:, None]
-        flux = np.zeros((len(slopes), self._components, 1 + d))
-        (_, field) = self._terms.operands[k]  # type: ignore[misc]
-        part = flux[:, self._starts[field] : self._starts[field + 1], 1:]
-        part[:] = slopes[s.order].reshape(part.shape)
-        out = couplings.forces(self._components)
-        couplings.add_forces(
-            0, s.groups.size - 1, flux.reshape(len(flux), self._components * (1 + d)), out
-        )
+    def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        terms, couplings = self.terms, self.part.couplings
+        pairs = list(terms.tangent)
+        means = list(terms.by_mean)
+        if not pairs:
+            return
+        left = {k: [c.forces(f.components) for c, f in self._coupled()] for k in means}
+        programs = [terms.tangent[pair].program for pair in pairs]
+        programs += [terms.by_mean[k] for k in means]
+        for first, last, values in self._run(programs, True):
+            for (i, j), value in zip(pairs, values):
+                block = terms.tangent[i, j]
+                slope = Slope(value, block.row_value, block.value)
+                s = self.part.stencils
+                add_stiffness(s[i], s[j], first, last, slope, entries[i, j])
+            for k, flux in zip(means, values[len(pairs) :]):
+                assert couplings is not None
+                for c, column, out in zip(couplings, self._columns, left[k]):
+                    c.add_forces(first, last, flux, column, out)
+        for k in means:
+            assert couplings is not None
+            field = terms.field_of(k)
+            assert field is not None
+            right = self._mean_slope(k, field)
+            for i, force in enumerate(left[k]):
+                to = entries[i, field]
+                add_outer(
+                    couplings[i], couplings[field], force, right, (to.rows, to.columns), to.pattern,
+                    to.data, to.prescribed, to.lift,
+                )  # fmt: skip
+
+    def _coupled(self):
+        assert self.part.couplings is not None
+        return zip(self.part.couplings, self._unknowns.fields)
+
+    def _mean_slope(self, k: int, field: int) -> Array:
+        """How the k-th operator's sums over cells change with the nodal increments of a field."""
+        assert self.part.couplings is not None
+        s, coupling = self.part.stencils[field], self.part.couplings[field]
+        d, components = self._points.gdim, self._unknowns.fields[field].components
+        slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
+        slopes *= coupling.means.weight[s.order, None]
+        flux = np.zeros((len(slopes), components, 1 + d))
+        flux[:, :, 1:] = slopes.reshape(len(slopes), components, d)
+        out = coupling.forces(components)
+        coupling.add_forces(0, s.groups.size - 1, flux.reshape(len(flux), -1), 0, out)
         return out
 
-    def commit(self) -> dict[str, Array]:
-        """What the laws' fields are at the end of the step; not numbers from `failed_point` on."""
-        new: dict[str, Array] = {}
-        self.failed_point, self._failed = -1, None
-        for k, operator in enumerate(self._terms.operators):
-            operand = self.operand(k)
-            fields = operator.law.commit(operand)
-            new |= fields
-            for values in fields.values():
-                if self.failed_point < 0 and not np.isfinite(values).all():
+    def commit(self, new: dict[str, Array]) -> None:
+        """Write what the laws' fields are at the end of the step into new arrays."""
+        self.failure = None
+        rows = self._rows
+        for k, operator in enumerate(self.terms.operators):
+            operand = self.operand(k, rows)
+            for name, values in operator.law.commit(operand, rows).items():
+                if name not in new:
+                    new[name] = self._points[name].copy()
+                new[name][rows] = values
+                if self.failure is None and not np.isfinite(values).all():
                     finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-                    self.failed_point = int(np.argmin(finite))
-                    self._failed = self.failed_point, operator, operand[self.failed_point]
-        return new
-
-    def data_for(self, slots: Slots) -> dict[tuple, Array]:
-        """Data for a program compiled from other slots than the terms'."""
-        data = {key: a for key, a in self._data.items() if key[0] in ("field", "value", "gradient")}
-        for k, constant in enumerate(slots.constants):
-            data["constant", k] = np.array(constant.value, float).reshape(1, -1)
-        for k, (function, gradient) in enumerate(slots.functions):
-            data["function", k] = _function_values(function, gradient, self._points)
-        return data
-
-
-class PointUpdates:
-    """Fields that a converged step sets to UFL expressions of state and increment.
-
-    Args:
-        updates: Field name → expression.
-        spaces: Spaces of the increments.
-        points: Material points.
-
-    Raises:
-        FieldShapeError: An expression has another shape than its field.
-        FormError: An expression cannot be evaluated at the points.
-    """
-
-    def __init__(self, updates: dict[str, Expr], spaces: Sequence[Space], points: MaterialPoints):
-        self._slots = Slots(spaces, points)
-        self._programs: dict[str, Program] = {}
-        self._points = points
-        for name, expression in updates.items():
-            shape = points[name].shape[1:]
-            if expression.ufl_shape != shape:
-                raise FieldShapeError(
-                    f"field '{name}' has shape {shape} at a point, the expression that updates it "
-                    f"{expression.ufl_shape}"
-                )
-            mapped = self._slots.map(expand_derivatives(expression))
-            parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
-            self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
-
-    def run(self, evaluator: PointEvaluator) -> dict[str, Array]:
-        """The fields' new values."""
-        if not self._programs:
-            return {}
-        data = evaluator.data_for(self._slots)
-        new = {}
-        for name, program in self._programs.items():
-            new[name] = np.empty_like(self._points[name])
-            program.run(data, new[name].reshape(len(self._points), program.size))
-        return new
+                    bad = int(np.argmin(finite))
+                    self._fail(operator, int(rows[bad]), operand[bad])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 from typing import Any
 
 import numba
@@ -12,20 +11,29 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem import IntegralType
+from mpi4py import MPI
 
-from dolfinmpm._platform.compat import compile_form, create_form, create_matrix, integration_domains
+from dolfinmpm._platform.compat import (
+    compile_form,
+    create_form,
+    create_matrix,
+    integration_domains,
+)
 from dolfinmpm.assembly.splinefacets import FacetBlock, are_alike
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
-from dolfinmpm.forms.splitting import OrdinaryTerms
+from dolfinmpm.cut.activation import ActiveField
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.cut.prolongation import reduce_blocks
+from dolfinmpm.forms.splitting import GridTerms
 
-__all__ = ["OrdinaryAssembler"]
+__all__ = ["GridAssembler"]
 
 _KINDS = {
     "cell": IntegralType.cell,
     "exterior_facet": IntegralType.exterior_facet,
     "interior_facet": IntegralType.interior_facet,
-    "vertex": IntegralType.vertex,
 }
 
 Array = npt.NDArray[np.float64]
@@ -69,9 +77,14 @@ class _Block:
         self._form: Any = None
         self._matrix: Any = None
 
+    def renew(self) -> None:
+        """Forget what was integrated over, if it moves."""
+        if self.moving:
+            self._form = None
+
     def attach(self, entities: Entities) -> None:
-        """Integrate over these ghost facets and active cells from now on."""
-        if self._form is not None and not self.moving:
+        """Integrate over these ghost facets and active cells. Collective after `renew`."""
+        if self._form is not None:
             return
         domains = {kind: list(rows) for kind, rows in self._fixed.items()}
         for number in self.moving:
@@ -110,97 +123,127 @@ class _Block:
         return blocks if self._keep is None else blocks[self._keep]
 
 
-class OrdinaryAssembler:
-    """Assembles the ordinary terms of a split form. Collective in what it compiles.
+class GridAssembler:
+    """Assembles the terms of a weak form over the grid. Collective in what it compiles.
 
     Args:
         terms: The terms.
-        spaces: Spaces of the fields, whose components are stacked at the nodes.
+        spaces: Spaces of the fields.
 
     Attributes:
-        on_splines: Whether the Jacobian stands between splines, not between Lagrange nodes.
+        terms: The terms.
+        moving: Subdomain ids of facets and cells that they integrate over as they are active.
     """
 
-    def __init__(self, terms: OrdinaryTerms, spaces: Sequence[Space]):
-        self._spaces = spaces
-        self._starts = np.cumsum([0] + [space.components for space in spaces])
-        self.components = int(self._starts[-1])
-        grid = spaces[0].grid
+    def __init__(self, terms: GridTerms, spaces: Sequence[Space]):
+        self.terms = terms
+        self._spaces = list(spaces)
+        self._external = self._linear_forms(terms.external)
+        self._internal = self._linear_forms(terms.internal)
+        self._jacobian: dict[tuple[int, int], _Block | FacetBlock] | None = None
+        self._attached: Sequence[Entities] | None = None
+        self.moving = set().union(*(b.moving for b in self._vectors))
 
-        def block(form, *fields) -> _Block | None:
-            return None if form is None else _Block(form, grid, [spaces[k] for k in fields])
+    def _linear_forms(self, forms) -> dict[int, _Block]:
+        return {
+            k: _Block(form, self._spaces[k].grid, [self._spaces[k]])
+            for k, form in enumerate(forms)
+            if form is not None
+        }
 
-        def bilinear(form, *fields) -> _Block | FacetBlock | None:
-            if self.on_splines and form is not None:
-                return FacetBlock(form, spaces[0])
-            return block(form, *fields)
+    @property
+    def _vectors(self) -> list[_Block]:
+        return [*self._external.values(), *self._internal.values()]
 
-        bilinear_form = terms.jacobian[0][0]
-        self.on_splines = (
-            len(spaces) == 1 and bilinear_form is not None and are_alike(bilinear_form, spaces[0])
+    @property
+    def loads(self) -> list[fem.Constant | fem.Function]:
+        """DOLFINx constants and functions in the terms."""
+        return [c for b in self._vectors for c in (*b.constants, *b.coefficients)]
+
+    @property
+    def splines(self) -> set[tuple[int, int]]:
+        """Row and column fields between which the tangent stands between splines."""
+        blocks = self._blocks()
+        return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
+
+    def _blocks(self) -> dict[tuple[int, int], _Block | FacetBlock]:
+        if self._jacobian is None:
+            self._jacobian = {}
+            for i, row in enumerate(self.terms.jacobian):
+                for j, form in enumerate(row):
+                    if form is None:
+                        continue
+                    if i == j and are_alike(form, self._spaces[i]):
+                        self._jacobian[i, j] = FacetBlock(form, self._spaces[i])
+                        continue
+                    spaces = [self._spaces[i], self._spaces[j]]
+                    self._jacobian[i, j] = _Block(form, spaces[0].grid, spaces)
+        return self._jacobian
+
+    def attach(self, fields: Sequence[ActiveField]) -> None:
+        """Integrate over these fields' ghost facets and active cells from now on. Collective."""
+        if not self._vectors:
+            return
+        entities = [field.entities for field in fields]
+        old = self._attached
+        same = old is not None and all(
+            np.array_equal(rows, before[number])
+            for now, before in zip(entities, old)
+            for number, rows in now.items()
         )
+        # every rank keeps its forms or none does: creating them is collective
+        comm = self._spaces[0].grid.comm
+        if not comm.allreduce(same, op=MPI.LAND):
+            for block in self._vectors:
+                block.renew()
+            for bilinear in (self._jacobian or {}).values():
+                bilinear.renew()
+            self._attached = entities
+        assert self._attached is not None
+        for forms in (self._external, self._internal):
+            for k, block in forms.items():
+                block.attach(self._attached[k])
 
-        count = range(len(spaces))
-        self._external = [block(terms.external[i], i) for i in count]
-        self._internal = [block(terms.internal[i], i) for i in count]
-        self._jacobian = [[bilinear(terms.jacobian[i][j], i, j) for j in count] for i in count]
-        self.linear = terms.linear
-        self._all = [
-            b for b in chain(self._external, self._internal, *self._jacobian) if b is not None
-        ]
-        self.moving = set().union(*(b.moving for b in self._all))
+    def tangent(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+        """Tangent of the internal terms between the solver's nodes. Collective.
 
-    def constants(self) -> list[fem.Constant]:
-        """DOLFINx constants in the terms."""
-        return [c for b in self._all for c in b.constants]
+        `attach` must have been called for the fields. Where the terms are not linear the
+        increments that count are those that the DOLFINx functions hold.
+        """
+        made = []
+        entities = self._attached or []
+        for (i, j), block in self._blocks().items():
+            if isinstance(block, FacetBlock):
+                basis = fields[i].basis
+                assert isinstance(basis, LatticeBasis)
+                block.attach(entities[i], basis)
+                T = [fields[i].C, fields[j].C]
+            else:
+                # where two fields meet, the facets of the one that sees fewer cells
+                fewer = min((i, j), key=lambda k: int(fields[k].cells.sum()))
+                block.attach(entities[fewer])
+                T = [fields[i].to_grid, fields[j].to_grid]
+            whole = Blocks(i, j, block.rows, block.columns, block.matrix())
+            made.append(reduce_blocks(T[0], T[1], whole))
+        return made
 
-    def functions(self) -> list[fem.Function]:
-        """DOLFINx functions in the terms."""
-        return [c for b in self._all for c in b.coefficients]
+    def add_external(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:
+        """Add the forces that do not depend on the increments, (nodes, components) each field."""
+        self._add(self._external, fields, out)
 
-    def attach(self, entities: Entities) -> None:
-        """Integrate over these ghost facets and active cells, by subdomain id, from now on."""
-        for b in self._all:
-            b.attach(entities)
-        structure = [
-            (i, j, b)
-            for i, row in enumerate(self._jacobian)
-            for j, b in enumerate(row)
-            if b is not None
-        ]
-        self._parts = structure
-        empty = [np.empty(0, np.int32)]
-        self.rows = np.concatenate([b.rows for _, _, b in structure] or empty)
-        self.columns = np.concatenate([b.columns for _, _, b in structure] or empty)
+    def add_internal(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:
+        """Add the forces that do, for the increments that the DOLFINx functions hold."""
+        self._add(self._internal, fields, out)
 
-    def add_external(self, out: Array) -> None:
-        """Add the vector that does not depend on the increments to (nodes, components)."""
-        self._add(self._external, out)
-
-    def add_internal(self, out: Array) -> None:
-        """Add the vector that does."""
-        self._add(self._internal, out)
-
-    def _add(self, blocks: list[_Block | None], out: Array) -> None:
-        for k, b in enumerate(blocks):
-            if b is None:
-                continue
-            first, last = self._starts[k], self._starts[k + 1]
-            nodes = self._spaces[k].function_space.dofmap.index_map
-            part = np.zeros((nodes.size_local + nodes.num_ghosts, last - first))
-            b.add_vector(part)
-            out[: len(part), first:last] += part
-
-    def jacobian(self) -> Array:
-        """Blocks between `rows` and `columns`, shape (n, components, components)."""
-        if len(self._parts) == 1 and len(self._spaces) == 1:
-            return self._parts[0][2].matrix()
-        blocks = np.zeros((self.rows.size, self.components, self.components))
-        at = 0
-        for i, j, b in self._parts:
-            values = b.matrix()
-            rows = slice(self._starts[i], self._starts[i + 1])
-            columns = slice(self._starts[j], self._starts[j + 1])
-            blocks[at : at + len(values), rows, columns] = values
-            at += len(values)
-        return blocks
+    def _add(self, forms: dict[int, _Block], fields, out: Sequence[Array]) -> None:
+        for k, block in forms.items():
+            V, T = self._spaces[k].function_space, fields[k].to_grid
+            nodes = V.dofmap.index_map
+            part = np.zeros((nodes.size_local + nodes.num_ghosts, out[k].shape[1]))
+            block.add_vector(part)
+            if T is not None:
+                whole = np.zeros((T.shape[0], part.shape[1]))
+                whole[: len(part)] = part
+                part = T.T @ whole
+            active = fields[k].nodes[fields[k].nodes < len(part)]
+            out[k][active] += part[active]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -12,15 +13,24 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.compat import preallocate_coo, set_values_coo
 from dolfinmpm.basis import Stencils
-from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.unknowns import FieldUnknowns, Unknowns
 
-__all__ = ["Matrix", "Pattern", "add_blocks", "add_stiffness", "add_vector", "multiply_blocks"]
+__all__ = [
+    "Entries",
+    "Matrix",
+    "Slope",
+    "add_blocks",
+    "add_product",
+    "add_stiffness",
+    "add_vector",
+]
 
 Array = npt.NDArray[np.float64]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux, out):
+def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux, column, out):
     components, gdim = out.shape[1], dN.shape[1]
     for g in range(begin, end):
         first = node_start[g]
@@ -30,13 +40,14 @@ def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux,
             at = value_start[g] + (position - groups[g]) * m
             for a in range(m):
                 for i in range(components):
-                    f = N[at + a] * flux[p, i * (1 + gdim)]
+                    k = column + i * (1 + gdim)
+                    f = N[at + a] * flux[p, k]
                     for j in range(gdim):
-                        f += dN[at + a, j] * flux[p, i * (1 + gdim) + 1 + j]
+                        f += dN[at + a, j] * flux[p, k + 1 + j]
                     out[nodes[first + a], i] += f
 
 
-def add_vector(s: Stencils, begin: int, end: int, flux: Array, out: Array) -> None:
+def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out: Array) -> None:
     """Add Σ_p (N_a f_p + ∇N_a · q_p) over the points of some groups to nodal forces.
 
     Args:
@@ -45,15 +56,18 @@ def add_vector(s: Stencils, begin: int, end: int, flux: Array, out: Array) -> No
         end: The group behind the last.
         flux: f and q of every component one after the other, times the point's
             volume, in the order of the stencils, shape
-            (points of the groups, components * (1 + gdim)).
+            (points of the groups, at least column + components * (1 + gdim)).
+        column: First column of the field in the flux.
         out: Nodal forces (N), shape (nodes, components).
     """
-    _add_vector(begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, out)
+    _add_vector(
+        begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, column, out
+    )
 
 
 @functools.cache
 def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
-    """The loop for nc components and ns slots (gradients, or values and gradients) each."""
+    """The loop of a field on itself: nc components, ns slots (gradients, or values too) each."""
     offset = 0 if gradient_only else 1
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc"})
@@ -119,41 +133,148 @@ def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
     return kernel
 
 
+@functools.cache
+def _coupling_kernel(rows_nc: int, rows_ns: int, rows_value: bool, nc: int, ns: int, value: bool):
+    """The loop between two fields, each with its components and slots; see `_stiffness_kernel`."""
+    rows_offset, offset = int(rows_value), int(value)
+
+    @numba.njit(cache=True, fastmath={"contract", "reassoc"})
+    def kernel(
+        begin, end, groups, a_start, a_nodes, a_value, a_N, a_dN, b_start, b_nodes, b_value, b_N,
+        b_dN, T, row_of, column_of, indptr, indices, data, prescribed, lift,
+    ):  # fmt: skip
+        largest = 0
+        for g in range(begin, end):
+            largest = max(largest, b_start[g + 1] - b_start[g])
+        t = np.empty((rows_nc, nc, ns))
+        K = np.empty((rows_nc, nc, largest))
+        for g in range(begin, end):
+            m, n = a_start[g + 1] - a_start[g], b_start[g + 1] - b_start[g]
+            for a in range(m):
+                K[:] = 0.0
+                for position in range(groups[g], groups[g + 1]):
+                    p = position - groups[begin]
+                    at_a = a_value[g] + (position - groups[g]) * m + a
+                    at_b = b_value[g] + (position - groups[g]) * n
+                    for i in range(rows_nc):
+                        for k in range(nc):
+                            for r in range(ns):
+                                total = 0.0
+                                for s in range(rows_ns):
+                                    phi = a_N[at_a]
+                                    if s >= rows_offset:
+                                        phi = a_dN[at_a, s - rows_offset]
+                                    total += phi * T[p, (i * rows_ns + s) * nc * ns + k * ns + r]
+                                t[i, k, r] = total
+                    for i in range(rows_nc):
+                        for k in range(nc):
+                            for r in range(ns):
+                                weight = t[i, k, r]
+                                for b in range(n):
+                                    psi = b_N[at_b + b]
+                                    if r >= offset:
+                                        psi = b_dN[at_b + b, r - offset]
+                                    K[i, k, b] += weight * psi
+                node_a = a_nodes[a_start[g] + a]
+                for i in range(rows_nc):
+                    row = row_of[node_a, i]
+                    if row < 0:
+                        continue
+                    at = indptr[row]
+                    for b in range(n):
+                        node = b_nodes[b_start[g] + b]
+                        for k in range(nc):
+                            column = column_of[node, k]
+                            if column >= 0:
+                                while indices[at] != column:
+                                    at += 1
+                                data[at] += K[i, k, b]
+                                at += 1
+                            else:
+                                lift[node_a, i] += K[i, k, b] * prescribed[node, k]
+
+    return kernel
+
+
+@dataclass(frozen=True)
+class Slope:
+    """What a tangent at the points holds between a row field and a column field.
+
+    Attributes:
+        values: The tangent times the point's volume, in the order of the stencils, shape
+            (points of the groups, components and slots of the row field times those of the
+            column field).
+        row_value, value: Whether the row's and the column field's values have slots, or their
+            gradients only.
+    """
+
+    values: Array
+    row_value: bool
+    value: bool
+
+
+@dataclass(frozen=True)
+class Entries:
+    """A matrix under assembly between a row field and a column field.
+
+    Attributes:
+        rows, columns: The fields' unknowns.
+        pattern: Where the matrix has entries.
+        data: The matrix's entries.
+        prescribed: Values of the column field's prescribed components, (nodes, components).
+        lift: Written: the columns of prescribed components, times their values, (nodes,
+            components) of the row field.
+    """
+
+    rows: FieldUnknowns
+    columns: FieldUnknowns
+    pattern: Pattern
+    data: Array
+    prescribed: Array
+    lift: Array
+
+
 def add_stiffness(
-    s: Stencils, begin: int, end: int, tangent: Array, gradient_only: bool, unknowns: Unknowns,
-    pattern: Pattern, data: Array, lift: Array,
-) -> None:  # fmt: skip
+    a: Stencils, b: Stencils, begin: int, end: int, tangent: Slope, to: Entries
+) -> None:
     """Add Σ_p φ_a · T_p · φ_b over the points of some groups to the matrix.
 
     Args:
-        s: Stencils.
+        a, b: Stencils of the row and the column field, in common groups.
         begin: The first of the groups.
         end: The group behind the last.
-        tangent: T times the point's volume, in the order of the stencils; see
-            `PointTerms.tangent`.
-        gradient_only: Whether φ is ∇N, or N and ∇N.
-        unknowns: Rows of the nodes.
-        pattern: Where the matrix has entries.
-        data: The matrix's entries.
-        lift: Its columns of prescribed unknowns, times their values; shape (nodes, components).
+        tangent: T.
+        to: The matrix between the two fields.
     """
-    nc = unknowns.components
-    ns = s.dN.shape[1] + (0 if gradient_only else 1)
-    _stiffness_kernel(nc, ns, gradient_only)(
-        begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, tangent,
-        unknowns.row_of, pattern.indptr, pattern.indices, data, unknowns.prescribed, lift,
+    gdim = a.dN.shape[1]
+    place = to.pattern.indptr, to.pattern.indices, to.data, to.prescribed, to.lift
+    if a is b and to.rows is to.columns and tangent.row_value == tangent.value:
+        nc, ns = to.rows.components, gdim + int(tangent.value)
+        _stiffness_kernel(nc, ns, not tangent.value)(
+            begin, end, a.groups, a.node_start, a.nodes, a.value_start, a.N, a.dN, tangent.values,
+            to.rows.row_of, *place,
+        )  # fmt: skip
+        return
+    kernel = _coupling_kernel(
+        to.rows.components, gdim + int(tangent.row_value), tangent.row_value,
+        to.columns.components, gdim + int(tangent.value), tangent.value,
+    )  # fmt: skip
+    kernel(
+        begin, end, a.groups, a.node_start, a.nodes, a.value_start, a.N, a.dN, b.node_start,
+        b.nodes, b.value_start, b.N, b.dN, tangent.values, to.rows.row_of, to.columns.row_of,
+        *place,
     )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_blocks(rows, columns, blocks, row_of, indptr, indices, data, prescribed, lift):
+def _add_blocks(rows, columns, blocks, row_of, column_of, indptr, indices, data, prescribed, lift):
     for e in range(rows.size):
         for i in range(blocks.shape[1]):
             row = row_of[rows[e], i]
             if row < 0:
                 continue
             for k in range(blocks.shape[2]):
-                column = row_of[columns[e], k]
+                column = column_of[columns[e], k]
                 if column >= 0:
                     low, high = indptr[row], indptr[row + 1]
                     while low < high:
@@ -167,17 +288,16 @@ def _add_blocks(rows, columns, blocks, row_of, indptr, indices, data, prescribed
                     lift[rows[e], i] += blocks[e, i, k] * prescribed[columns[e], k]
 
 
-def add_blocks(rows, columns, blocks, unknowns: Unknowns, pattern: Pattern, data, lift) -> None:
-    """Add blocks (n, components, components) between nodes to the matrix."""
+def add_blocks(blocks: Blocks, to: Entries) -> None:
+    """Add blocks to a matrix."""
     _add_blocks(
-        rows, columns, blocks, unknowns.row_of, pattern.indptr, pattern.indices, data,
-        unknowns.prescribed, lift,
+        blocks.rows, blocks.columns, blocks.values, to.rows.row_of, to.columns.row_of,
+        to.pattern.indptr, to.pattern.indices, to.data, to.prescribed, to.lift,
     )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
-def multiply_blocks(rows, columns, blocks, u, out):
-    """Add A u to nodal forces, A given by blocks; u and out have shape (nodes, components)."""
+def _multiply_blocks(rows, columns, blocks, u, out):
     for e in range(rows.size):
         for i in range(blocks.shape[1]):
             f = 0.0
@@ -186,152 +306,17 @@ def multiply_blocks(rows, columns, blocks, u, out):
             out[rows[e], i] += f
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours):
-    """Neighbours of every active node, in increasing order; only counts if the array is empty."""
-    n = active.size
-    # groups of every node
-    group_start = np.zeros(n + 1, np.int64)
-    for at in range(nodes.size):
-        group_start[compact[nodes[at]] + 1] += 1
-    extra_start = np.zeros(n + 1, np.int64)
-    for e in range(extra_rows.size):
-        extra_start[compact[extra_rows[e]] + 1] += 1
-    for a in range(n):
-        group_start[a + 1] += group_start[a]
-        extra_start[a + 1] += extra_start[a]
-    fill = group_start[:-1].copy()
-    group_of = np.empty(nodes.size, np.int32)
-    for g in range(node_start.size - 1):
-        for at in range(node_start[g], node_start[g + 1]):
-            a = compact[nodes[at]]
-            group_of[fill[a]] = g
-            fill[a] += 1
-    fill = extra_start[:-1].copy()
-    extra_of = np.empty(extra_rows.size, np.int32)
-    for e in range(extra_rows.size):
-        a = compact[extra_rows[e]]
-        extra_of[fill[a]] = compact[extra_columns[e]]
-        fill[a] += 1
-    seen = np.full(n, -1, np.int32)
-    total = 0
-    for a in range(n):
-        begin = total
-        for at in range(group_start[a], group_start[a + 1]):
-            g = group_of[at]
-            for k in range(node_start[g], node_start[g + 1]):
-                b = compact[nodes[k]]
-                if seen[b] != a:
-                    seen[b] = a
-                    if neighbours.size:
-                        neighbours[total] = b
-                    total += 1
-        for at in range(extra_start[a], extra_start[a + 1]):
-            b = extra_of[at]
-            if seen[b] != a:
-                seen[b] = a
-                if neighbours.size:
-                    neighbours[total] = b
-                total += 1
-        if neighbours.size:
-            neighbours[begin:total].sort()
-        start[a + 1] = total
+def add_product(blocks: Blocks, u: Sequence[Array], out: Sequence[Array]) -> None:
+    """Add the product of blocks with nodal values to nodal forces.
 
-
-@numba.njit(cache=True, error_model="numpy")
-def _covers(start, neighbours, new_start, new_neighbours):
-    """Whether every coupling of the second graph is one of the first."""
-    for a in range(start.size - 1):
-        at, end = start[a], start[a + 1]
-        for k in range(new_start[a], new_start[a + 1]):
-            while at < end and neighbours[at] < new_neighbours[k]:
-                at += 1
-            if at == end or neighbours[at] != new_neighbours[k]:
-                return False
-    return True
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _expand(start, neighbours, rows, indptr, indices):
-    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none."""
-    nc = rows.shape[1]
-    for a in range(start.size - 1):
-        count = 0
-        for at in range(start[a], start[a + 1]):
-            for k in range(nc):
-                if rows[neighbours[at], k] >= 0:
-                    count += 1
-        for i in range(nc):
-            if rows[a, i] >= 0:
-                indptr[rows[a, i] + 1] = count
-    for row in range(indptr.size - 1):
-        indptr[row + 1] += indptr[row]
-    if indices.size == 0:
-        return
-    for a in range(start.size - 1):
-        for i in range(nc):
-            if rows[a, i] >= 0:
-                put = indptr[rows[a, i]]
-                for at in range(start[a], start[a + 1]):
-                    for k in range(nc):
-                        if rows[neighbours[at], k] >= 0:
-                            indices[put] = rows[neighbours[at], k]
-                            put += 1
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Where the matrix has entries, on this rank, rows of ghosts included.
-
-    Attributes:
-        start, neighbours: Graph of the active nodes.
-        indptr, indices: Rows and columns of the local unknowns.
+    Args:
+        blocks: Part of a matrix.
+        u: Nodal values, (nodes, components) for each field.
+        out: Nodal forces, likewise.
     """
-
-    start: npt.NDArray[np.int64]
-    neighbours: npt.NDArray[np.int32]
-    indptr: npt.NDArray[np.int32]
-    indices: npt.NDArray[np.int32]
-
-    @staticmethod
-    def build(
-        s: Stencils, unknowns: Unknowns, extra_rows, extra_columns, old: Pattern | None
-    ) -> Pattern:
-        """Pattern of the couplings in the stencils and of the extra ones.
-
-        Args:
-            s: Stencils.
-            unknowns: The unknowns.
-            extra_rows, extra_columns: Coupled nodes, shape (n,) each.
-            old: Pattern of the same unknowns, or None. It is returned, to be kept
-                with all that was computed for it, if it has all the couplings;
-                otherwise the new one has its couplings too, so that points that
-                wander about in the same cells soon stop to change it.
-        """
-        n = unknowns.nodes.size
-        unknowns.compact[unknowns.nodes] = np.arange(n, dtype=np.int32)
-        start = np.zeros(n + 1, np.int64)
-        graph = (
-            unknowns.nodes, unknowns.compact, s.node_start, s.nodes, extra_rows, extra_columns,
-            start,
-        )  # fmt: skip
-        _couple(*graph, np.empty(0, np.int32))
-        neighbours = np.empty(start[-1], np.int32)
-        _couple(*graph, neighbours)
-        if old is not None and _covers(old.start, old.neighbours, start, neighbours):
-            return old
-        if old is not None:
-            kept_rows = np.repeat(unknowns.nodes, np.diff(old.start))
-            extra_rows = np.concatenate([extra_rows, kept_rows])
-            extra_columns = np.concatenate([extra_columns, unknowns.nodes[old.neighbours]])
-            return Pattern.build(s, unknowns, extra_rows, extra_columns, None)
-        rows = unknowns.row_of[unknowns.nodes]
-        indptr = np.zeros(unknowns.local + 1, np.int32)
-        _expand(start, neighbours, rows, indptr, np.empty(0, np.int32))
-        indices = np.empty(indptr[-1], np.int32)
-        indptr[:] = 0
-        _expand(start, neighbours, rows, indptr, indices)
-        return Pattern(start, neighbours, indptr, indices)
+    _multiply_blocks(
+        blocks.rows, blocks.columns, blocks.values, u[blocks.column_field], out[blocks.row_field]
+    )
 
 
 class Matrix:

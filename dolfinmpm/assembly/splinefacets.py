@@ -7,6 +7,8 @@ facet of each such class; its tensor between splines is then added for all other
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -178,15 +180,24 @@ class FacetBlock:
         self._slot = (apart @ strides).astype(np.int32)
         self._slots = (2 * p + 3) ** gdim
         self._tensors: dict[int, Array] = {}
+        self._form: Any = None
         self._values: Array | None = None
 
-    def attach(self, entities: dict[int, Ints]) -> None:
-        """Integrate over these ghost facets from now on. Collective.
+    def renew(self) -> None:
+        """Forget which facets were integrated over."""
+        self._form = None
+
+    def attach(self, entities: dict[int, Ints], basis: LatticeBasis) -> None:
+        """Integrate over these ghost facets. Collective after `renew`.
 
         Args:
             entities: Under GHOST_FACETS rows (cell, local facet, cell, local facet)
                 flattened, the first cell being "+".
+            basis: Basis of the space, with the overlap whose nodes are meant.
         """
+        if self._form is not None and basis is self._basis:
+            return
+        self._basis = basis
         facets = entities[GHOST_FACETS].reshape(-1, 4)
         halo, ijk = self._basis.halo, self._basis.lattice.cell_ijk
         first, second = ijk[facets[:, 0]], ijk[facets[:, 2]]

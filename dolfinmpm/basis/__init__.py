@@ -2,6 +2,6 @@
 
 from dolfinmpm.basis.lattice import LatticeBasis
 from dolfinmpm.basis.linear import LinearBasis
-from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.basis.stencils import Placement, Stencils
 
-__all__ = ["LatticeBasis", "LinearBasis", "Stencils"]
+__all__ = ["LatticeBasis", "LinearBasis", "Placement", "Stencils"]

@@ -6,6 +6,8 @@ Linear functions and B-splines, and the averages of both over the points' domain
 
 from __future__ import annotations
 
+import copy
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +17,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.basis.bspline import averaged_spline_weights, greville, spline_weights
 from dolfinmpm.basis.gimp import domain_weights
-from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
+from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice
 
@@ -36,9 +38,8 @@ def _cell_of(line, uniform, x):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, low, count):
-    """First overlapped cell and number of them a direction; returns whether the table has all."""
-    inside = True
+def _overlaps(x, half, lines, line_start, uniform, snap, origin, low, count):
+    """First overlapped cell, counted from the origin, and number of them a direction."""
     for p in range(x.shape[0]):
         for d in range(x.shape[1]):
             line = lines[line_start[d] : line_start[d + 1]]
@@ -54,8 +55,6 @@ def _overlaps(x, half, lines, line_start, uniform, snap, origin, table_shape, lo
                     last -= 1
             low[p, d] = first - origin[d]
             count[p, d] = last - first + 1
-            inside = inside and low[p, d] >= 0 and last - origin[d] < table_shape[d]
-    return inside
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -178,17 +177,29 @@ class LatticeBasis:
         self._node_ijk = node_ijk
         self._lines = np.concatenate(lattice.lines)
         self._line_start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
-        self.extend(1 if averaged or degree > 1 else 0)
+        self._grown: dict[int, LatticeBasis] = {}
+        self._surround(1 if averaged or degree > 1 else 0)
 
-    def extend(self, layers: int) -> None:
-        """Know nodes and cells within so many layers of this rank's own cells. Collective."""
-        if hasattr(self, "halo") and layers <= self.halo.layers:
-            return
+    def _surround(self, layers: int) -> None:
         self.halo: LatticeHalo = build_halo(
             self.grid, self.lattice, self.degree, self._node_map, self._node_ijk, layers
         )
         self.nodes = self.halo.nodes
         self.cells = self.halo.cells
+
+    def grown(self, layers: int) -> LatticeBasis:
+        """The basis that knows what is within so many layers of this rank's own cells. Collective.
+
+        It has numberings of its own, of which the owned nodes and cells, and the ghosts of
+        DOLFINx, are the same. Asked again, it is the same one.
+        """
+        if layers <= self.halo.layers or self.grid.comm.size == 1:
+            return self
+        if layers not in self._grown:
+            wider = copy.copy(self)
+            wider._surround(layers)
+            self._grown[layers] = wider
+        return self._grown[layers]
 
     def node_coordinates(self) -> npt.NDArray[np.float64]:
         """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
@@ -197,39 +208,66 @@ class LatticeBasis:
             x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
         return x
 
-    def stencils(self, points) -> Stencils:
-        """Stencils of the points where they are now. Collective.
+    def _spans(self, where: Placement, origin):
+        """Half-lengths that count, and first overlapped cell and number of them a direction."""
+        x = where.x
+        half = where.half if self.averaged else np.zeros_like(x)
+        low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
+        lattice = self.lattice
+        _overlaps(
+            x, half, self._lines, self._line_start, lattice.uniform, _SNAP, origin, low, count
+        )
+        return half, low, count
 
-        The halo grows, on all ranks together, when a domain reaches beyond it.
+    def reach(self, where: Placement) -> tuple[int, int]:
+        """How far the points' domains reach beyond their own cells, and across. Collective.
 
         Args:
-            points: Material points; reads x and, if functions are averaged, the half-lengths l.
-        """
-        x = points["x"]
-        return self.stencils_at(x, points["l"] if self.averaged else np.zeros_like(x))
+            where: The points.
 
-    def stencils_at(self, x: npt.NDArray[np.float64], half: npt.NDArray[np.float64]) -> Stencils:
-        """Stencils at positions x (m) with half-lengths (m), both (points, gdim). Collective."""
-        comm, halo = self.grid.comm, self.halo
-        low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
-        shape = np.array(halo.cell_table.shape, np.int64)
-        inside = _overlaps(
-            x, half, self._lines, self._line_start, self.lattice.uniform, _SNAP,
-            halo.origin, shape, low, count,
-        )  # fmt: skip
+        Returns:
+            Layers of cells around a point's own cell that its domain reaches, and cells that
+            it spans in one direction, at most, over all ranks.
+
+        Raises:
+            PointsOutsideGridError: A domain spans more cells than stencils have room for.
+        """
+        half, low, count = self._spans(where, np.zeros(where.x.shape[1], np.int32))
         error = None
         if count.size and count.max() > 60:
             p = int(np.argmax(count.max(axis=1)))
             error = PointsOutsideGridError(
-                f"the domain of the point at {x[p]} m spans {count[p].max()} cells, at most 60 are "
-                f"possible; its half-lengths are {half[p]} m: use a coarser grid or basis='linear'"
+                f"the domain of the point at {where.x[p]} m spans {count[p].max()} cells, at most "
+                f"60 are possible; its half-lengths are {half[p]} m: use a coarser grid or "
+                "basis='linear'"
             )
-        raise_together(comm, error)
-        result = self.stencils_in(x, half, low, count) if inside else None
-        if comm.allreduce(result is None, op=MPI.LOR):
-            self.extend(halo.layers + 1)
-            return self.stencils_at(x, half)
-        assert result is not None
+        raise_together(self.grid.comm, error)
+        if self.grid.comm.size == 1:
+            return 0, 1
+        own = self.lattice.cell_ijk[where.cell]
+        layers = np.maximum(own - low, low + count - 1 - own).max(initial=0)
+        both = np.array([layers, count.max(initial=1)], np.int64)
+        self.grid.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+        return int(both[0]), int(both[1])
+
+    def stencils(self, where: Placement) -> Stencils:
+        """Stencils of the points; the overlap must hold all nodes that they see.
+
+        Args:
+            where: The points.
+
+        Raises:
+            PointsOutsideGridError: A domain reaches beyond the overlap; see `grown`.
+        """
+        half, low, count = self._spans(where, self.halo.origin)
+        table = self.halo.cell_table.shape
+        known = bool(np.all(low >= 0) and np.all(low + count <= table))
+        result = self.stencils_in(where.x, half, low, count) if known else None
+        if result is None:
+            raise PointsOutsideGridError(
+                f"domains reach beyond the {self.halo.layers} layers of cells that are known "
+                "around this rank's own; take grown(layers)"
+            )
         return result
 
     def stencils_in(self, x, half, low, count) -> Stencils | None:

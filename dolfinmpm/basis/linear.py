@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+
 import numba
 import numpy as np
 from dolfinx.mesh import CellType, Mesh
 
 from dolfinmpm._platform.compat import geometry_dofmap, make_index_map
 from dolfinmpm.basis.cells import BOX, SIMPLEX, pull_back
-from dolfinmpm.basis.stencils import Stencils, group_starts, running_sum
+from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["LinearBasis", "kind_of"]
@@ -76,8 +78,12 @@ class LinearBasis:
         """Positions of the nodes (m), shape (nodes, 3)."""
         return self._node_x
 
-    def learn(self, indices, owners, x) -> None:
-        """Know more nodes of other ranks. Collective.
+    def grown(self, layers: int) -> LinearBasis:
+        """The basis itself: a point sees the nodes of its own cell only."""
+        return self
+
+    def knowing(self, indices, owners, x) -> LinearBasis:
+        """The basis that knows more nodes of other ranks. Collective.
 
         Args:
             indices: Their global indices, all new here, shape (n,).
@@ -86,16 +92,22 @@ class LinearBasis:
         """
         old, comm = self.nodes.index_map, self.grid.comm
         ghosts, of = np.append(old.ghosts, indices), np.append(old.owners, owners)
-        self.nodes = Numbering(comm, make_index_map(comm, old.size_local, ghosts, of))
-        self._node_x = np.vstack([self._node_x, x])
+        wider = copy.copy(self)
+        wider.nodes = Numbering(comm, make_index_map(comm, old.size_local, ghosts, of))
+        wider._node_x = np.vstack([self._node_x, x])
+        return wider
 
-    def stencils(self, points) -> Stencils:
-        """Stencils of the points where they are now.
+    def reach(self, where: Placement) -> tuple[int, int]:
+        """0 and 1: a point overlaps its own cell only; see `LatticeBasis.reach`."""
+        return 0, 1
+
+    def stencils(self, where: Placement) -> Stencils:
+        """Stencils of the points.
 
         Args:
-            points: Material points; reads x and cell.
+            where: The points.
         """
-        x, cells = points["x"], points["cell"]
+        x, cells = where.x, where.cell
         order = np.argsort(cells, kind="stable").astype(np.int32)
         groups = group_starts(cells[order].astype(np.int64))
         number, m = groups.size - 1, self._vertices.shape[1]

@@ -72,19 +72,29 @@ def splines_at(
     return nodes, N
 
 
-def extraction(space: Space) -> sparse.csr_matrix | None:
+def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
     """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
 
     A spline is a polynomial of the space's degree in every cell, so that nothing
     is lost and UFL terms over cells and facets act on splines through E.
 
+    Args:
+        space: The space.
+        basis: Its basis, with any overlap.
+
     Returns:
         E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
         both are the same.
     """
-    basis = space.basis
     if basis.degree == 1 or not isinstance(basis, LatticeBasis):
         return None
+    kept = space.__dict__.setdefault("_extractions", {})
+    if basis not in kept:
+        kept[basis] = _extract(space, basis)
+    return kept[basis]
+
+
+def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
     V = space.function_space
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
     cells = V.dofmap.list
@@ -112,6 +122,10 @@ class Space:
             of a body under constant stress is integrated exactly wherever points lie.
             False evaluates B-splines at the points alone (Steffen, Kirby & Berzins
             2008, doi 10.1002/nme.2360).
+        configuration: "updated" takes stencils and gradients where the points are at the
+            start of every step; "total" where they were at first: no point crosses a cell,
+            as long as the body stays one (Coombs, Petit & Ghaffari Motlagh 2020, doi
+            10.1016/j.cma.2019.112622).
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -130,7 +144,11 @@ class Space:
         basis: str = "linear",
         shape: tuple[int, ...] | None = None,
         averaged: bool = True,
+        configuration: str = "updated",
     ):
+        if configuration not in ("updated", "total"):
+            raise ParameterError(f'configuration = {configuration!r} must be "updated" or "total"')
+        self.configuration = configuration
         if basis not in _DEGREES:
             known = ", ".join(f'"{name}"' for name in _DEGREES)
             raise ParameterError(f"basis = {basis!r} must be one of {known}")

@@ -7,13 +7,39 @@ stiffness can be summed before it is scattered.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Stencils", "add_weighted", "gather"]
+__all__ = [
+    "Placement",
+    "Stencils",
+    "add_weighted",
+    "gather",
+    "joined",
+    "pushed_forward",
+    "selected",
+]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the material points are as a basis sees them: now, or at first.
+
+    Attributes:
+        x: Positions (m), shape (n, gdim).
+        half: Half-lengths of their domains (m), likewise.
+        volume: Volumes (m^gdim), shape (n,).
+        cell: Local cells, shape (n,).
+    """
+
+    x: npt.NDArray[np.float64]
+    half: npt.NDArray[np.float64]
+    volume: npt.NDArray[np.float64]
+    cell: npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -117,3 +143,96 @@ def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArra
         gradient: Written: Σ u_a ⊗ ∇N_a, shape (points, components, gdim).
     """
     _gather(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient)
+
+
+def _pieces(start, number):
+    """Indices start[i], start[i] + 1, ... of all pieces of number[i] entries."""
+    ends = np.cumsum(number)
+    total = int(ends[-1]) if ends.size else 0
+    return np.arange(total) + np.repeat(start - (ends - number), number)
+
+
+def _regrouped(s: Stencils, order, groups) -> Stencils:
+    """The stencils of the points of `order`, in groups within each of which nodes are the same."""
+    position = np.empty(int(s.order.max(initial=-1)) + 1, np.int64)
+    position[s.order] = np.arange(s.order.size)
+    old = position[order]
+    group_of = np.repeat(np.arange(s.groups.size - 1), np.diff(s.groups))
+    first = group_of[old[groups[:-1]]]
+    m = np.diff(s.node_start)
+    cells = np.diff(s.cell_start)
+    start = s.value_start[group_of] + (np.arange(s.order.size) - s.groups[group_of]) * m[group_of]
+    values = _pieces(start[old], m[group_of[old]])
+    return Stencils(
+        np.asarray(order, np.int32),
+        np.asarray(groups, np.int32),
+        running_sum(m[first], np.int32),
+        s.nodes[_pieces(s.node_start[first].astype(np.int64), m[first])],
+        running_sum(m[first].astype(np.int64) * np.diff(groups), np.int64),
+        s.N[values],
+        s.dN[values],
+        running_sum(cells[first], np.int32),
+        s.cells[_pieces(s.cell_start[first].astype(np.int64), cells[first])],
+    )
+
+
+def selected(s: Stencils, chosen: npt.NDArray[np.bool_]) -> Stencils:
+    """The stencils of some of the points.
+
+    Args:
+        s: Stencils.
+        chosen: Which points, shape (points,).
+    """
+    if chosen.all():
+        return s
+    keep = chosen[s.order]
+    group_of = np.repeat(np.arange(s.groups.size - 1), np.diff(s.groups))[keep]
+    return _regrouped(s, s.order[keep], group_starts(group_of.astype(np.int64)))
+
+
+def joined(stencils: Sequence[Stencils]) -> list[Stencils]:
+    """Stencils of the same points in several bases, in groups that are common to all.
+
+    Args:
+        stencils: One for each basis; those that are one object stay one.
+    """
+    first = stencils[0]
+    if all(s is first for s in stencils):
+        return list(stencils)
+    key = np.zeros(int(first.order.max(initial=-1)) + 1, np.int64)
+    for s in {id(s): s for s in stencils}.values():
+        group_of = np.repeat(np.arange(s.groups.size - 1), np.diff(s.groups))
+        key[s.order] = key[s.order] * max(s.groups.size - 1, 1) + group_of
+    rows = np.sort(first.order)
+    order = rows[np.argsort(key[rows], kind="stable")]
+    groups = group_starts(key[order])
+    made = {id(s): _regrouped(s, order, groups) for s in stencils}
+    return [made[id(s)] for s in stencils]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _push_forward(order, groups, node_start, value_start, dN, inverse, out):
+    gdim = dN.shape[1]
+    for g in range(groups.size - 1):
+        m = node_start[g + 1] - node_start[g]
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for a in range(at, at + m):
+                for i in range(gdim):
+                    out[a, i] = 0.0
+                    for j in range(gdim):
+                        out[a, i] += dN[a, j] * inverse[p, j, i]
+
+
+def pushed_forward(s: Stencils, F: npt.NDArray[np.float64]) -> Stencils:
+    """Stencils at first positions with gradients by the present ones: ∇N = F⁻ᵀ ∇₀N.
+
+    Args:
+        s: Stencils, whose gradients are by first positions.
+        F: Deformation gradients of the points, shape (points, gdim, gdim).
+    """
+    dN = np.empty_like(s.dN)
+    inverse = np.linalg.inv(F)
+    _push_forward(s.order, s.groups, s.node_start, s.value_start, s.dN, inverse, dN)
+    return replace(s, dN=dN)

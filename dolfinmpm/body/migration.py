@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import MigrationError
-from dolfinmpm.body.location import Destinations
+from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError, raise_together
+from dolfinmpm.body.location import Destinations, destinations
 
-__all__ = ["migrate"]
+__all__ = ["migrate", "settle"]
 
 
 def migrate(points, to: Destinations) -> int:
@@ -74,3 +74,29 @@ def _row_bytes(values: np.ndarray) -> int:
 def _totals(points) -> np.ndarray:
     mass = float(np.dot(points["density"], points["V0"]))
     return points.comm.allreduce(np.array([len(points), mass]), op=MPI.SUM)
+
+
+def settle(points, configuration: str) -> None:
+    """Bring points to the ranks and cells of the positions that a problem sees. Collective.
+
+    Args:
+        points: Material points.
+        configuration: "updated" for their present positions, "total" for those at first.
+
+    Raises:
+        PointsOutsideGridError: Some of these positions lie outside the grid.
+    """
+    if points.configuration == configuration:
+        return
+    x = points["x0" if configuration == "total" else "x"]
+    to = destinations(points.grid, x, points["cell"])
+    lost = np.flatnonzero(to.rank < 0)
+    error = None
+    if lost.size:
+        error = PointsOutsideGridError(
+            f"{lost.size} material points of this rank lie outside the grid, the first at "
+            f"{x[lost[0]]} m; take a larger grid"
+        )
+    raise_together(points.comm, error)
+    migrate(points, to)
+    points.configuration = configuration

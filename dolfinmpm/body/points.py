@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.basis import Placement
 from dolfinmpm.body.location import Destinations
 from dolfinmpm.body.migration import migrate
 
@@ -117,6 +118,10 @@ class MaterialPoints:
         self._ufl: dict[str, PointField] = {}
         # fields that a converged step sets to the value of a UFL expression
         self.updates: dict[str, Expr] = {}
+        # which positions their ranks and cells are those of; see `settle`
+        self.configuration = "updated"
+        # what laws of forms declare, by number; see `momentum`
+        self.declarations: dict[int, Any] = {}
         # laws at work on the points, each with its measure of strain
         self.frameworks: list[Any] = []
         rho = call_together(
@@ -224,6 +229,15 @@ class MaterialPoints:
                 f"{target.shape[1:]} (one value for all), got {given.shape}"
             )
         target[:] = given
+
+    def placement(self, configuration: str = "updated") -> Placement:
+        """The points as a basis sees them.
+
+        Args:
+            configuration: "updated" for where they are now, "total" for where they were at first.
+        """
+        x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
+        return Placement(self[x], self[half], self[volume], self["cell"])
 
     def fault(self) -> ParameterError | None:
         """What is impossible in the fields of this rank's points, or None."""

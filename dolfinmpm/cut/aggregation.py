@@ -14,12 +14,12 @@ of its own integral that lies in the body, and both remedies are the same.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 
 import numba
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -27,7 +27,7 @@ from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
 
-__all__ = ["SEARCH_RADIUS", "ties"]
+__all__ = ["SEARCH_RADIUS", "MeshRoots", "mesh_roots", "ties"]
 
 # Cells around a node in which its root is looked for.
 SEARCH_RADIUS = 4
@@ -199,38 +199,64 @@ def _all_roots(basis: LinearBasis, good):
     return corners[order], indices[order], owners[order]
 
 
-def _mesh_ties(basis: LinearBasis, nodes, fraction, threshold: float):
-    """Ties on any grid; None if nodes of other ranks had to be learnt first. Collective."""
-    comm, d, owned = basis.grid.comm, basis.grid.geometry.dim, basis.cells.owned
+@dataclass(frozen=True)
+class MeshRoots:
+    """Roots on a grid of any cells.
+
+    Attributes:
+        outer: Nodes that need one, shape (n,).
+        corners: Corners of the root of each (m), shape (n, nodes of a cell, 3).
+        nodes: Global numbers of the root's nodes, shape (n, nodes of a cell).
+        unknown: Global numbers, owners and positions (m) of those that are not known here.
+    """
+
+    outer: npt.NDArray[np.int32]
+    corners: npt.NDArray[np.float64]
+    nodes: npt.NDArray[np.int64]
+    unknown: tuple[npt.NDArray, npt.NDArray, npt.NDArray]
+
+
+def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoots:
+    """Roots of the nodes that have no well-filled cell, on any grid. Collective.
+
+    Args:
+        basis: The basis.
+        nodes: Active nodes known here.
+        fraction: Fill fraction of every local cell, shape (cells,).
+        threshold: Fraction from which a cell is well filled.
+    """
+    d, owned = basis.grid.geometry.dim, basis.cells.owned
     good = np.flatnonzero(fraction[:owned] >= threshold - 1e-9)
     inner = np.zeros(basis.nodes.size, bool)
     inner[basis.dofs[good]] = True
     inner = basis.nodes.share_flags(inner)
     corners, indices, owners = _all_roots(basis, good)
-    if len(corners) == 0:
-        return []
-    outer = nodes[~inner[nodes]]
+    outer = nodes[~inner[nodes]] if len(corners) else nodes[:0]
     middles, X = corners.mean(axis=1)[:, :d], basis.node_coordinates()[:, :d]
-    count = min(16, len(middles))
-    distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
-    equal = distance <= distance[:, :1] * (1 + 1e-9)
-    root = np.where(equal, near, len(middles)).min(axis=1)
+    root: npt.NDArray[np.int64] = np.empty(0, np.int64)
+    if outer.size:
+        count = min(16, len(middles))
+        distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
+        equal = distance <= distance[:, :1] * (1 + 1e-9)
+        root = np.where(equal, near, len(middles)).min(axis=1)
     wanted = indices[root].ravel()
-    local = basis.nodes.index_map.global_to_local(wanted)
-    if comm.allreduce(bool(np.any(local < 0)), op=MPI.LOR):
-        new, first = np.unique(wanted[local < 0], return_index=True)
-        whose, where = owners[root].ravel()[local < 0], corners[root].reshape(-1, 3)[local < 0]
-        basis.learn(new, whose[first], where[first])
-        return None
-    found = []
-    m = basis.dofs.shape[1]
+    strange = basis.nodes.index_map.global_to_local(wanted) < 0
+    new, first = np.unique(wanted[strange], return_index=True)
+    whose, where = owners[root].ravel()[strange], corners[root].reshape(-1, 3)[strange]
+    return MeshRoots(outer, corners[root], indices[root], (new, whose[first], where[first]))
+
+
+def _mesh_ties(basis: LinearBasis, roots: MeshRoots):
+    """Ties to the roots, all of whose nodes the basis knows."""
+    d, m = basis.grid.geometry.dim, basis.dofs.shape[1]
+    X = basis.node_coordinates()[:, :d]
+    local = basis.nodes.index_map.global_to_local(roots.nodes.ravel())
     N, dN = np.empty(m), np.empty((m, d))
     J, K, xi = np.empty((d, d)), np.empty((d, d)), np.empty(d)
-    for a, k, masters in zip(outer, root, local.reshape(-1, m)):
-        cell = np.ascontiguousarray(corners[k, :, :d])
+    for a, corners, masters in zip(roots.outer, roots.corners, local.reshape(-1, m)):
+        cell: npt.NDArray[np.float64] = np.ascontiguousarray(np.asarray(corners)[:, :d])
         if pull_back(basis.kind, cell, X[a], xi, N, dN, J, K):
-            found.append((a, masters, N.copy()))
-    return found
+            yield a, masters, N.copy()
 
 
 def ties(
@@ -240,7 +266,8 @@ def ties(
     threshold: float,
     extended: bool,
     fixed: npt.NDArray[np.bool_],
-) -> sparse.csr_matrix | None:
+    roots: MeshRoots | None,
+) -> sparse.csr_matrix:
     """The matrix C of aggregation or extension, u = C x.
 
     Args:
@@ -255,19 +282,17 @@ def ties(
             well-filled one.
         fixed: Which components are prescribed, shape (nodes, components); a node
             with such ones is tied only to nodes where they are prescribed too.
+        roots: Roots of a grid that is not rectangular; see `mesh_roots`.
 
     Returns:
-        C, shape (nodes, nodes). A node for which no root is near keeps its value. None
-        if the basis had to learn of nodes first: then all that hangs on its numbering is
-        to be made again.
+        C, shape (nodes, nodes). A node for which no root is near keeps its value.
     """
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
         found = _lattice_ties(basis, nodes, filled, threshold, extended)
     else:
-        found = _mesh_ties(basis, nodes, filled, threshold)
-        if found is None:
-            return None
+        assert roots is not None
+        found = _mesh_ties(basis, roots)
     keep = np.ones(size, bool)
     rows, columns, values = [np.empty(0, int)], [np.empty(0, int)], [np.empty(0)]
     for a, masters, weights in found:

@@ -7,10 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.la import InsertMode
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import add_weighted, running_sum
-from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.lattice import cell_volumes
 
 __all__ = ["domain_shares", "fill_fractions", "support_shares"]
@@ -70,7 +69,7 @@ def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
 
 
 def domain_shares(
-    points: MaterialPoints, stencils: Stencils, basis: LatticeBasis | LinearBasis
+    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
 ) -> tuple[npt.NDArray[np.int64], Array]:
     """Shares of the points' domains in the cells that they overlap; those of a point sum to 1.
 
@@ -86,30 +85,30 @@ def domain_shares(
     shares = np.empty(start[-1])
     _fill_shares(
         stencils.order, stencils.groups, stencils.cell_start, stencils.cells, *_boxes(basis),
-        points["x"], points["l"], start, shares,
+        where.x, where.half, start, shares,
     )  # fmt: skip
     return start, shares
 
 
 def fill_fractions(
-    points: MaterialPoints, stencils: Stencils, basis: LatticeBasis | LinearBasis
+    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
 ) -> Array:
     """Share of each local cell's volume that material points fill, shape (cells,). Collective.
 
     The volume of a point is shared out among the cells that its domain overlaps.
 
     Args:
-        points: Material points.
+        where: The points as the stencils see them.
         stencils: Their stencils.
         basis: The basis that these belong to.
     """
     shared = basis.cells.vector()
     low, high = _boxes(basis)
     lattice = isinstance(basis, LatticeBasis)
-    volumes = np.prod(high - low, axis=1) if lattice else cell_volumes(points.grid)
+    volumes = np.prod(high - low, axis=1) if lattice else cell_volumes(basis.grid)
     _spread(
         stencils.order, stencils.groups, stencils.cell_start, stencils.cells, low, high,
-        points["x"], points["l"], points["V"], shared.array,
+        where.x, where.half, where.volume, shared.array,
     )  # fmt: skip
     if basis.cells.comm.size > 1:
         shared.scatter_reverse(InsertMode.add)
@@ -117,18 +116,18 @@ def fill_fractions(
     return shared.array / volumes
 
 
-def support_shares(points: MaterialPoints, stencils: Stencils, basis: LatticeBasis) -> Array:
+def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis) -> Array:
     """Share of each function's integral that lies in the body, shape (nodes,). Collective.
 
     Args:
-        points: Material points.
+        where: The points as the stencils see them.
         stencils: Their stencils.
         basis: The basis that these belong to.
     """
     shared = basis.nodes.vector()
     s = stencils
     add_weighted(
-        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, points["V"], shared.array
+        s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, where.volume, shared.array
     )
     if basis.nodes.comm.size > 1:
         shared.scatter_reverse(InsertMode.add)

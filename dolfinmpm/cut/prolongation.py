@@ -7,6 +7,8 @@ Cᵀ K C and Cᵀ f already; the matrices of DOLFINx's assemblers are multiplied
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 from scipy import sparse
@@ -14,6 +16,7 @@ from scipy import sparse
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.cut.pattern import Blocks
 
 __all__ = ["Prolongation", "reduce_blocks"]
 
@@ -59,47 +62,63 @@ def _tie(
                 place[indices[k]] = -1
 
 
-def reduce_blocks(matrix: sparse.csr_matrix, rows, columns, blocks):
-    """Tᵀ A T of a matrix A given by blocks between nodes; returned in the same form.
+def reduce_blocks(
+    row_matrix: sparse.csr_matrix | None, column_matrix: sparse.csr_matrix | None, blocks: Blocks
+) -> Blocks:
+    """T_iᵀ A T_j of a part A of a matrix, in the same form.
 
     Args:
-        matrix: T, shape (nodes of A, nodes of the result).
-        rows: Node of each block's row, shape (n,).
-        columns: Node of each block's column, shape (n,).
-        blocks: The blocks, shape (n, components, components).
+        row_matrix, column_matrix: T of the row and of the column field, shape (nodes of A,
+            nodes of the result), or None where they are the same.
+        blocks: A.
     """
-    components = blocks.shape[1]
-    inner = np.arange(components)
-    # only what A touches takes part, however large the grid is
-    touched, place = np.unique(np.concatenate([rows, columns]), return_inverse=True)
+    if row_matrix is None and column_matrix is None:
+        return blocks
+    rows, columns, values = blocks.rows, blocks.columns, blocks.values
+    row_part, rows, new_rows = _part(row_matrix, rows)
+    column_part, columns, new_columns = _part(column_matrix, columns)
+    shape = row_part.shape[0], column_part.shape[0]
+    n, m = values.shape[1:]
+    scalar = values[:, 0, 0]
+    if n == m and np.array_equal(values, scalar[:, None, None] * np.eye(n)):
+        # components do not mix, as in a ghost penalty: one product does for all
+        whole = sparse.csr_matrix((scalar, (rows, columns)), shape=shape)
+        single = sparse.csr_matrix(row_part.T @ whole @ column_part)
+        made = np.repeat(np.arange(new_rows.size), np.diff(single.indptr))
+        return replace(
+            blocks,
+            rows=new_rows[made].astype(np.int32),
+            columns=new_columns[single.indices].astype(np.int32),
+            values=single.data[:, None, None] * np.eye(n),
+        )
+    i = rows[:, None, None] * n + np.arange(n)[:, None] + 0 * np.arange(m)
+    j = columns[:, None, None] * m + np.arange(m) + 0 * np.arange(n)[:, None]
+    size = shape[0] * n, shape[1] * m
+    whole = sparse.csr_matrix((values.ravel(), (i.ravel(), j.ravel())), shape=size)
+    left = sparse.kron(row_part, sparse.identity(n), format="csr")
+    right = sparse.kron(column_part, sparse.identity(m), format="csr")
+    reduced = sparse.bsr_matrix(left.T @ whole @ right, blocksize=(n, m))
+    made = np.repeat(np.arange(reduced.indptr.size - 1), np.diff(reduced.indptr))
+    return replace(
+        blocks,
+        rows=new_rows[made].astype(np.int32),
+        columns=new_columns[reduced.indices].astype(np.int32),
+        values=np.ascontiguousarray(reduced.data),
+    )
+
+
+def _part(matrix: sparse.csr_matrix | None, nodes):
+    """The rows of T that the nodes need, the nodes' places in it, and its columns' nodes.
+
+    Only what A touches takes part, however large the grid is.
+    """
+    touched, place = np.unique(nodes, return_inverse=True)
+    if matrix is None:
+        return sparse.identity(touched.size, format="csr"), place, touched
     part = matrix[touched]
     kept, local = np.unique(part.indices, return_inverse=True)
     part = sparse.csr_matrix((part.data, local, part.indptr), shape=(touched.size, kept.size))
-    rows, columns = place[: rows.size], place[rows.size :]
-    scalar = blocks[:, 0, 0]
-    if np.array_equal(blocks, scalar[:, None, None] * np.eye(components)):
-        # components do not mix, as in a ghost penalty: one product does for all
-        shape = touched.size, touched.size
-        whole = sparse.csr_matrix((scalar, (rows, columns)), shape=shape)
-        single = sparse.csr_matrix(part.T @ whole @ part)
-        new_rows = np.repeat(np.arange(kept.size), np.diff(single.indptr))
-        return (
-            kept[new_rows].astype(np.int32),
-            kept[single.indices].astype(np.int32),
-            single.data[:, None, None] * np.eye(components),
-        )
-    size = touched.size * components
-    i = (rows[:, None, None] * components + inner[:, None]) + 0 * inner
-    j = (columns[:, None, None] * components + inner) + 0 * inner[:, None]
-    whole = sparse.csr_matrix((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
-    T = sparse.kron(part, sparse.identity(components), format="csr")
-    reduced = sparse.bsr_matrix(T.T @ whole @ T, blocksize=(components, components))
-    new_rows = np.repeat(np.arange(reduced.indptr.size - 1), np.diff(reduced.indptr))
-    return (
-        kept[new_rows].astype(np.int32),
-        kept[reduced.indices].astype(np.int32),
-        np.ascontiguousarray(reduced.data),
-    )
+    return part, place, kept
 
 
 class Prolongation:
@@ -128,10 +147,6 @@ class Prolongation:
                 f"node {used[self.tied[used]][0]} is tied to others and others are tied to it; "
                 "multiply the matrices first"
             )
-
-    def __matmul__(self, other: Prolongation) -> Prolongation:
-        """First `other`, then this one: u = C₁ C₂ x."""
-        return Prolongation(self.matrix @ other.matrix)
 
     def stencils(self, s: Stencils) -> Stencils:
         """Stencils on the nodes that remain, N C and ∇N C."""

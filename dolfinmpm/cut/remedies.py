@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from scipy import sparse
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.basis import LatticeBasis, Stencils
+from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.aggregation import SEARCH_RADIUS, ties
+from dolfinmpm.cut.aggregation import MeshRoots, ties
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.materials.base import lame
@@ -199,25 +200,31 @@ class Stabilisation:
         assert self.E is not None
         return soft(points, u, v, self.E, self.nu or 0.0, self.eta)
 
-    def prepare(self, basis) -> None:
-        """Let the basis know as many cells of other ranks as roots are searched in. Collective."""
-        tied = self.kind in ("aggregation", "weak-aggregation", "extended")
-        if tied and isinstance(basis, LatticeBasis):
-            basis.extend(SEARCH_RADIUS + basis.degree + 1)
+    @property
+    def ties_nodes(self) -> bool:
+        """Whether nodes follow others, or are drawn to where they would be if they did."""
+        return self.kind in ("aggregation", "weak-aggregation", "extended")
+
+    def level(self, degree: int) -> float:
+        """Share to which a cell must be filled to need no help, for functions of that degree."""
+        return THRESHOLDS[degree] if self.threshold is None else self.threshold
+
+    def measure(self, where: Placement, stencils: Stencils, basis) -> npt.NDArray[np.float64]:
+        """Fill fractions of cells, or for splines the shares of functions. Collective."""
+        if basis.degree == 1:
+            return fill_fractions(where, stencils, basis)
+        return support_shares(where, stencils, basis)
 
     def ties(
-        self, points: MaterialPoints, basis, stencils: Stencils, nodes, fixed
-    ) -> sparse.csr_matrix | None:
-        """The matrix C by which nodes follow others, u = C x, or None. Collective."""
-        if self.kind not in ("aggregation", "weak-aggregation", "extended"):
-            return None
-        measure = fill_fractions if basis.degree == 1 else support_shares
-        filled = measure(points, stencils, basis)
-        threshold = THRESHOLDS[basis.degree] if self.threshold is None else self.threshold
-        return ties(basis, nodes, filled, threshold, self.kind == "extended", fixed)
+        self, where: Placement, basis, stencils: Stencils, nodes, fixed, roots: MeshRoots | None
+    ) -> sparse.csr_matrix:
+        """The matrix C by which nodes follow others, u = C x. Collective."""
+        filled = self.measure(where, stencils, basis)
+        level, extended = self.level(basis.degree), self.kind == "extended"
+        return ties(basis, nodes, filled, level, extended, fixed, roots)
 
     def penalty(
-        self, points: MaterialPoints, degree: int, C: sparse.csr_matrix, nodes, components: int
+        self, grid: Mesh, degree: int, C: sparse.csr_matrix, nodes, components: int
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Weak aggregation: γ E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
 
@@ -230,7 +237,7 @@ class Stabilisation:
             Rows, columns and blocks, as the ordinary terms give them.
         """
         assert self.E is not None
-        h = cell_size(points.grid)
+        h = cell_size(grid)
         size = float(h.value) if not isinstance(h, fem.Function) else float(h.x.array.mean())
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
@@ -239,7 +246,7 @@ class Stabilisation:
         norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
         share = own / np.maximum(norms, 1.0)
         gamma = WEAK_FACTORS[degree] if self.gamma is None else self.gamma
-        weights = sparse.diags(share * gamma * self.E * size ** (points.gdim - 2))
+        weights = sparse.diags(share * gamma * self.E * size ** (grid.geometry.dim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
         blocks = product.data[:, None, None] * np.eye(components)
         return product.row.astype(np.int32), product.col.astype(np.int32), blocks

@@ -2,91 +2,178 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
+from dolfinx.la import InsertMode
 from mpi4py import MPI
 
 from dolfinmpm.grid.halo import Numbering
 
-__all__ = ["Unknowns"]
+__all__ = ["FieldUnknowns", "Nodal", "Unknowns"]
+
+Array = npt.NDArray[np.float64]
 
 
-class Unknowns:
-    """Numbering of the unknowns, and the values of those that are prescribed.
-
-    All fields of a problem stand at the same nodes, so that a node carries their
-    components one after the other.
-
-    Args:
-        numbering: Numbering of the nodes.
-        components: Components a node.
+@dataclass(frozen=True)
+class FieldUnknowns:
+    """The unknowns of one field.
 
     Attributes:
-        nodes: Active nodes known here, increasing, shape (n,).
-        row_of: Local row of each node's components, -1 where there is none,
-            shape (nodes, components). The rows of owned nodes come first.
-        owned, local, total: Number of rows here, with those of ghosts, on all ranks.
-        to_global: Global row of every local row.
+        numbering: Numbering of its nodes.
+        components: Components a node.
+        nodes: Active nodes known here that carry unknowns, increasing, shape (n,).
         fixed: Which components are prescribed, shape (nodes, components).
-        prescribed: Their values in this step, likewise.
-        compact: Scratch space, one entry a node.
+        row_of: Local row of each component, -1 where there is none, likewise.
+        offset: What is added to a node's number where nodes of all fields stand in one list.
     """
 
-    def __init__(self, numbering: Numbering, components: int):
-        self.comm: MPI.Intracomm = numbering.comm
-        self.numbering = numbering
-        self.components = components
-        shape = (numbering.size, components)
-        self.row_of = np.full(shape, -1, np.int32)
-        self.fixed = np.zeros(shape, bool)
-        self.prescribed = np.zeros(shape)
-        self.compact = np.zeros(numbering.size, np.int32)
-        self.nodes: npt.NDArray[np.int32] = np.empty(0, np.int32)
-        self.owned = self.local = self.total = 0
-        self.to_global: npt.NDArray[np.int32] = np.empty(0, np.int32)
-
-    def activate(self, nodes: npt.NDArray[np.int32]) -> bool:
-        """Number the unknowns of these nodes; returns whether they changed anywhere. Collective.
-
-        Args:
-            nodes: Active nodes known here, increasing.
-        """
-        changed = self.comm.allreduce(not np.array_equal(nodes, self.nodes), op=MPI.LOR)
-        if not changed and self.total:
-            return False
-        self.row_of[self.nodes] = -1
-        self.nodes = nodes
-        free = ~self.fixed[nodes]
-        rows = np.full(free.shape, -1, np.int32)
-        self.local = int(np.count_nonzero(free))
-        rows[free] = np.arange(self.local, dtype=np.int32)
-        self.row_of[nodes] = rows
-        self.owned = int(np.count_nonzero(free[nodes < self.numbering.owned]))
-        self.total = self.comm.allreduce(self.owned, op=MPI.SUM)
-        if self.comm.size == 1:
-            self.to_global = np.arange(self.local, dtype=np.int32)
-            return True
-        first = self.comm.exscan(self.owned) or 0
-        shared = self.numbering.vector(self.components, np.int64)
-        mine = shared.array.reshape(-1, self.components)
-        mine[nodes] = first + rows
-        shared.scatter_forward()
-        self.to_global = mine[nodes][free].astype(np.int32)
-        return True
-
-    def scatter(self, x: npt.NDArray[np.float64], u: npt.NDArray[np.float64]) -> None:
-        """Write the owned unknowns, and the prescribed values, into nodal values.
-
-        Args:
-            x: Owned unknowns, shape (owned,).
-            u: Nodal values, shape (nodes, components); ghosts are left alone.
-        """
-        nodes = self.owned_nodes
-        values = self.prescribed[nodes]
-        values[~self.fixed[nodes]] = x
-        u[nodes] = values
+    numbering: Numbering
+    components: int
+    nodes: npt.NDArray[np.int32]
+    fixed: npt.NDArray[np.bool_]
+    row_of: npt.NDArray[np.int32]
+    offset: int
 
     @property
     def owned_nodes(self) -> npt.NDArray[np.int32]:
         """Active nodes that this rank owns."""
         return self.nodes[: np.searchsorted(self.nodes, self.numbering.owned)]
+
+
+class Nodal:
+    """Values at the nodes of all fields, and the one place where ranks exchange them.
+
+    Args:
+        numberings: Numbering of each field's nodes.
+        components: Components of each field.
+
+    Attributes:
+        arrays: One array a field, shape (nodes, components).
+    """
+
+    def __init__(self, numberings: Sequence[Numbering], components: Sequence[int]):
+        self._vectors = [n.vector(c) for n, c in zip(numberings, components)]
+        self.arrays = [v.array.reshape(-1, c) for v, c in zip(self._vectors, components)]
+        self._parallel = numberings[0].comm.size > 1
+
+    def add_up(self) -> None:
+        """Add what the ranks have for a node at its owner. Collective."""
+        if self._parallel:
+            for vector in self._vectors:
+                vector.scatter_reverse(InsertMode.add)
+
+    def spread(self) -> None:
+        """Tell the owners' values to all ranks that know the nodes. Collective."""
+        if self._parallel:
+            for vector in self._vectors:
+                vector.scatter_forward()
+
+
+class Unknowns:
+    """Numbering of the unknowns of all fields. Collective.
+
+    The rows of a rank are those of the nodes that it owns, one field after the other.
+    Everything but this class sees nodes only, so that who owns a row is decided here.
+
+    Args:
+        numberings: Numbering of each field's nodes.
+        nodes: Active nodes of each field that carry unknowns, increasing.
+        fixed: Which components are prescribed, (nodes, components) for each field.
+
+    Attributes:
+        fields: One entry a field.
+        owned, local, total: Number of rows here, with those of ghosts, on all ranks.
+        to_global: Global row of every local row.
+    """
+
+    def __init__(
+        self,
+        numberings: Sequence[Numbering],
+        nodes: Sequence[npt.NDArray[np.int32]],
+        fixed: Sequence[npt.NDArray[np.bool_]],
+    ):
+        self.comm: MPI.Intracomm = numberings[0].comm
+        made, self.local, self.owned, offset = [], 0, 0, 0
+        free_of = []
+        for numbering, active, held in zip(numberings, nodes, fixed):
+            free = ~held[active]
+            rows = np.full(free.shape, -1, np.int32)
+            count = int(np.count_nonzero(free))
+            rows[free] = np.arange(self.local, self.local + count, dtype=np.int32)
+            row_of = np.full(held.shape, -1, np.int32)
+            row_of[active] = rows
+            made.append(FieldUnknowns(numbering, held.shape[1], active, held, row_of, offset))
+            self.local += count
+            self.owned += int(np.count_nonzero(free[active < numbering.owned]))
+            offset += numbering.size
+            free_of.append(free)
+        self.fields = tuple(made)
+        self.total = self.comm.allreduce(self.owned, op=MPI.SUM)
+        self.to_global: npt.NDArray[np.int32] = np.arange(self.local, dtype=np.int32)
+        if self.comm.size > 1:
+            self.to_global = self._number(free_of)
+
+    def _number(self, free_of) -> npt.NDArray[np.int32]:
+        first = self.comm.exscan(self.owned) or 0
+        pieces = []
+        for field, free in zip(self.fields, free_of):
+            shared = field.numbering.vector(field.components, np.int64)
+            mine = shared.array.reshape(-1, field.components)
+            own = free[: field.owned_nodes.size]
+            rows = np.zeros(own.shape, np.int64)
+            count = int(np.count_nonzero(own))
+            rows[own] = first + np.arange(count)
+            first += count
+            mine[field.owned_nodes] = rows
+            shared.scatter_forward()
+            pieces.append(mine[field.nodes][free].astype(np.int32))
+        return np.concatenate(pieces)
+
+    def same(self, nodes: Sequence[npt.NDArray[np.int32]], fixed: Sequence) -> bool:
+        """Whether these are the nodes and conditions of all fields, on all ranks. Collective."""
+        here = len(nodes) == len(self.fields) and all(
+            f.fixed is held and np.array_equal(f.nodes, active)
+            for f, active, held in zip(self.fields, nodes, fixed)
+        )
+        return self.comm.allreduce(here, op=MPI.LAND)
+
+    def nodal(self) -> Nodal:
+        """Zeros at the nodes of all fields. Collective."""
+        return Nodal([f.numbering for f in self.fields], [f.components for f in self.fields])
+
+    def expand(self, x: Array, prescribed: Sequence[Array], out: Nodal) -> None:
+        """Nodal values of the unknowns, on all ranks that know the nodes. Collective.
+
+        Args:
+            x: Owned unknowns, shape (owned,).
+            prescribed: Values of prescribed components, (nodes, components) for each field.
+            out: Written at active nodes.
+        """
+        at = 0
+        for field, values, u in zip(self.fields, prescribed, out.arrays):
+            nodes = field.owned_nodes
+            free = ~field.fixed[nodes]
+            count = int(np.count_nonzero(free))
+            part = values[nodes]
+            part[free] = x[at : at + count]
+            u[nodes] = part
+            at += count
+        out.spread()
+
+    def restrict(self, nodal: Sequence[Array]) -> Array:
+        """The owned unknowns' entries of nodal values, shape (owned,)."""
+        pieces = [r[f.owned_nodes][~f.fixed[f.owned_nodes]] for f, r in zip(self.fields, nodal)]
+        return np.concatenate(pieces)
+
+    def reactions(self, nodal: Sequence[Array]) -> Array:
+        """Entries of nodal values where components of owned nodes are prescribed."""
+        pieces = [r[f.owned_nodes][f.fixed[f.owned_nodes]] for f, r in zip(self.fields, nodal)]
+        return np.concatenate(pieces)
+
+    def clear(self, out: Nodal) -> None:
+        """Set the values at active nodes to zero."""
+        for field, values in zip(self.fields, out.arrays):
+            values[field.nodes] = 0.0

@@ -38,8 +38,13 @@ class PointwiseLaw(Protocol):
             The first of the n points where it failed, counted from 0, or -1.
         """
 
-    def commit(self, operand: Array) -> dict[str, Array]:
-        """Fields of the points at the end of a converged step, by name."""
+    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
+        """Fields of some points at the end of a converged step, by name.
+
+        Args:
+            operand: shape (n, size of the operand).
+            rows: Which points they are, shape (n,).
+        """
 
 
 @runtime_checkable
@@ -77,8 +82,13 @@ class AveragingLaw(Protocol):
                 mean, shape (n, size of the value).
         """
 
-    def commit(self, operand: Array) -> dict[str, Array]:
-        """Fields of the points at the end of a converged step, by name."""
+    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
+        """Fields of some points at the end of a converged step, by name.
+
+        Args:
+            operand: shape (n, size of the operand).
+            rows: Which points they are, shape (n,).
+        """
 
 
 class PointOperator(ufl.Coefficient):

@@ -7,11 +7,13 @@ the flux; the flux's derivatives by the increment's are the tangent.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_coefficients
@@ -40,70 +42,303 @@ from dolfinmpm.forms.slots import Slots
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
-__all__ = ["OrdinaryTerms", "PointTerms", "SplitForm", "split"]
+__all__ = ["GridTerms", "PointTerms", "SplitForm", "TangentBlock", "split"]
 
 
-@dataclass(frozen=True)
-class OrdinaryTerms:
+class GridTerms:
     """Terms over cells and facets of the grid, for DOLFINx's assemblers.
 
     Attributes:
         external: Part that does not depend on the increments, one form a field, or None.
         internal: Part that does, likewise.
-        jacobian: Derivative of the internal part, [test field][trial field], or None.
-        linear: Whether the derivative does not depend on the increments.
     """
 
-    external: list[ufl.Form | None]
-    internal: list[ufl.Form | None]
-    jacobian: list[list[ufl.Form | None]]
-    linear: bool
+    def __init__(self, integrals, spaces: Sequence[Space]):
+        self._spaces = list(spaces)
+        increments = [space.increment for space in spaces]
+        parts: dict[bool, list[Any]] = {False: [], True: []}
+        for integral in integrals:
+            for varies in parts:
+                terms = [
+                    t for t in _summands(integral.integrand()) if _varies(t, increments) == varies
+                ]
+                if terms:
+                    total = sum(terms[1:], start=terms[0])
+                    parts[varies].append(integral.reconstruct(total))
+        self.external = self._by_field(parts[False])
+        self.internal = self._by_field(parts[True])
+
+    def __bool__(self) -> bool:
+        return any(form is not None for form in (*self.external, *self.internal))
+
+    def _by_field(self, pieces) -> list[ufl.Form | None]:
+        spaces = self._spaces
+        if not pieces:
+            return [None] * len(spaces)
+        whole = ufl.Form(pieces)
+        result = []
+        for space in spaces:
+            others = {s.test: Zero(s.test.ufl_shape) for s in spaces if s is not space}
+            one = ufl.replace(whole, others) if others else whole
+            result.append(_without_zeros(expand_derivatives(one)))
+        return result
+
+    @functools.cached_property
+    def jacobian(self) -> list[list[ufl.Form | None]]:
+        """Derivative of the internal part, [test field][trial field], or None."""
+        jacobian: list[list[ufl.Form | None]] = []
+        for one in self.internal:
+            row: list[ufl.Form | None] = []
+            for space in self._spaces:
+                form = None
+                if one is not None:
+                    trial = ufl.TrialFunction(space.function_space)
+                    form = _without_zeros(ufl.derivative(one, space.increment, trial))
+                row.append(form)
+            jacobian.append(row)
+        return jacobian
+
+    @functools.cached_property
+    def linear(self) -> bool:
+        """Whether the derivative does not depend on the increments."""
+        increments = [space.increment for space in self._spaces]
+        return not any(
+            isinstance(c, Coefficient) and any(c is u for u in increments)
+            for row in self.jacobian
+            for form in row
+            if form is not None
+            for c in form.coefficients()
+        )
 
 
 @dataclass(frozen=True)
+class TangentBlock:
+    """Derivative of one field's flux by one field's increment, compiled.
+
+    Attributes:
+        program: Writes (components and slots of the row field, those of the column field).
+        row_value, value: Whether the row's and the column field's values have slots, before
+            those of their gradients, or gradients only.
+    """
+
+    program: Program
+    row_value: bool
+    value: bool
+
+
 class PointTerms:
-    """Terms that the material points integrate, compiled.
+    """Terms that some of the material points integrate; programs are compiled when asked for.
 
     The fluxes are multiplied by the points' volumes and have shape
     (points, c, 1 + d): c stacked components of all fields, first what goes with
     the test function's value, then what goes with its gradient.
 
+    Args:
+        integrals: Integrals over these points.
+        spaces: Spaces of the increments.
+        points: Material points.
+        tags: Tags of the points, or None for all of them.
+        but: Whether the points are those that have none of the tags instead.
+
     Attributes:
-        external: Flux that does not depend on the increments, or None.
-        internal: Flux that does, or None.
-        tangent: Its derivative, shape (points, c, d, c, d) if `gradient_only`,
-            else (points, c, 1 + d, c, 1 + d); or None.
-        gradient_only: Whether only gradients enter the tangent.
-        operators: Operators in the integrand.
-        operands: For each the program of its operand, or the key of its data.
-        functions: DOLFINx functions in the integrand, and whether their gradient.
-        constants: DOLFINx constants in the integrand.
-        by_mean: For every operator whose law averages over cells, the derivative of the
-            internal flux by that mean at the point, of the flux's shape.
+        slots: What the terms are made of: operators, functions and constants.
     """
 
-    external: Program | None
-    internal: Program | None
-    tangent: Program | None
-    gradient_only: bool
-    operators: list[PointOperator]
-    operands: list[Program | tuple]
-    functions: list[tuple[fem.Function, bool]]
-    constants: list[fem.Constant]
-    by_mean: dict[int, Program]
+    def __init__(
+        self,
+        integrals,
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+        tags: frozenset[int] | None = None,
+        but: bool = False,
+    ):
+        self._tags, self._but = tags, but
+        self.slots = slots = Slots(spaces, points)
+        increments = [space.increment for space in spaces]
+        self._parts: dict[bool, list[Expr]] = {False: [], True: []}
+        for integral in integrals:
+            volume = slots.slot(("field", integral.metadata()["volume"]), ())
+            for term in _summands(integral.integrand()):
+                arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
+                if len(arguments) != 1:
+                    raise FormError(
+                        f"the term '{_short(term)}' must be linear in one test function, it has "
+                        f"{len(arguments)}; an energy needs ufl.derivative(energy, u, v)"
+                    )
+                self._parts[_varies(term, increments)].append(volume * slots.map(term))
+        self._fluxes = {varies: self._flux(terms) for varies, terms in self._parts.items()}
+        self._operands = [slots.map(expand_derivatives(o.operand)) for o in slots.operators]
+        for k, operator in enumerate(slots.operators):
+            if isinstance(operator.law, AveragingLaw) and self.field_of(k) is None:
+                raise FormError(
+                    f"'{operator}' averages over cells and takes the gradient of an increment, not "
+                    f"'{_short(operator.operand)}'"
+                )
+
+    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
+        """Which points integrate the terms, or None if all do.
+
+        Args:
+            tags: Tags of the points.
+        """
+        if self._tags is None:
+            return None
+        return np.isin(tags, list(self._tags), invert=self._but)
+
+    @property
+    def operators(self) -> list[PointOperator]:
+        """Operators in the integrand."""
+        return self.slots.operators
+
+    @property
+    def averages(self) -> bool:
+        """Whether a law takes means over cells."""
+        return any(isinstance(operator.law, AveragingLaw) for operator in self.operators)
+
+    def _flux(self, terms: list[Expr]) -> list[list[Expr]]:
+        """For every field what goes with the test function's value and with its gradient."""
+        if not terms:
+            return []
+        slots, total = self.slots, sum(terms[1:], start=terms[0])
+        fluxes = [
+            [_derive(total, slots.test_value[k]), _derive(total, slots.test_gradient[k])]
+            for k in range(len(slots.spaces))
+        ]
+        tests = {c for pair in zip(slots.test_value, slots.test_gradient) for c in pair}
+        for flux in (f for pair in fluxes for f in pair):
+            if any(node in tests for node in unique_pre_traversal(flux)):
+                raise FormError(
+                    f"'{_short(total)}' is not linear in the test function; an energy needs "
+                    "ufl.derivative(energy, u, v)"
+                )
+        return fluxes
+
+    @functools.cached_property
+    def external(self) -> Program | None:
+        """Flux that does not depend on the increments, or None. Collective at first."""
+        return _flux_program(self._fluxes[False], self.slots) if self._fluxes[False] else None
+
+    @functools.cached_property
+    def internal(self) -> Program | None:
+        """Flux that does, or None. Collective at first."""
+        return _flux_program(self._fluxes[True], self.slots) if self._fluxes[True] else None
+
+    def field_of(self, k: int) -> int | None:
+        """The field whose gradient is the k-th operator's operand, or None."""
+        direct = [f for f, g in enumerate(self.slots.gradient) if self._operands[k] is g]
+        return direct[0] if direct else None
+
+    @functools.cached_property
+    def operands(self) -> list[Program | tuple]:
+        """For every operator the program of its operand, or the key of its data."""
+        made: list[Program | tuple] = []
+        for k, expression in enumerate(self._operands):
+            field = self.field_of(k)
+            if field is not None:
+                made.append(("gradient", field))
+                continue
+            parts = [_at(expression, i) for i in np.ndindex(*expression.ufl_shape)]
+            made.append(compile_program(self.slots.points.grid, parts, self.slots.sources))
+        return made
+
+    @functools.cached_property
+    def tangent(self) -> dict[tuple[int, int], TangentBlock]:
+        """Derivatives of the internal flux, by row and column field. Collective at first."""
+        fields = range(len(self._fluxes[True]))
+        blocks = {(i, j): self._block(i, j) for i in fields for j in fields}
+        return {pair: block for pair, block in blocks.items() if block is not None}
+
+    @functools.cached_property
+    def by_mean(self) -> dict[int, Program]:
+        """For every operator whose law averages over cells, the derivative of the internal
+        flux by that mean at the point, of the flux's shape. Collective at first."""
+        return {
+            k: _flux_program(self._by_mean(k), self.slots)
+            for k, operator in enumerate(self.operators)
+            if isinstance(operator.law, AveragingLaw) and self._fluxes[True]
+        }
+
+    def _by_mean(self, k: int) -> list[list[Expr]]:
+        slots = self.slots
+        shape = slots.operators[k].ufl_shape
+        slope = slots.slot(("operator by mean", k), shape)
+
+        def through(flux: Expr) -> Expr:
+            i, o = ufl.indices(len(flux.ufl_shape)), ufl.indices(len(shape))
+            by_operator = _derive(flux, slots.operator_value[k])
+            if isinstance(by_operator, Zero):
+                return Zero(flux.ufl_shape)
+            term = by_operator[(*i, *o)] * slope[o] if o else by_operator * slope
+            return apply_algebra_lowering(ufl.as_tensor(term, i) if i else term)
+
+        return [[through(flux) for flux in pair] for pair in self._fluxes[True]]
+
+    def _through(self, flux: Expr, variable: Expr) -> Expr:
+        """Derivative of a flux by the value or the gradient of an increment, through laws too."""
+        slots = self.slots
+        total = _derive(flux, variable)
+        for k, operator in enumerate(slots.operators):
+            by_operator = _derive(flux, slots.operator_value[k])
+            by_variable = _derive(self._operands[k], variable)
+            if isinstance(by_operator, Zero) or isinstance(by_variable, Zero):
+                continue
+            shape, inner = operator.ufl_shape, self._operands[k].ufl_shape
+            slope = slots.slot(("operator tangent", k), (*shape, *inner))
+            i = ufl.indices(len(flux.ufl_shape))
+            o = ufl.indices(len(shape))
+            q = ufl.indices(len(inner))
+            w = ufl.indices(len(variable.ufl_shape))
+            term = slope[(*o, *q)]
+            term = (by_operator[(*i, *o)] if i or o else by_operator) * term
+            term = term * (by_variable[(*q, *w)] if q or w else by_variable)
+            total = total + (ufl.as_tensor(term, (*i, *w)) if i or w else term)
+        return apply_algebra_lowering(total)
+
+    def _block(self, row: int, column: int) -> TangentBlock | None:
+        slots, fluxes = self.slots, self._fluxes[True][row]
+        variables = slots.value[column], slots.gradient[column]
+        parts = [[self._through(flux, variable) for variable in variables] for flux in fluxes]
+        empty = [[isinstance(part, Zero) for part in both] for both in parts]
+        if all(e for both in empty for e in both):
+            return None
+        row_value = not all(empty[0])
+        value = not (empty[0][0] and empty[1][0])
+        gdim = slots.points.gdim
+
+        def places(space: Space, with_value: bool):
+            for i in np.ndindex(*space.increment.ufl_shape):
+                if with_value:
+                    yield 0, i
+                for j in range(gdim):
+                    yield 1, (*i, j)
+
+        components = [
+            _at(parts[s][r], (*i, *j))
+            for s, i in places(slots.spaces[row], row_value)
+            for r, j in places(slots.spaces[column], value)
+        ]
+        program = compile_program(slots.points.grid, components, slots.sources)
+        return TangentBlock(program, row_value, value)
 
 
 @dataclass(frozen=True)
 class SplitForm:
-    """A weak form, split and compiled."""
+    """A weak form, split.
 
-    points: PointTerms
-    ordinary: OrdinaryTerms
-    has_ordinary: bool
+    Attributes:
+        regions: Terms of the points, one entry for every part of the body with terms of
+            its own.
+        grid: Terms over the grid.
+        declared: Numbers of the laws that the form declares; see `MaterialPoints.declarations`.
+    """
+
+    regions: list[PointTerms]
+    grid: GridTerms
+    declared: list[int]
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
-    """Split a weak form and compile its pointwise part. Collective.
+    """Split a weak form. Collective.
 
     Args:
         form: Weak form, linear in the spaces' test functions.
@@ -138,12 +373,6 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     ordinary: list[Any] = []
     for integral in form.integrals():
         if integral.integral_type() == "custom":
-            if integral.subdomain_id() != "everywhere":
-                raise FormError(
-                    f"the term '{_short(integral.integrand())}' restricts a measure of points to "
-                    f"subdomain {integral.subdomain_id()}; multiply with a field of the points "
-                    "that is 0 or 1 instead"
-                )
             if "points" not in integral.metadata():
                 raise FormError(
                     f"the term '{_short(integral.integrand())}' gives a measure of points metadata "
@@ -159,8 +388,9 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             _check_ordinary(integral, spaces)
             ordinary.append(integral)
     _check_tags(ordinary)
+    declared = dict.fromkeys(i.metadata()["law"] for i in at_points if "law" in i.metadata())
     return SplitForm(
-        _point_terms(at_points, spaces, points), _ordinary_terms(ordinary, spaces), bool(ordinary)
+        _regions(at_points, spaces, points), GridTerms(ordinary, spaces), list(declared)
     )
 
 
@@ -224,69 +454,30 @@ def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
             raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
 
 
-def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
-    slots = Slots(spaces, points)
-    increments = [space.increment for space in spaces]
-    parts: dict[bool, list[Expr]] = {False: [], True: []}
-    for integral in integrals:
-        volume = slots.slot(("field", integral.metadata()["volume"]), ())
-        for term in _summands(integral.integrand()):
-            arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
-            if len(arguments) != 1:
-                raise FormError(
-                    f"the term '{_short(term)}' must be linear in one test function, it has "
-                    f"{len(arguments)}; an energy needs ufl.derivative(energy, u, v)"
-                )
-            parts[_varies(term, increments)].append(volume * slots.map(term))
+def _regions(integrals, spaces: Sequence[Space], points: MaterialPoints) -> list[PointTerms]:
+    """The points' terms, for each set of tags that has terms of its own. Collective."""
 
-    def program(terms: list[Expr]) -> tuple[Program | None, list[list[Expr]]]:
-        if not terms:
-            return None, []
-        total = sum(terms[1:], start=terms[0])
-        fluxes = [
-            [_derive(total, slots.test_value[k]), _derive(total, slots.test_gradient[k])]
-            for k in range(len(spaces))
-        ]
-        tests = {c for pair in zip(slots.test_value, slots.test_gradient) for c in pair}
-        for flux in (f for pair in fluxes for f in pair):
-            if any(node in tests for node in unique_pre_traversal(flux)):
-                raise FormError(
-                    f"'{_short(total)}' is not linear in the test function; an energy needs "
-                    "ufl.derivative(energy, u, v)"
-                )
-        return _flux_program(fluxes, slots), fluxes
+    def tags_of(integral) -> tuple[int, ...] | None:
+        given = integral.subdomain_id()
+        if given == "everywhere":
+            return None
+        return tuple(given) if isinstance(given, tuple) else (given,)
 
-    external, _ = program(parts[False])
-    internal, fluxes = program(parts[True])
-    operands: list[Program | tuple] = []
-    mapped = []
-    for operator in slots.operators:
-        expression = slots.map(expand_derivatives(operator.operand))
-        mapped.append(expression)
-        direct = [k for k in range(len(spaces)) if expression is slots.gradient[k]]
-        operands.append(
-            ("gradient", direct[0])
-            if direct
-            else compile_program(
-                points.grid,
-                [_at(expression, i) for i in np.ndindex(*expression.ufl_shape)],
-                slots.sources,
-            )
-        )
-    tangent, gradient_only = _tangent(fluxes, slots, mapped) if internal else (None, True)
-    by_mean = {}
-    for k, operator in enumerate(slots.operators):
-        if isinstance(operator.law, AveragingLaw):
-            if isinstance(operands[k], Program):
-                raise FormError(
-                    f"'{operator}' averages over cells and takes the gradient of an increment, not "
-                    f"'{_short(operator.operand)}'"
-                )
-            by_mean[k] = _flux_program(_by_mean(fluxes, slots, k), slots)
-    return PointTerms(
-        external, internal, tangent, gradient_only, slots.operators, operands, slots.functions,
-        slots.constants, by_mean,
-    )  # fmt: skip
+    mentioned = sorted({tag for i in integrals for tag in tags_of(i) or ()})
+    if not mentioned:
+        return [PointTerms(integrals, spaces, points)] if integrals else []
+    terms: dict[tuple[int, ...], set[int]] = {}
+    for tag in mentioned:
+        here = tuple(k for k, i in enumerate(integrals) if tag in (tags_of(i) or (tag,)))
+        terms.setdefault(here, set()).add(tag)
+    regions = [
+        PointTerms([integrals[k] for k in here], spaces, points, frozenset(tags))
+        for here, tags in terms.items()
+    ]
+    everywhere = [i for i in integrals if tags_of(i) is None]
+    if everywhere:
+        regions.append(PointTerms(everywhere, spaces, points, frozenset(mentioned), but=True))
+    return regions
 
 
 def _flux_program(fluxes, slots: Slots) -> Program:
@@ -298,68 +489,12 @@ def _flux_program(fluxes, slots: Slots) -> Program:
     return compile_program(slots.points.grid, components, slots.sources)
 
 
-def _by_mean(fluxes, slots: Slots, k: int) -> list[list[Expr]]:
-    """Derivative of the fluxes by the mean that the k-th operator takes over cells."""
-    shape = slots.operators[k].ufl_shape
-    slope = slots.slot(("operator by mean", k), shape)
-
-    def through(flux: Expr) -> Expr:
-        i, o = ufl.indices(len(flux.ufl_shape)), ufl.indices(len(shape))
-        by_operator = _derive(flux, slots.operator_value[k])
-        if isinstance(by_operator, Zero):
-            return Zero(flux.ufl_shape)
-        term = by_operator[(*i, *o)] * slope[o] if o else by_operator * slope
-        return apply_algebra_lowering(ufl.as_tensor(term, i) if i else term)
-
-    return [[through(flux) for flux in pair] for pair in fluxes]
-
-
 def _derive(expression: Expr, variable: Expr) -> Expr:
     return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
 
 
 def _at(expression: Expr, index: tuple[int, ...]) -> Expr:
     return expression[index] if index else expression
-
-
-def _tangent(fluxes, slots: Slots, operands: Sequence[Expr]) -> tuple[Program, bool]:
-    """Derivative of the fluxes by the increments' values and gradients."""
-    points = slots.points
-
-    def block(flux: Expr, variable: Expr) -> Expr:
-        total = _derive(flux, variable)
-        for k, operator in enumerate(slots.operators):
-            by_operator = _derive(flux, slots.operator_value[k])
-            by_variable = _derive(operands[k], variable)
-            if isinstance(by_operator, Zero) or isinstance(by_variable, Zero):
-                continue
-            shape, inner = operator.ufl_shape, operands[k].ufl_shape
-            slope = slots.slot(("operator tangent", k), (*shape, *inner))
-            i = ufl.indices(len(flux.ufl_shape))
-            o = ufl.indices(len(shape))
-            q = ufl.indices(len(inner))
-            w = ufl.indices(len(variable.ufl_shape))
-            term = slope[(*o, *q)]
-            term = (by_operator[(*i, *o)] if i or o else by_operator) * term
-            term = term * (by_variable[(*q, *w)] if q or w else by_variable)
-            total = total + (ufl.as_tensor(term, (*i, *w)) if i or w else term)
-        return apply_algebra_lowering(total)
-
-    tests = [(k, s) for k in range(len(fluxes)) for s in (0, 1)]
-    variables = {(k, 0): slots.value[k] for k in range(len(fluxes))}
-    variables |= {(k, 1): slots.gradient[k] for k in range(len(fluxes))}
-    blocks = {(t, w): block(fluxes[t[0]][t[1]], variables[w]) for t in tests for w in tests}
-    gradient_only = all(
-        isinstance(blocks[t, w], Zero) for t in tests for w in tests if t[1] == 0 or w[1] == 0
-    )
-    rows = []
-    for k, space in enumerate(slots.spaces):
-        for i in np.ndindex(*space.increment.ufl_shape):
-            if not gradient_only:
-                rows.append((k, 0, i))
-            rows += [(k, 1, (*i, j)) for j in range(points.gdim)]
-    components = [_at(blocks[(k, s), (m, r)], (*i, *j)) for k, s, i in rows for m, r, j in rows]
-    return compile_program(points.grid, components, slots.sources), gradient_only
 
 
 def _without_zeros(form: ufl.Form) -> ufl.Form | None:
@@ -370,44 +505,3 @@ def _without_zeros(form: ufl.Form) -> ufl.Form | None:
         if terms:
             kept.append(integral.reconstruct(sum(terms[1:], start=terms[0])))
     return ufl.Form(kept) if kept else None
-
-
-def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
-    increments = [space.increment for space in spaces]
-    parts: dict[bool, list[Any]] = {False: [], True: []}
-    for integral in integrals:
-        for varies in parts:
-            terms = [t for t in _summands(integral.integrand()) if _varies(t, increments) == varies]
-            if terms:
-                parts[varies].append(integral.reconstruct(sum(terms[1:], start=terms[0])))
-
-    def by_field(pieces) -> list[ufl.Form | None]:
-        if not pieces:
-            return [None] * len(spaces)
-        whole = ufl.Form(pieces)
-        result = []
-        for space in spaces:
-            others = {s.test: Zero(s.test.ufl_shape) for s in spaces if s is not space}
-            one = ufl.replace(whole, others) if others else whole
-            result.append(_without_zeros(expand_derivatives(one)))
-        return result
-
-    internal = by_field(parts[True])
-    jacobian: list[list[ufl.Form | None]] = []
-    for one in internal:
-        row: list[ufl.Form | None] = []
-        for space in spaces:
-            form = None
-            if one is not None:
-                trial = ufl.TrialFunction(space.function_space)
-                form = _without_zeros(ufl.derivative(one, space.increment, trial))
-            row.append(form)
-        jacobian.append(row)
-    linear = not any(
-        isinstance(c, Coefficient) and any(c is u for u in increments)
-        for row in jacobian
-        for form in row
-        if form is not None
-        for c in form.coefficients()
-    )
-    return OrdinaryTerms(by_field(parts[False]), internal, jacobian, linear)

@@ -169,3 +169,11 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")
     h.x.array[:] = sizes
     return h
+
+
+@once_per_grid
+def largest_cell(grid: Mesh) -> float:
+    """Size of the largest cell (m), see `cell_size`. Collective."""
+    h = cell_size(grid)
+    sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
+    return float(grid.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX))

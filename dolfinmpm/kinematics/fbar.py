@@ -38,7 +38,7 @@ class StrainFramework(Protocol):
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
         """See `PointwiseLaw`."""
 
-    def commit(self, operand: Array) -> dict[str, Array]:
+    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
         """See `PointwiseLaw`."""
 
     def describe(self, operand: Array, row: int) -> str:
@@ -228,16 +228,15 @@ class FBar:
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
         return -1
 
-    def commit(self, operand: Array) -> dict[str, Array]:
+    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
         """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
         points = self.points
         changed = np.empty_like(operand)
-        _replace_volume(
-            operand, self._measure, self._mean, points.gdim, self._multiplicative, changed
-        )
-        new = self.framework.commit(changed)
+        measure, mean = self._measure[rows], self._mean[rows]
+        _replace_volume(operand, measure, mean, points.gdim, self._multiplicative, changed)
+        new = self.framework.commit(changed, rows)
         if self._multiplicative:
             # the framework took det ΔF̄ times the true det F before the step for its volume
-            new["stress"] *= self._history(slice(None))[:, None, None]
-            new["J_bar"] = points["J_bar"] * self._mean
+            new["stress"] *= self._history(rows)[:, None, None]
+            new["J_bar"] = points["J_bar"][rows] * mean
         return new

@@ -136,17 +136,14 @@ class Framework:
         A = np.empty((0, 1, 1)) if tangent is None else tangent
         return self._run(operand, value, A, tangent is not None, rows, *nothing)
 
-    def commit(self, operand: Array) -> dict[str, Array]:
+    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
-        points = self.points
-        n = len(points)
+        n = len(rows)
         new = {self.state: np.empty((n, 6)), "stress": np.empty((n, 3, 3))}
         internal = np.empty((n, len(self.law.internal)))
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
-            bad = self._run(
-                operand, *none, False, slice(None), new[self.state], internal, new["stress"]
-            )
+            bad = self._run(operand, *none, False, rows, new[self.state], internal, new["stress"])
             if bad >= 0:
                 for values in new.values():
                     values[bad:] = np.nan

@@ -1,6 +1,7 @@
 """Solvers: each takes a weak form through time or load."""
 
 from dolfinmpm.solve.arclength import ArcLength, ArcRecord
-from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["ArcLength", "ArcRecord", "QuasiStatic", "StepRecord"]
+__all__ = ["ArcLength", "ArcRecord", "QuasiStatic", "Step", "StepRecord"]

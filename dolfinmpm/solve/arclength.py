@@ -16,9 +16,12 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.solve.bordered import BorderedSystem, Constraint, LoadFactor
-from dolfinmpm.solve.newton import NewtonSystem
-from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord, _space_of
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
+from dolfinmpm.solve.path import PathBorder
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.setup import space_of
+from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["ArcLength", "ArcRecord"]
 
@@ -37,6 +40,28 @@ class ArcRecord(StepRecord):
     factor: float = 0.0
     displacement: float = 0.0
     length: float = 0.0
+
+
+class Pace:
+    """How long the next step along a path is to be.
+
+    Args:
+        target: Iterations aimed at.
+        longest: Bound of the lengths (m).
+    """
+
+    def __init__(self, target: int, longest: float):
+        self.target, self.longest = target, longest
+
+    def next(self, length: float, iterations: int) -> float:
+        """The next length (m), by Ramm's rule ℓ √(n*/n).
+
+        Args:
+            length: Length of the step (m).
+            iterations: Iterations that it took.
+        """
+        ratio = min(2.0, max(0.5, math.sqrt(self.target / iterations)))
+        return math.copysign(min(abs(length) * ratio, self.longest), length)
 
 
 class ArcLength(QuasiStatic):
@@ -80,7 +105,6 @@ class ArcLength(QuasiStatic):
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
-    system: BorderedSystem
 
     def __init__(
         self,
@@ -99,7 +123,7 @@ class ArcLength(QuasiStatic):
         **options: Any,
     ):
         u = increment[0] if isinstance(increment, Sequence) else increment
-        space = _space_of(u)
+        space = space_of(u)
         if u.ufl_shape != (points.gdim,):
             raise ParameterError(
                 f"the first increment must be a displacement of {points.gdim} components, got "
@@ -121,26 +145,26 @@ class ArcLength(QuasiStatic):
                 f"first = {first} must be finite and not zero, target_iterations = "
                 f"{target_iterations} at least 1"
             )
-        self._constraint = Constraint(control, u, space.test, points)
-        if self._constraint.linear and length is None:
+        constraint = Constraint(control, u, space.test, points)
+        if constraint.linear and length is None:
             raise ParameterError("displacement control needs the length of its first step (m)")
-        if not self._constraint.linear and length is not None and length < 0:
+        if not constraint.linear and length is not None and length < 0:
             raise ParameterError(f"length = {length} m of an arc must be positive; see `first`")
         constants = list(load) if isinstance(load, Sequence) else [load]
-        self._factor = LoadFactor(form, points.grid, constants, factor)
+        load_factor = LoadFactor(form, points.grid, constants, factor)
         # what a point did last goes with it from grid to grid and from rank to rank
-        self._trail = points.add_field("arc_increment", (points.gdim,), "m")
+        trail = points.add_field("arc_increment", (points.gdim,), "m")
         updates = {**(options.pop("updates", None) or {}), "arc_increment": u}
         super().__init__(form, increment, points, bcs, updates=updates, **options)
-        self._factor.set(factor)
+        self.path = PathBorder(load_factor, constraint, trail, self.form.spaces, points)
+        self.form.also |= self.path.moving
+        self.path.length, self.path.first = length, first
+        self.solver = Bordered(self.newton, self.path)
+        load_factor.set(factor)
         self._loads.release()
         self.factor = float(factor)
-        self.system.length, self.system.first = length, first
-        self._target, self._longest = target_iterations, max_length
+        self._pace = Pace(target_iterations, max_length)
         self._travelled = 0.0
-
-    def _system_of(self, *arguments: Any) -> NewtonSystem:
-        return BorderedSystem(arguments, self._factor, self._constraint, self._trail)
 
     def step(self) -> ArcRecord:
         """Take one step along the path. Collective.
@@ -153,33 +177,33 @@ class ArcLength(QuasiStatic):
         """
         started = time.perf_counter()
         self._record = record = ArcRecord()
-        system = self.system
-        wanted = system.length
+        path = self.path
+        wanted = path.length
         try:
             while True:
-                self._factor.set(self.factor)
-                reason = self._attempt(1.0)
-                if reason is None:
+                path.load.set(self.factor)
+                failed = self._attempt(Step())
+                if failed is None:
                     break
-                if record.halvings == self.max_halvings or system.length is None:
-                    raise ConvergenceError(self._lost(reason))
+                if record.halvings == self.max_halvings or path.length is None:
+                    raise ConvergenceError(self._lost(failed))
                 record.halvings += 1
-                system.length *= 0.5
+                path.length *= 0.5
         except BaseException:
-            self._factor.set(self.factor)
-            system.length = wanted
+            path.load.set(self.factor)
+            path.length = wanted
             raise
         finally:
             self._loads.release()
-        assert system.length is not None
-        system.last_change = self._factor.value - self.factor
-        self.factor = record.factor = self._factor.value
-        record.parts, record.length = 1, system.length
-        self._travelled += system.length if self._constraint.linear else 0.0
-        record.displacement = self._travelled if self._constraint.linear else self._moved()
-        ratio = min(2.0, max(0.5, math.sqrt(self._target / system.iterations)))
-        size = min(abs(system.length) * ratio, self._longest)
-        system.length = math.copysign(size, system.length)
+        assert path.length is not None
+        # of the attempt that succeeded alone: the predictor and the corrections
+        last = len(record.residuals)
+        path.last_change = path.load.value - self.factor
+        self.factor = record.factor = path.load.value
+        record.parts, record.length = 1, path.length
+        self._travelled += path.length if path.constraint.linear else 0.0
+        record.displacement = self._travelled if path.constraint.linear else self._moved()
+        path.length = self._pace.next(path.length, last)
         record.seconds = time.perf_counter() - started
         self.history.append(record)
         return record
@@ -191,11 +215,13 @@ class ArcLength(QuasiStatic):
         total = self.comm.allreduce(np.array([square, points["V0"].sum()]), op=MPI.SUM)
         return math.sqrt(total[0] / total[1])
 
-    def _lost(self, reason: str) -> str:
-        last = f"{self.system.residuals[-1]:.3g}" if self.system.residuals else "none"
+    def _lost(self, failed: Failed) -> str:
+        residuals = self._record.residuals
+        last = f"{residuals[-1]:.3g}" if residuals else "none"
         return (
             f"step {len(self.history) + 1} of the path failed at the load factor {self.factor:.6g} "
-            f"with a length of {self.system.length:.3g} m: {reason}; the relative out-of-balance "
-            f"force is {last} (tolerance {self._tolerance:g}), the worst is {self._worst()}. The "
-            "state is that before the step: add stabilisation, or choose another control"
+            f"with a length of {self.path.length or math.nan:.3g} m: {failed.reason}; the relative "
+            f"out-of-balance force is {last} (tolerance {self.newton.tolerance:g}), the worst is "
+            f"{failed.worst}. The state is that before the step: add stabilisation, or choose "
+            "another control"
         )

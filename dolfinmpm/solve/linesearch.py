@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-__all__ = ["SEARCHES", "has_search", "name_of", "set_search"]
+__all__ = ["SEARCHES", "name_of", "set_search"]
 
 # In the order in which they are tried: full steps, then those to where the residual has no
 # component along the step, which is what ends cycles between two states.
@@ -16,11 +16,6 @@ _REASONS = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinsta
 def name_of(reason: int) -> str:
     """PETSc's name for why SNES ended."""
     return _REASONS.get(reason, str(reason))
-
-
-def has_search(prefix: str) -> bool:
-    """Whether the user has chosen a line search."""
-    return PETSc.Options().hasName(prefix + _OPTION)
 
 
 def set_search(snes: PETSc.SNES, prefix: str, kind: str) -> None:

@@ -1,68 +1,43 @@
-"""Quasi-static steps: activate → solve → commit → move → migrate."""
+"""Quasi-static steps: activate → solve → advance → commit → migrate."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.errors import (
-    ConvergenceError,
-    FormError,
-    ParameterError,
-    PointsOutsideGridError,
-    call_together,
-    raise_together,
-)
-from dolfinmpm.assembly.evaluation import PointUpdates
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
+from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.space import Space
-from dolfinmpm.body.location import destinations
+from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation, Field, Prolongate, activate
+from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.splitting import split
-from dolfinmpm.grid.lattice import cell_size
-from dolfinmpm.kinematics import parameters_at, update_domains
-from dolfinmpm.materials.base import Law
+from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.solve.advance import NewState, advance, commit
 from dolfinmpm.solve.loads import Loads
-from dolfinmpm.solve.newton import NewtonSystem, Prolongate
+from dolfinmpm.solve.newton import Newton, Solver
+from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.options import Options
+from dolfinmpm.solve.setup import (
+    Remedies,
+    check_arguments,
+    remedies_of,
+    space_of,
+    updates_of,
+    with_remedies,
+)
+from dolfinmpm.solve.step import Failed, Step, StepRecord
 
-__all__ = ["QuasiStatic", "StepRecord"]
-
-
-@dataclass
-class StepRecord:
-    """What one call of `step` did.
-
-    Attributes:
-        iterations: Newton iterations, those of failed attempts included.
-        residuals: Relative out-of-balance force before and after each iteration
-            of the last part of the step.
-        parts: Converged parts that the step was made of.
-        halvings: How often it was halved.
-        unknowns: Unknowns in the last part.
-        migrated: Points that changed rank.
-        seconds: Wall time (s).
-    """
-
-    iterations: int = 0
-    residuals: list[float] = field(default_factory=list)
-    parts: int = 0
-    halvings: int = 0
-    unknowns: int = 0
-    migrated: int = 0
-    seconds: float = 0.0
+__all__ = ["QuasiStatic"]
 
 
 class QuasiStatic:
@@ -89,17 +64,21 @@ class QuasiStatic:
         updates: Fields of the points that a converged step sets to UFL
             expressions of state and increment, by name.
         stabilisation: Remedy against small cuts: a `Stabilisation`, or the name of
-            one with its usual parameters.
+            one with its usual parameters; one for all fields, or a list with one for each.
         prolongation: Function of stencils and active nodes that returns a matrix C,
             shape (nodes, nodes), by which some nodes' values follow from others'.
-        options_prefix: Prefix of the PETSc options that change the solver.
-        petsc_options: Such options, without the prefix.
+        options_prefix: Prefix of PETSc options that change the solver: those in PETSc's
+            database and on the command line, such as `-mpm_ksp_type cg`, hold for every
+            problem of that prefix.
+        petsc_options: Options of this problem alone, without the prefix.
 
     Attributes:
         history: One record a step.
-        bcs: The essential conditions.
-        stabilisation: The remedy with all its parameters.
-        system: The nonlinear system of the present step.
+        points: The material points.
+        fields: The fields, with their spaces and remedies.
+        form: The weak form, made ready.
+        solver: What solves a step's equations.
+        here: What took part in the last step, or None before the first.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -118,68 +97,75 @@ class QuasiStatic:
         max_iterations: int = 20,
         max_halvings: int = 10,
         updates: dict[str, Expr] | None = None,
-        stabilisation: Stabilisation | str = "none",
+        stabilisation: Remedies = "none",
         prolongation: Prolongate | None = None,
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
     ):
         increments = list(increment) if isinstance(increment, Sequence) else [increment]
-        spaces = [_space_of(u) for u in increments]
-        if any(space.basis is not spaces[0].basis for space in spaces):
-            raise ParameterError("all fields of a problem must have the same basis on one grid")
-        if spaces[0].grid is not points.grid:
-            raise ParameterError("the material points live on another grid than the increment")
-        if not (math.isfinite(tolerance) and 0 < tolerance < 1):
-            raise ParameterError(f"tolerance = {tolerance} must be between 0 and 1")
-        if max_iterations < 1 or max_halvings < 0:
-            raise ParameterError(
-                f"max_iterations = {max_iterations} must be at least 1, max_halvings = "
-                f"{max_halvings} at least 0"
-            )
-        for condition in bcs:
-            if not isinstance(condition, Condition):
-                raise ParameterError(
-                    f"bcs holds a {type(condition).__name__}; use mpm.fixed, mpm.rollers or "
-                    "mpm.prescribed"
-                )
+        spaces = [space_of(u) for u in increments]
+        check_arguments(points, spaces, bcs, tolerance, max_iterations, max_halvings)
         self.points = points
-        self.comm: MPI.Intracomm = points.comm
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
-        self.bcs = list(bcs)
-        self.stabilisation = remedy = _with_modulus(stabilisation, form, points)
-        trial = increments[0], spaces[0].test
-        extra = remedy.force_terms(points, *trial)
-        parts = split(form if extra is None else form + extra, spaces, points)
-        tangent = remedy.tangent_terms(points, *trial)
-        tangent_terms = None if tangent is None else split(tangent, spaces, points).ordinary
-        self.system = self._system_of(
-            parts, spaces, points, bcs, tolerance, max_iterations, prolongation, remedy,
-            tangent_terms, options_prefix, petsc_options or {},
-        )  # fmt: skip
-        self._tolerance = tolerance
-        self._updates = PointUpdates({**points.updates, **(updates or {})}, spaces, points)
-        loads: list[Any] = list(parts.points.constants)
-        loads += [function for function, _ in parts.points.functions]
-        if self.system.ordinary:
-            loads += self.system.ordinary.constants() + self.system.ordinary.functions()
-        for condition in bcs:
-            if any(condition.value is load for load in loads):
+        remedies = remedies_of(stabilisation, spaces, form, points)
+        self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
+        whole, softening = with_remedies(form, self.fields, points)
+        self.form = WeakForm(whole, spaces, points, softening)
+        self.here: Activation | None = None
+        self._held = Held(bcs, spaces)
+        self._updates = updates_of(self.form, updates or {})
+        options = Options(self, options_prefix, petsc_options or {})
+        softened = self.form.softening is not None
+        self.solver = self._solver_of(
+            Newton(points.comm, points.gdim, softened, options, tolerance, max_iterations)
+        )
+        for condition in self.bcs:
+            if any(condition.value is load for load in self.form.loads):
                 raise ParameterError(
                     f"a constant is both a load of the form and the increment prescribed at "
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
-        self._loads = Loads(loads, increments)
-        self._moves = increments[0].ufl_shape == (points.gdim,)
-        h = cell_size(points.grid)
-        sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
-        self._cell_size = self.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
+        self._loads = Loads(self.form.loads, increments)
         self._share = 1.0
         self._record = StepRecord()
+        settle(points, self.configuration)
 
-    def _system_of(self, *arguments: Any) -> NewtonSystem:
-        """The nonlinear system; solvers with more equations make another."""
-        return NewtonSystem(*arguments)
+    def _solver_of(self, newton: Newton) -> Solver:
+        """What solves a step; problems with more equations put a border around it."""
+        return newton
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the points."""
+        return self.points.comm
+
+    @property
+    def bcs(self) -> list[Condition]:
+        """The essential conditions."""
+        return self._held.conditions
+
+    @property
+    def stabilisation(self) -> Stabilisation | list[Stabilisation]:
+        """The remedy with all its parameters, a list of several fields' ones."""
+        remedies = [field.remedy for field in self.fields]
+        return remedies if len(remedies) > 1 else remedies[0]
+
+    @property
+    def configuration(self) -> str:
+        """Configuration that stencils and gradients are taken in."""
+        return self.fields[0].space.configuration
+
+    @property
+    def newton(self) -> Newton:
+        """Newton's method, which has the tolerances and the linear solver."""
+        solver: Any = self.solver
+        return getattr(solver, "newton", solver)
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the points move with the first field."""
+        return self.fields[0].space.increment.ufl_shape == (self.points.gdim,)
 
     def step(self) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.
@@ -199,15 +185,16 @@ class QuasiStatic:
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
-                self._loads.set(done + share)
-                reason = self._attempt(share)
-                if reason is None:
+                step = Step(done + share, share, share)
+                self._loads.set(step.t)
+                failed = self._attempt(step)
+                if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
                     record.parts += 1
                     share = min(1.0, 2.0 * share)
                     continue
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
-                    raise ConvergenceError(self._failure(reason, done, share))
+                    raise ConvergenceError(self._failure(failed, step))
                 record.halvings += 1
                 share *= 0.5
         except BaseException:
@@ -221,130 +208,71 @@ class QuasiStatic:
         self.history.append(record)
         return record
 
+    def activate(self, step: Step | None = None) -> Activation:
+        """What takes part in a step from where the points are now. Collective.
+
+        Args:
+            step: The step; all of it by default.
+        """
+        share = 1.0 if step is None else step.share
+        self.here = activate(self.points, self.fields, self._held, self.form, share, self.here)
+        return self.here
+
+    def operator(self) -> Operator:
+        """The weak form on what takes part now: residual, tangent and external. Collective."""
+        return self.form.on(self.activate())
+
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
-        self.system.activate(1.0)
-        return self.system.tangent_matrix()
+        operator = self.operator()
+        operator.rest()
+        matrix = Matrix(operator.here.pattern, operator.here.unknowns)
+        operator.tangent(matrix)
+        return matrix.petsc
 
-    def _attempt(self, share: float) -> str | None:
-        """Solve and commit a share of the step; returns why not, the state being untouched."""
-        system = self.system
-        raise_together(self.comm, self.points.fault())
-        system.activate(share)
-        reason = system.solve()
-        self._record.iterations += system.iterations
-        self._record.residuals = system.residuals
-        self._record.unknowns = system.unknowns.total
-        return self._commit() if reason is None else reason
-
-    def _commit(self) -> str | None:
-        """Write the converged state and move the points; returns why not, the state untouched."""
-        points, evaluator, d = self.points, self.system.evaluator, self.points.gdim
-        new = evaluator.commit()
-        new |= self._updates.run(evaluator)
-        bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
-        if self._moves:
-            dF = evaluator.gradient[:, :d] + np.eye(d)
-            new["F"] = np.ascontiguousarray(dF @ points["F"])
-            J = np.linalg.det(new["F"])
-            bad = np.flatnonzero(~(J > 0))
-            new["V"] = J * points["V0"]
-            new["x"] = points["x"] + evaluator.value[:, :d]
-            if self.system.basis.averaged:
-                new["l"] = update_domains(new["F"], points["l0"])
-        finite = all(np.isfinite(values).all() for values in new.values())
-        if not self.comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
-            evaluator.failed_point = int(bad[0]) if bad.size else evaluator.failed_point
-            return "a material point's state is not finite or its volume not positive"
-        destination = None
-        if self._moves:
-            destination = destinations(points.grid, new["x"], points["cell"])
-            lost = np.flatnonzero(destination.rank < 0)
-            far = np.any(np.abs(evaluator.value[lost, :d]) > self._cell_size)
-            if self.comm.allreduce(bool(far), op=MPI.LOR):
-                # Newton may find a state of equilibrium on the far side of a singular one
-                return "material points would be thrown out of the grid, further than a cell"
-            raise_together(self.comm, self._outside(new["x"], lost))
-        for name, values in new.items():
-            points.fields[name][...] = values
-        self.system.fill_functions()
-        if destination is not None:
-            self._record.migrated += points.migrate(destination)
+    def _attempt(self, step: Step) -> Failed | None:
+        """Solve and commit a step; returns why not, the state being untouched."""
+        points, record = self.points, self._record
+        raise_together(self.comm, points.fault())
+        operator = self.form.on(self.activate(step))
+        outcome = self.solver.solve(operator)
+        record.iterations += outcome.iterations
+        record.residuals = outcome.residuals
+        record.unknowns = operator.here.unknowns.total
+        state: NewState | str | None = outcome.reason
+        if state is None:
+            state = advance(
+                operator, self._updates, self._moves, largest_cell(points.grid),
+                len(self.history) + 1,
+            )  # fmt: skip
+        if isinstance(state, str):
+            return Failed(state, self._worst(operator))
+        record.migrated += commit(points, state)
+        operator.fill_functions()
         return None
 
-    def _outside(self, x, lost) -> PointsOutsideGridError | None:
-        if lost.size == 0:
-            return None
-        p = lost[0]
-        return PointsOutsideGridError(
-            f"{lost.size} material points would leave the grid in step {len(self.history) + 1}; "
-            f"point {self.points['id'][p]} goes from {self.points['x'][p]} m to {x[p]} m. The "
-            "state is that before it: enlarge the grid or hold the points with boundary conditions"
-        )
-
-    def _worst(self) -> str:
+    def _worst(self, operator: Operator) -> str:
         """The point whose law failed, or that is compressed most, for messages. Collective."""
-        points, evaluator, d = self.points, self.system.evaluator, self.points.gdim
+        points, d = self.points, self.points.gdim
         found = None
         if len(points):
-            dF = evaluator.gradient[:, :d, :d] + np.eye(d) if self._moves else None
+            dF = operator.points.gradient[0][:, :d, :d] + np.eye(d) if self._moves else None
             J = np.linalg.det(dF) if dF is not None else np.ones(len(points))
-            failed = evaluator.failed_point >= 0
-            p = evaluator.failed_point if failed else int(np.argmin(np.nan_to_num(J, nan=-np.inf)))
+            failure = operator.points.failure
+            p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
             place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
-            cause = evaluator.failure()
-            place += f": {cause}" if cause else ""
-            found = (not failed, np.nan_to_num(J[p], nan=-np.inf), place)
+            place += f": {failure.cause}" if failure is not None and failure.cause else ""
+            found = (failure is None, np.nan_to_num(J[p], nan=-np.inf), place)
         candidates = [c for c in self.comm.allgather(found) if c is not None]
         return min(candidates)[2] if candidates else "none"
 
-    def _failure(self, reason: str, done: float, share: float) -> str:
-        last = f"{self.system.residuals[-1]:.3g}" if self.system.residuals else "none"
+    def _failure(self, failed: Failed, step: Step) -> str:
+        residuals = self._record.residuals
+        last = f"{residuals[-1]:.3g}" if residuals else "none"
         return (
-            f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
-            f"({self._loads.describe()}) with parts of {share:.3g}: SNES says {reason}, the "
-            f"relative out-of-balance force is {last} (tolerance {self._tolerance:g}); the worst "
-            f"is {self._worst()}. The state is that at {done:.4g} of the step: take smaller steps "
-            "or add stabilisation"
+            f"step {len(self.history) + 1} failed at {step.t:.4g} of its load "
+            f"({self._loads.describe()}) with parts of {step.share:.3g}: SNES says "
+            f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
+            f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
+            f"{step.t - step.share:.4g} of the step: take smaller steps or add stabilisation"
         )
-
-
-def _with_modulus(
-    stabilisation: Stabilisation | str, form: ufl.Form, points: MaterialPoints
-) -> Stabilisation:
-    """The remedy with the moduli of the form's law where it names none. Collective.
-
-    Of moduli that vary from point to point it takes the largest: too stiff a penalty
-    costs less than one that leaves the stiffest cells ill-conditioned.
-    """
-    remedy = Stabilisation(stabilisation) if isinstance(stabilisation, str) else stabilisation
-    if not isinstance(form, ufl.Form):
-        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
-    if not remedy.needs_modulus or remedy.E is not None:
-        return remedy
-    integrands = [integral.integrand() for integral in form.integrals()]
-    for coefficient in (c for i in integrands for c in extract_coefficients(i)):
-        law = getattr(getattr(coefficient, "law", None), "law", None)
-        if law is not None and "E" in law.values:
-            E, nu = _largest(law, points, "E"), _largest(law, points, "nu")
-            return replace(remedy, E=E, nu=nu)
-    raise ParameterError(
-        f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
-        f'mpm.Stabilisation("{remedy.kind}", E=...)'
-    )
-
-
-def _largest(law: Law, points: MaterialPoints, name: str) -> float:
-    """Largest value of a parameter over the points of all ranks; 0 if it has none. Collective."""
-    if name not in law.values:
-        return 0.0
-    column = list(law.parameters).index(name)
-    values = call_together(points.comm, lambda: parameters_at(law, points)[:, column])
-    return float(points.comm.allreduce(values.max(initial=-math.inf), op=MPI.MAX))
-
-
-def _space_of(increment: fem.Function) -> Space:
-    space = getattr(increment, "_dolfinmpm_space", None)
-    if space is None:
-        raise FormError(f"'{increment}' is not the increment of a dolfinmpm.Space")
-    return space

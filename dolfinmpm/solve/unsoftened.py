@@ -2,66 +2,50 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
-from dolfinx.la import InsertMode
 from petsc4py import PETSc
 
-from dolfinmpm.assembly.points import multiply_blocks
+from dolfinmpm.assembly.points import add_product
+from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["Unsoftened"]
 
 
 class Unsoftened:
-    """Product of a stiffened tangent less its stiffening with a vector, for PETSc.
+    """Product of a stiffened tangent less its stiffening with a vector, for PETSc. Collective.
 
     Left in the linear systems the stiffening would leave the forces on functions that
     hardly feel the body almost as they were, iteration by iteration.
 
     Args:
-        numbering: Numbering of the nodes.
-        components: Unknowns a node.
+        unknowns: Numbering of the unknowns.
+        blocks: The terms of the tangent only.
     """
 
-    def __init__(self, numbering: Numbering, components: int):
-        self._u, self._r = numbering.vector(components), numbering.vector(components)
-        self._shape = numbering.size, components
+    def __init__(self, unknowns: Unknowns, blocks: Sequence[Blocks]):
+        self._unknowns, self._blocks = unknowns, blocks
+        self._u, self._force = unknowns.nodal(), unknowns.nodal()
+        self._still = [u.copy() for u in self._u.arrays]
 
-    def operator(self, stiffened: PETSc.Mat, blocks: Any, unknowns: Unknowns) -> PETSc.Mat:
+    def operator(self, stiffened: PETSc.Mat) -> PETSc.Mat:
         """The tangent as a PETSc matrix. Collective.
 
         Args:
             stiffened: The tangent with the terms of the tangent only.
-            blocks: These: rows, columns and blocks between nodes.
-            unknowns: Unknowns of the nodes.
         """
-        self._matrix, self._blocks, self._unknowns = stiffened, blocks, unknowns
-        size = stiffened.getSizes()
-        shell = PETSc.Mat().createPython(size, self, comm=stiffened.comm)
+        self._matrix = stiffened
+        shell = PETSc.Mat().createPython(stiffened.getSizes(), self, comm=stiffened.comm)
         shell.setUp()
         return shell
-
-    def renew(self, blocks: Any) -> None:
-        """Take the terms of a new step."""
-        self._blocks = blocks
 
     def mult(self, matrix, x, y) -> None:
         """PETSc calls this. Collective."""
         self._matrix.mult(x, y)
-        unknowns = self._unknowns
-        nodal, forces = self._u.array.reshape(self._shape), self._r.array.reshape(self._shape)
-        nodal[:] = 0.0
-        forces[:] = 0.0
-        unknowns.scatter(x.getArray(readonly=True), nodal)
-        nodal[unknowns.fixed] = 0.0
-        parallel = unknowns.comm.size > 1
-        if parallel:
-            self._u.scatter_forward()
-        multiply_blocks(*self._blocks, nodal, forces)
-        if parallel:
-            self._r.scatter_reverse(InsertMode.add)
-        nodes = unknowns.owned_nodes
-        y.getArray()[:] -= forces[nodes][~np.asarray(unknowns.fixed)[nodes]]
+        self._unknowns.clear(self._force)
+        self._unknowns.expand(x.getArray(readonly=True), self._still, self._u)
+        for blocks in self._blocks:
+            add_product(blocks, self._u.arrays, self._force.arrays)
+        self._force.add_up()
+        y.getArray()[:] -= self._unknowns.restrict(self._force.arrays)

@@ -48,8 +48,8 @@ def conditioning(
         extra: Form added to that of the mass, such as a penalty of one's own; the
             stiffness has it in the problem's form.
     """
-    stiffness, points, remedy = problem, problem.points, problem.stabilisation
-    space = stiffness.system.spaces[0]
+    stiffness, points = problem, problem.points
+    space, remedy = stiffness.fields[0].space, stiffness.fields[0].remedy
     u, v = space.increment, space.test
     form = ufl.inner(points.density * u, v) * points.dX
     if extra is not None:
@@ -68,10 +68,11 @@ def conditioning(
         form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
     )
     K, M = stiffness.stiffness(), inertia.stiffness()
+    assert stiffness.here is not None
     return Conditioning(
-        condition_number(K, rigid_modes(stiffness.system)),
+        condition_number(K, rigid_modes(stiffness.here)),
         condition_number(M),
         critical_step(K, M),
         critical_step(K, M, lumped=True),
-        stiffness.system.unknowns.total,
+        stiffness.here.unknowns.total,
     )

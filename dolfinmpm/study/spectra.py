@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from scipy import linalg
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.solve.newton import NewtonSystem
+from dolfinmpm.cut.activation import Activation
 
 __all__ = ["condition_number", "critical_step", "rigid_modes"]
 
@@ -201,18 +201,19 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
     return 2 / math.sqrt(largest) if largest > 0 else math.inf
 
 
-def rigid_modes(system: NewtonSystem) -> Array:
-    """Translations and rotations in the unknowns of a system, shape (owned unknowns, n).
+def rigid_modes(here: Activation) -> Array:
+    """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
 
     Exact for every basis that reproduces linear functions. There are none if
     conditions hold the body anywhere.
     """
-    unknowns, d = system.unknowns, system.basis.grid.geometry.dim
-    nodes = unknowns.owned_nodes
-    held = bool(np.any(unknowns.fixed[nodes]))
-    if unknowns.comm.allreduce(held, op=MPI.LOR) or system.components != d:
+    unknowns, basis = here.unknowns, here.fields[0].basis
+    field, d = unknowns.fields[0], basis.grid.geometry.dim
+    nodes = field.owned_nodes
+    held = bool(np.any(field.fixed[nodes])) or field.components != d or len(unknowns.fields) > 1
+    if unknowns.comm.allreduce(held, op=MPI.LOR):
         return np.empty((unknowns.owned, 0))
-    x = system.basis.node_coordinates()[nodes, :d]
+    x = basis.node_coordinates()[nodes, :d]
     x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
     modes = [np.broadcast_to(np.eye(d)[i], x.shape) for i in range(d)]
     for i in range(d):

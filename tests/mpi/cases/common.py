@@ -42,7 +42,7 @@ def run(points, V, form, bcs, loads, gravity, **options):
     return problem, {
         "iterations": [record.iterations for record in problem.history],
         "unknowns": [record.unknowns for record in problem.history],
-        "active_cells": problem.system.active_cells,
+        "active_cells": problem.here.active_cells,
         "count": count,
         "moved": (moved > 0) if COMM.size > 1 else None,
         **sums(points, "x", "F", "stress", "l", "V"),

@@ -10,23 +10,19 @@ changes, and g_c how W_c M_c changes with the nodal increments.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.points import Pattern
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.stencils import add_weighted, running_sum
-from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.fractions import domain_shares
-from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.cut.pattern import Pattern
+from dolfinmpm.cut.unknowns import FieldUnknowns
 
-__all__ = ["CellCouplings", "CellMeans", "widen"]
+__all__ = ["CellCouplings", "CellMeans", "add_outer"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +43,8 @@ class CellMeans:
     """Means over cells, weighted with the points' volumes as they are now. Collective.
 
     Args:
-        points: Material points; reads V, x and, for the shares, l.
+        volume: Volumes of the points as they are now (m^d), shape (points,).
+        where: The points as the stencils see them.
         stencils: Their stencils.
         basis: The basis that these belong to.
 
@@ -59,10 +56,14 @@ class CellMeans:
     """
 
     def __init__(
-        self, points: MaterialPoints, stencils: Stencils, basis: LatticeBasis | LinearBasis
+        self,
+        volume: Array,
+        where: Placement,
+        stencils: Stencils,
+        basis: LatticeBasis | LinearBasis,
     ):
         self.cells = basis.cells
-        self.share_start, self.shares = domain_shares(points, stencils, basis)
+        self.share_start, self.shares = domain_shares(where, stencils, basis)
         s = stencils
         self._graph = s.order, s.groups, s.cell_start, s.cells, self.share_start, self.shares
         self._shared = self.cells.vector()
@@ -70,7 +71,7 @@ class CellMeans:
         # points of linear functions are in cells of their own rank only
         beyond = comm.size > 1 and s.cells.size > 0 and int(s.cells.max()) >= self.cells.owned
         self.exchanges = comm.size > 1 and comm.allreduce(bool(beyond), op=MPI.LOR)
-        self.weight = points["V"].copy()
+        self.weight = volume.copy()
         self.volume = self._sums(self.weight).copy()
 
     def _sums(self, values: Array) -> Array:
@@ -124,7 +125,7 @@ def _cell_nodes(
 @numba.njit(cache=True, error_model="numpy")
 def _add_forces(
     begin, end, groups, node_start, value_start, N, dN, cell_start, share_start, shares,
-    entry_start, entry, flux, out,
+    entry_start, entry, flux, column, out,
 ):  # fmt: skip
     components, gdim = out.shape[1], dN.shape[1]
     for g in range(begin, end):
@@ -136,38 +137,41 @@ def _add_forces(
             share = share_start[g] + (position - groups[g]) * number
             for a in range(m):
                 for i in range(components):
-                    f = N[at + a] * flux[p, i * (1 + gdim)]
+                    q = column + i * (1 + gdim)
+                    f = N[at + a] * flux[p, q]
                     for j in range(gdim):
-                        f += dN[at + a, j] * flux[p, i * (1 + gdim) + 1 + j]
+                        f += dN[at + a, j] * flux[p, q + 1 + j]
                     for k in range(number):
                         out[entry[entry_start[cell_start[g] + k] + a], i] += shares[share + k] * f
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_outer(start, nodes, volume, left, right, row_of, indptr, indices, data, prescribed, lift):
-    components = left.shape[1]
+def _add_outer(
+    row_start, row_nodes, start, nodes, volume, left, right, row_of, column_of, indptr, indices,
+    data, prescribed, lift,
+):  # fmt: skip
     for c in range(start.size - 1):
         # nodes and columns both increase: one walk along each row of the matrix
-        for a in range(start[c], start[c + 1]):
-            for i in range(components):
-                row = row_of[nodes[a], i]
+        for a in range(row_start[c], row_start[c + 1]):
+            for i in range(left.shape[1]):
+                row = row_of[row_nodes[a], i]
                 if row < 0:
                     continue
                 f = left[a, i] / volume[c]
                 at = indptr[row]
                 for b in range(start[c], start[c + 1]):
-                    for k in range(components):
-                        column = row_of[nodes[b], k]
+                    for k in range(right.shape[1]):
+                        column = column_of[nodes[b], k]
                         if column >= 0:
                             while indices[at] != column:
                                 at += 1
                             data[at] += f * right[b, k]
                         else:
-                            lift[nodes[a], i] += f * right[b, k] * prescribed[nodes[b], k]
+                            lift[row_nodes[a], i] += f * right[b, k] * prescribed[nodes[b], k]
 
 
 class CellCouplings:
-    """What couples all nodes seen by points that share a cell. Collective.
+    """The nodes of one field that points sharing a cell see: all are coupled. Collective.
 
     A cell at a rank border has points of several ranks: what they contribute goes
     to the rank that owns the cell, which adds the products to the matrix.
@@ -214,78 +218,67 @@ class CellCouplings:
             self._exchange = _Exchange(cells, numbering, nodes, self._start, self._nodes)
             self.complete = self._exchange.complete
 
-    def graph(self) -> Stencils:
-        """The stencils, and behind their groups the nodes of every cell; for `Pattern.build`."""
-        s = self._stencils
-        if self._simple:
-            return s
-        start, nodes = self._merged()
-        return replace(
-            s,
-            node_start=np.concatenate([s.node_start, s.node_start[-1] + start[1:]]).astype(
-                np.int64
-            ),
-            nodes=np.concatenate([s.nodes, nodes]),
-        )
+    def lists(self) -> tuple[npt.NDArray, npt.NDArray] | None:
+        """Lists of nodes that are coupled beyond those of the stencils; None if none are."""
+        return None if self._simple else self.merged()
 
-    def _merged(self):
-        """Nodes of the cells that this rank adds to the matrix."""
+    def merged(self) -> tuple[npt.NDArray, npt.NDArray]:
+        """Start and nodes of the cells that this rank adds to the matrix."""
         return (self._start, self._nodes) if self._exchange is None else self._exchange.lists
 
     def forces(self, components: int) -> Array:
         """Zeros, for every cell and each of its nodes, shape (entries, components)."""
         return np.zeros((self._nodes.size, components))
 
-    def add_forces(self, first: int, last: int, flux: Array, out: Array) -> None:
+    def add_forces(self, first: int, last: int, flux: Array, column: int, out: Array) -> None:
         """Add Σ_p s_pc (N_a f_p + ∇N_a · q_p) over the points of some groups.
 
         Args:
             first: The first of the groups.
             last: The group behind the last.
             flux: f and q of every component, as `add_vector` takes them.
+            column: First column of the field in the flux.
             out: Forces by cell and node, see `forces`.
         """
         s, means = self._stencils, self.means
         _add_forces(
             first, last, s.groups, s.node_start, s.value_start, s.N, s.dN, s.cell_start,
-            means.share_start, means.shares, self._entry_start, self._entry, flux, out,
+            means.share_start, means.shares, self._entry_start, self._entry, flux, column, out,
         )  # fmt: skip
 
-    def add_outer(
-        self, left: Array, right: Array, unknowns: Unknowns, pattern: Pattern, data: Array,
-        lift: Array,
-    ) -> None:  # fmt: skip
-        """Add Σ_c b_c g_cᵀ / W_c to the matrix. Collective.
-
-        Args:
-            left, right: b and g by cell and node, see `forces`.
-            unknowns: Rows of the nodes.
-            pattern: Where the matrix has entries.
-            data: The matrix's entries.
-            lift: Its columns of prescribed unknowns, times their values; shape
-                (nodes, components).
-        """
-        start, nodes = self._merged()
-        if self._exchange is not None:
-            left, right = self._exchange.merge(left, right)
-        _add_outer(
-            start, nodes, self.means.volume, left, right, unknowns.row_of, pattern.indptr,
-            pattern.indices, data, unknowns.prescribed, lift,
-        )  # fmt: skip
+    def summed(self, values: Array) -> Array:
+        """What all ranks have by cell and node, on the entries of `merged`. Collective."""
+        return values if self._exchange is None else self._exchange.merge(values)
 
 
-def widen(basis: LatticeBasis | LinearBasis) -> None:
-    """Let ranks know one more layer of the nodes that points of others see. Collective.
+def add_outer(
+    rows: CellCouplings,
+    columns: CellCouplings,
+    left: Array,
+    right: Array,
+    unknowns: tuple[FieldUnknowns, FieldUnknowns],
+    pattern: Pattern,
+    data: Array,
+    prescribed: Array,
+    lift: Array,
+) -> None:
+    """Add Σ_c b_c g_cᵀ / W_c to the matrix. Collective.
 
-    Raises:
-        ParameterError: The whole grid is known already.
+    Args:
+        rows, columns: Couplings of the row and the column field.
+        left, right: b and g by cell and node, see `CellCouplings.forces`.
+        unknowns: Unknowns of the two fields.
+        pattern: Where the matrix has entries.
+        data: The matrix's entries.
+        prescribed: Values of the column field's prescribed components, (nodes, components).
+        lift: The matrix's columns of prescribed unknowns, times their values; (nodes,
+            components) of the row field.
     """
-    if not isinstance(basis, LatticeBasis) or basis.halo.layers > max(basis.lattice.shape):
-        raise ParameterError(
-            "a prolongation ties nodes at a rank border differently on the two sides; make it a "
-            "function of the nodes' positions alone"
-        )
-    basis.extend(basis.halo.layers + 1)
+    _add_outer(
+        *rows.merged(), *columns.merged(), rows.means.volume, rows.summed(left),
+        columns.summed(right), unknowns[0].row_of, unknowns[1].row_of, pattern.indptr,
+        pattern.indices, data, prescribed, lift,
+    )  # fmt: skip
 
 
 class _Exchange:
@@ -337,11 +330,9 @@ class _Exchange:
         self._comm.Alltoallv(send, [came, self._arriving * width])
         return came
 
-    def merge(self, left: Array, right: Array) -> tuple[Array, Array]:
+    def merge(self, values: Array) -> Array:
         """Sums over ranks, on the entries of `lists`. Collective."""
-        both = np.hstack([left, right])
-        every = np.concatenate([both[self._own], self._swap(both[self._send])])
-        out = np.zeros((self.lists[1].size, both.shape[1]))
+        every = np.concatenate([values[self._own], self._swap(values[self._send])])
+        out = np.zeros((self.lists[1].size, values.shape[1]))
         np.add.at(out, self._to, every)
-        n = left.shape[1]
-        return np.ascontiguousarray(out[:, :n]), np.ascontiguousarray(out[:, n:])
+        return out

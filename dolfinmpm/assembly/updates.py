@@ -1,0 +1,71 @@
+"""Fields of the points that a converged step sets to UFL expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from ufl.algorithms import expand_derivatives
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.errors import FieldShapeError
+from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.pointwise import Program, compile_program
+from dolfinmpm.forms.slots import Slots
+
+__all__ = ["PointUpdates"]
+
+Array = npt.NDArray[np.float64]
+
+
+class PointUpdates:
+    """Fields that a converged step sets to UFL expressions of state and increment. Collective.
+
+    Args:
+        updates: Field name → expression.
+        spaces: Spaces of the increments.
+        points: Material points.
+        tags: Tags of the points that are meant, or None for all.
+
+    Raises:
+        FieldShapeError: An expression has another shape than its field.
+        FormError: An expression cannot be evaluated at the points.
+    """
+
+    def __init__(
+        self,
+        updates: Mapping[str, Expr],
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+        tags: tuple[int, ...] | None = None,
+    ):
+        self._slots = Slots(spaces, points)
+        self._programs: dict[str, Program] = {}
+        self._points, self._tags = points, tags
+        for name, expression in updates.items():
+            shape = points[name].shape[1:]
+            if expression.ufl_shape != shape:
+                raise FieldShapeError(
+                    f"field '{name}' has shape {shape} at a point, the expression that updates it "
+                    f"{expression.ufl_shape}"
+                )
+            mapped = self._slots.map(expand_derivatives(expression))
+            parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
+            self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
+
+    def run(self, evaluation: Evaluation, new: dict[str, Array]) -> None:
+        """Write the fields' new values into new arrays."""
+        if not self._programs:
+            return
+        points = self._points
+        rows: npt.NDArray[np.integer] = np.arange(len(points))
+        if self._tags is not None:
+            rows = np.flatnonzero(np.isin(points["tag"], self._tags))
+        for name, program in self._programs.items():
+            if name not in new:
+                new[name] = points[name].copy()
+            values = evaluation.run(self._slots, program, rows)
+            new[name][rows] = values.reshape(len(rows), *points[name].shape[1:])

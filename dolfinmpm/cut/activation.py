@@ -1,0 +1,421 @@
+"""What takes part in a step: stencils, active cells, ghost facets, C, unknowns, pattern.
+
+An activation is made for where the points are, or reused, and never changed. Before
+any stencil is made the overlap of the ranks is grown to what domains, roots and cell
+means need, so that no numbering changes behind what was computed in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from scipy import sparse
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis.space import Space, extraction
+from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
+from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
+from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
+from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans
+from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.unknowns import Unknowns
+
+__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "activate"]
+
+Basis = LatticeBasis | LinearBasis
+Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
+Entities = dict[int, npt.NDArray[np.int32]]
+
+
+class Region(Protocol):
+    """Points that are treated alike by a form."""
+
+    @property
+    def averages(self) -> bool:
+        """Whether a law takes means over cells."""
+
+    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
+        """Which points belong to it, or None if all do."""
+
+
+class Terms(Protocol):
+    """What an activation must know of a weak form."""
+
+    @property
+    def regions(self) -> Sequence[Region]:
+        """Parts of the body with terms of their own."""
+
+    @property
+    def moving(self) -> set[int]:
+        """Subdomain ids of the facets and cells that it integrates over as they are active."""
+
+    def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
+        """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of a problem: its space, and what is done against its small cuts.
+
+    Attributes:
+        space: The space.
+        remedy: The remedy.
+        prolongate: Function of stencils and active nodes that returns a matrix C, or None.
+    """
+
+    space: Space
+    remedy: Stabilisation
+    prolongate: Prolongate | None = None
+
+
+@dataclass(frozen=True)
+class ActiveField:
+    """A field on the active cells.
+
+    Attributes:
+        space: Its space.
+        basis: Its basis, with the overlap of ranks that the step needs.
+        seen: Stencils on all active nodes.
+        stencils: Stencils on the nodes that remain behind C.
+        nodes: These nodes, increasing.
+        C: Matrix from the nodes that remain to all nodes, or None.
+        to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
+        cells: Whether each local cell is active.
+        entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
+        penalty: Penalty of weak aggregation, or None.
+    """
+
+    space: Space
+    basis: Basis
+    seen: Stencils
+    stencils: Stencils
+    nodes: npt.NDArray[np.int32]
+    C: sparse.csr_matrix | None
+    to_grid: sparse.csr_matrix | None
+    cells: npt.NDArray[np.bool_]
+    entities: Entities
+    penalty: Blocks | None
+
+
+@dataclass(frozen=True)
+class ActiveRegion:
+    """A part of the body: stencils of its points, and couplings of its cell means.
+
+    Attributes:
+        stencils: Stencils in every field, in common groups.
+        couplings: What cell means couple, in every field, or None if there are none.
+    """
+
+    stencils: list[Stencils]
+    couplings: list[CellCouplings] | None
+
+
+@dataclass(frozen=True)
+class Participants:
+    """Points, fields and unknowns that take part in a step.
+
+    Attributes:
+        where: The points as the stencils see them.
+        total: Whether stencils are those at first positions.
+        fields: The fields.
+        unknowns: Numbering of the unknowns.
+    """
+
+    where: Placement
+    total: bool
+    fields: tuple[ActiveField, ...]
+    unknowns: Unknowns
+
+
+@dataclass(frozen=True)
+class Activation(Participants):
+    """What takes part in a step.
+
+    Attributes:
+        terms: The weak form that it is made for.
+        prescribed: Values of prescribed components, (nodes, components) for each field.
+        driven: Whether any of them is not zero.
+        regions: The parts of the body.
+        grid: Tangent of terms over the grid at the start of the step, between the nodes
+            that remain behind C.
+        soft: The same of terms of the tangent only.
+        pattern: Where the matrix has entries, on this rank.
+    """
+
+    terms: Terms
+    prescribed: list[npt.NDArray[np.float64]]
+    driven: bool
+    regions: list[ActiveRegion]
+    grid: list[Blocks]
+    soft: list[Blocks]
+    pattern: Pattern
+
+    @property
+    def active_cells(self) -> int:
+        """Number of cells that are active for the first field, on all ranks. Collective."""
+        first = self.fields[0]
+        own = int(first.cells[: first.basis.cells.owned].sum())
+        return self.unknowns.comm.allreduce(own, op=MPI.SUM)
+
+    @property
+    def ghost_facets(self) -> int:
+        """Number of ghost facets on all ranks that own them, 0 if no term asks. Collective."""
+        rows = self.fields[0].entities.get(GHOST_FACETS, np.empty(0, np.int32))
+        return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)
+
+
+def activate(
+    points: MaterialPoints,
+    fields: Sequence[Field],
+    held: Held,
+    terms: Terms,
+    share: float = 1.0,
+    old: Activation | None = None,
+) -> Activation:
+    """The activation for where the points are now. Collective.
+
+    Args:
+        points: Material points.
+        fields: Fields of the problem.
+        held: Its essential conditions.
+        terms: Its weak form.
+        share: Share of the step's prescribed increments.
+        old: A former activation of the same problem, of which is kept what did not change.
+    """
+    configuration = fields[0].space.configuration
+    where = points.placement(configuration)
+    total = configuration == "total"
+    if total and old is not None and _unmoved(points, where, old):
+        return _renewed(points, held, terms, share, old)
+    averages = any(region.averages for region in terms.regions)
+    bases = _bases(fields, where, averages)
+    seen = _shared(bases, lambda basis: basis.stencils(where))
+    nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
+    bases, nodes, roots = _with_roots(fields, bases, where, seen, nodes)
+    fixed, prescribed = held.at(bases, share)
+    entities = _entities(points, bases, seen, terms.moving)
+    active = []
+    for k, field in enumerate(fields):
+        active.append(
+            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], *entities[k])
+        )
+    unknowns = None if old is None else old.unknowns
+    remaining = [f.nodes for f in active]
+    if unknowns is None or not unknowns.same(remaining, fixed):
+        unknowns = Unknowns([b.nodes for b in bases], remaining, fixed)
+        old = None
+    grid, soft = terms.grid_blocks(active)
+    here = Participants(where, total, tuple(active), unknowns)
+    regions = [region_on(region, points, here) for region in terms.regions]
+    pattern = Pattern.build(
+        _lists(regions, active, unknowns),
+        unknowns,
+        _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns),
+        None if old is None else old.pattern,
+    )
+    driven = held.changing and held.driven
+    return Activation(
+        where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, pattern
+    )
+
+
+def region_on(region: Region, points: MaterialPoints, here: Participants) -> ActiveRegion:
+    """Stencils and couplings of a part of the body. Collective if it takes means over cells.
+
+    Args:
+        region: The part.
+        points: Material points.
+        here: What is active.
+    """
+    fields, unknowns = here.fields, here.unknowns
+    F = points["F"] if here.total else None
+    chosen = region.chosen(points["tag"])
+
+    def part(s: Stencils) -> Stencils:
+        return s if chosen is None else selected(s, chosen)
+
+    def made(stencils: list[Stencils]) -> list[Stencils]:
+        once = {id(s): part(s) for s in stencils}
+        together = joined([once[id(s)] for s in stencils])
+        if F is not None:
+            pushed = {id(s): pushed_forward(s, F) for s in together}
+            together = [pushed[id(s)] for s in together]
+        return together
+
+    stencils = made([f.stencils for f in fields])
+    couplings = None
+    if region.averages:
+        means = CellMeans(points["V"], here.where, part(fields[0].seen), fields[0].basis)
+        couplings = [
+            CellCouplings(means, s, f.basis.nodes, u.nodes)
+            for s, f, u in zip(stencils, fields, unknowns.fields)
+        ]
+        if not all(c.complete for c in couplings):
+            raise ParameterError(
+                "a prolongation ties nodes at a rank border differently on the two sides; make it "
+                "a function of the nodes' positions alone"
+            )
+    return ActiveRegion(stencils, couplings)
+
+
+def _unmoved(points: MaterialPoints, where: Placement, old: Activation) -> bool:
+    """Whether the points are those of an activation at first positions. Collective."""
+    same = where.x is old.where.x and where.cell.size == old.where.cell.size
+    return points.comm.allreduce(same, op=MPI.LAND)
+
+
+def _renewed(
+    points: MaterialPoints, held: Held, terms: Terms, share: float, old: Activation
+) -> Activation:
+    """The same activation at first positions, with gradients by the present ones. Collective."""
+    bases = [f.basis for f in old.fields]
+    _, prescribed = held.at(bases, share)
+    regions = [region_on(region, points, old) for region in terms.regions]
+    grid, soft = terms.grid_blocks(old.fields)
+    driven = held.changing and held.driven
+    return replace(old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft)
+
+
+def _shared(bases: Sequence[Basis], make: Callable[[Basis], Any]) -> list[Any]:
+    """What is made of a basis, once for fields of the same one."""
+    made: dict[int, Any] = {}
+    for basis in bases:
+        if id(basis) not in made:
+            made[id(basis)] = make(basis)
+    return [made[id(basis)] for basis in bases]
+
+
+def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Basis]:
+    """The bases with the overlap that domains, roots and cell means need. Collective."""
+    reach = _shared([f.space.basis for f in fields], lambda basis: basis.reach(where))
+    layers: dict[int, int] = {}
+    # cell means are of all fields' nodes around the cells that the first one's domains overlap
+    span = max(count for _, count in reach)
+    for field, (beyond, _) in zip(fields, reach):
+        basis = field.space.basis
+        need = beyond
+        if averages:
+            need = max(need, span - 1)
+        if field.remedy.ties_nodes:
+            need += SEARCH_RADIUS + basis.degree + 1
+        layers[id(basis)] = max(layers.get(id(basis), 0), need)
+    return [f.space.basis.grown(layers[id(f.space.basis)]) for f in fields]
+
+
+def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, seen, nodes):
+    """The bases that know roots on other ranks, for grids that are not rectangular. Collective."""
+    roots: list[Any] = [None] * len(fields)
+    for k, field in enumerate(fields):
+        basis = bases[k]
+        if not field.remedy.ties_nodes or isinstance(basis, LatticeBasis):
+            continue
+        filled = field.remedy.measure(where, seen[k], basis)
+        roots[k] = mesh_roots(basis, nodes[k], filled, field.remedy.level(basis.degree))
+        wider = basis.knowing(*roots[k].unknown)
+        # fields of one basis stay fields of one basis
+        bases = [wider if b is basis else b for b in bases]
+    nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
+    return bases, nodes, roots
+
+
+def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[int]):
+    """Active cells of every field, and what terms integrate over. Collective."""
+    tables = ghost_facets(points.grid) if GHOST_FACETS in moving else None
+
+    def find(basis: Basis) -> tuple[npt.NDArray[np.bool_], Entities]:
+        cells = active_cells(seen[bases.index(basis)], basis.cells)
+        entities: Entities = {}
+        if tables is not None:
+            entities[GHOST_FACETS] = tables.select(cells, basis.cells)
+        if ACTIVE_CELLS in moving:
+            owned = np.flatnonzero(cells[: basis.cells.owned])
+            entities[ACTIVE_CELLS] = owned.astype(np.int32)
+        return cells, entities
+
+    return _shared(bases, find)
+
+
+def _field(
+    field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
+    cells, entities: Entities,
+) -> ActiveField:  # fmt: skip
+    """One field on the active cells. Collective."""
+    remedy, penalty = field.remedy, None
+    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if remedy.ties_nodes else None
+    if C is not None and remedy.kind == "weak-aggregation":
+        owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
+        rows, columns, values = remedy.penalty(
+            field.space.grid, basis.degree, C, owned, field.space.components
+        )
+        penalty, C = Blocks(number, number, rows, columns, values), None
+    if field.prolongate is not None:
+        own = sparse.csr_matrix(field.prolongate(seen, nodes))
+        C = own if C is None else C @ own
+    to_grid, stencils = extraction(field.space, basis), seen
+    if C is not None:
+        prolongation = Prolongation(C)
+        C = prolongation.matrix
+        to_grid = C if to_grid is None else to_grid @ C
+        stencils = prolongation.stencils(seen)
+        nodes = nodes[~prolongation.tied[nodes]]
+    return ActiveField(
+        field.space, basis, seen, stencils, nodes, C, to_grid, cells, entities, penalty
+    )
+
+
+def _lists(regions: Sequence[ActiveRegion], fields, unknowns: Unknowns):
+    """Lists of coupled nodes, numbered with their fields' offsets."""
+    lists = []
+    for region in regions:
+        lists.append(_stacked([(s.node_start, s.nodes) for s in region.stencils], unknowns))
+        if region.couplings is not None:
+            own = [c.lists() for c in region.couplings]
+            if any(o is not None for o in own):
+                lists.append(_stacked([c.merged() for c in region.couplings], unknowns))
+    if not lists:
+        lists.append(
+            _stacked([(f.stencils.node_start, f.stencils.nodes) for f in fields], unknowns)
+        )
+    return lists
+
+
+def _stacked(parts, unknowns: Unknowns):
+    """Lists of nodes of every field made one, list by list."""
+    if len(parts) == 1:
+        return parts[0]
+    number = len(parts[0][0]) - 1
+    lengths = [np.diff(start) for start, _ in parts]
+    start = np.zeros(number + 1, np.int64)
+    np.cumsum(sum(lengths), out=start[1:])
+    nodes = np.empty(start[-1], np.int32)
+    at = start[:-1].copy()
+    for (first, values), count, field in zip(parts, lengths, unknowns.fields):
+        place = np.repeat(at - first[:-1], count) + np.arange(count.sum())
+        nodes[place] = values[: count.sum()] + np.int32(field.offset)
+        at += count
+    return start, nodes
+
+
+def _pairs(blocks: Sequence[Blocks], unknowns: Unknowns):
+    """Pairs of active nodes that blocks couple, numbered with their fields' offsets."""
+    active = []
+    for field in unknowns.fields:
+        flags = np.zeros(field.numbering.size, bool)
+        flags[field.nodes] = True
+        active.append(flags)
+    pairs = []
+    for b in blocks:
+        keep = active[b.row_field][b.rows] & active[b.column_field][b.columns]
+        offsets = (unknowns.fields[k].offset for k in (b.row_field, b.column_field))
+        pairs.append(tuple(n[keep] + np.int32(o) for n, o in zip((b.rows, b.columns), offsets)))
+    return pairs

@@ -1,0 +1,123 @@
+"""Components of nodes that essential conditions prescribe, field by field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import (
+    ConflictingConditionsError,
+    ParameterError,
+    raise_together,
+)
+from dolfinmpm.basis import LatticeBasis, LinearBasis
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.space import Space
+
+__all__ = ["Held"]
+
+Basis = LatticeBasis | LinearBasis
+Flags = npt.NDArray[np.bool_]
+Array = npt.NDArray[np.float64]
+
+
+class Held:
+    """What conditions prescribe, in any numbering of the nodes. Collective.
+
+    Args:
+        conditions: The conditions.
+        spaces: Spaces of the fields.
+
+    Attributes:
+        conditions: The conditions.
+        changing: Whether values may differ from zero in some step.
+
+    Raises:
+        ParameterError: A condition is on a field that is not solved for.
+        ConflictingConditionsError: An unknown is given two values.
+    """
+
+    def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
+        self.conditions = list(conditions)
+        self._spaces = list(spaces)
+        for condition in conditions:
+            if not any(space is condition.space for space in spaces):
+                raise ParameterError(
+                    f"the condition at '{condition.where}' is on a space that the problem does not "
+                    "solve for"
+                )
+        comm = spaces[0].grid.comm
+        changing = any(condition.changes for condition in conditions)
+        self.changing: bool = comm.allreduce(changing, op=MPI.LOR)
+        self._fixed: dict[tuple[Basis, ...], list[Flags]] = {}
+        self._still: dict[tuple[Basis, ...], list[Array]] = {}
+        self.at([space.basis for space in spaces], 1.0)
+
+    @property
+    def driven(self) -> bool:
+        """Whether increments other than zero are prescribed now. Collective."""
+        moved = any(np.any(condition.increment != 0.0) for condition in self.conditions)
+        return self._spaces[0].grid.comm.allreduce(moved, op=MPI.LOR)
+
+    def at(self, bases: Sequence[Basis], share: float) -> tuple[list[Flags], list[Array]]:
+        """Which components are prescribed, and their values. Collective.
+
+        Args:
+            bases: Basis of each field, with the overlap whose nodes are meant.
+            share: Share of the step's increments.
+
+        Returns:
+            Flags and values of every field, each of shape (nodes, components). The flags
+            are the same arrays as long as the bases are.
+        """
+        key = tuple(bases)
+        if key in self._fixed and not self.changing:
+            return self._fixed[key], self._still[key]
+        fixed, values = [], []
+        error: Exception | None = None
+        for space, basis in zip(self._spaces, bases):
+            shape = (basis.nodes.size, space.components)
+            flags, numbers = np.zeros(shape, bool), np.zeros(shape)
+            error = self._apply(space, basis, share, flags, numbers) or error
+            if basis.nodes.comm.size > 1:
+                shared = basis.nodes.vector(space.components)
+                for each in (flags, numbers):
+                    shared.array[:] = each.ravel()
+                    shared.scatter_forward()
+                    each[:] = shared.array.reshape(shape)
+            fixed.append(flags)
+            values.append(numbers)
+        raise_together(self._spaces[0].grid.comm, error)
+        # values may change from step to step, which components they are of does not
+        fixed = self._fixed.setdefault(key, fixed)
+        if not self.changing:
+            self._still[key] = values
+        return fixed, values
+
+    def _apply(self, space, basis, share: float, flags, values) -> Exception | None:
+        """Mark and set what is prescribed at this rank's own nodes; a contradiction if any."""
+        owner = np.full(flags.shape, -1, np.int32)
+        error = None
+        for number, condition in enumerate(self.conditions):
+            if condition.space is not space:
+                continue
+            column, own = condition.component, condition.nodes < basis.nodes.owned
+            nodes = condition.nodes[own]
+            value = np.broadcast_to(share * condition.increment, condition.nodes.shape)[own]
+            differs = flags[nodes, column] & (values[nodes, column] != value)
+            clash = nodes[differs]
+            if clash.size and error is None:
+                x = basis.node_coordinates()[clash[0], : space.grid.geometry.dim]
+                other = self.conditions[owner[clash[0], column]]
+                error = ConflictingConditionsError(
+                    f"component {column} of the node at {x} m is prescribed as "
+                    f"{values[clash[0], column]} by '{other.where}' and as {value[differs][0]} by "
+                    f"'{condition.where}'; keep one of them"
+                )
+            flags[nodes, column] = True
+            values[nodes, column] = value
+            owner[nodes, column] = number
+        return error

@@ -1,0 +1,199 @@
+"""Which unknowns a matrix couples: its pattern, and parts of it that stand between nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.cut.unknowns import Unknowns
+
+__all__ = ["Blocks", "Pattern"]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Part of a matrix between nodes of two fields.
+
+    Attributes:
+        row_field, column_field: Numbers of the fields.
+        rows, columns: Nodes, shape (n,).
+        values: Shape (n, components of the row field, components of the column field).
+    """
+
+    row_field: int
+    column_field: int
+    rows: npt.NDArray[np.int32]
+    columns: npt.NDArray[np.int32]
+    values: npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours):
+    """Neighbours of every active node, in increasing order; only counts if the array is empty."""
+    n = active.size
+    # groups of every node
+    group_start = np.zeros(n + 1, np.int64)
+    for at in range(nodes.size):
+        group_start[compact[nodes[at]] + 1] += 1
+    extra_start = np.zeros(n + 1, np.int64)
+    for e in range(extra_rows.size):
+        extra_start[compact[extra_rows[e]] + 1] += 1
+    for a in range(n):
+        group_start[a + 1] += group_start[a]
+        extra_start[a + 1] += extra_start[a]
+    fill = group_start[:-1].copy()
+    group_of = np.empty(nodes.size, np.int32)
+    for g in range(node_start.size - 1):
+        for at in range(node_start[g], node_start[g + 1]):
+            a = compact[nodes[at]]
+            group_of[fill[a]] = g
+            fill[a] += 1
+    fill = extra_start[:-1].copy()
+    extra_of = np.empty(extra_rows.size, np.int32)
+    for e in range(extra_rows.size):
+        a = compact[extra_rows[e]]
+        extra_of[fill[a]] = compact[extra_columns[e]]
+        fill[a] += 1
+    seen = np.full(n, -1, np.int32)
+    total = 0
+    for a in range(n):
+        begin = total
+        for at in range(group_start[a], group_start[a + 1]):
+            g = group_of[at]
+            for k in range(node_start[g], node_start[g + 1]):
+                b = compact[nodes[k]]
+                if seen[b] != a:
+                    seen[b] = a
+                    if neighbours.size:
+                        neighbours[total] = b
+                    total += 1
+        for at in range(extra_start[a], extra_start[a + 1]):
+            b = extra_of[at]
+            if seen[b] != a:
+                seen[b] = a
+                if neighbours.size:
+                    neighbours[total] = b
+                total += 1
+        if neighbours.size:
+            neighbours[begin:total].sort()
+        start[a + 1] = total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _covers(start, neighbours, new_start, new_neighbours):
+    """Whether every coupling of the second graph is one of the first."""
+    for a in range(start.size - 1):
+        at, end = start[a], start[a + 1]
+        for k in range(new_start[a], new_start[a + 1]):
+            while at < end and neighbours[at] < new_neighbours[k]:
+                at += 1
+            if at == end or neighbours[at] != new_neighbours[k]:
+                return False
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _expand(start, neighbours, rows, indptr, indices):
+    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none."""
+    nc = rows.shape[1]
+    for a in range(start.size - 1):
+        count = 0
+        for at in range(start[a], start[a + 1]):
+            for k in range(nc):
+                if rows[neighbours[at], k] >= 0:
+                    count += 1
+        for i in range(nc):
+            if rows[a, i] >= 0:
+                indptr[rows[a, i] + 1] = count
+    for row in range(indptr.size - 1):
+        indptr[row + 1] += indptr[row]
+    if indices.size == 0:
+        return
+    for a in range(start.size - 1):
+        for i in range(nc):
+            if rows[a, i] >= 0:
+                put = indptr[rows[a, i]]
+                for at in range(start[a], start[a + 1]):
+                    for k in range(nc):
+                        if rows[neighbours[at], k] >= 0:
+                            indices[put] = rows[neighbours[at], k]
+                            put += 1
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Where the matrix has entries, on this rank, rows of ghosts included.
+
+    Attributes:
+        start, neighbours: Graph of the active nodes.
+        indptr, indices: Rows and columns of the local unknowns.
+    """
+
+    start: npt.NDArray[np.int64]
+    neighbours: npt.NDArray[np.int32]
+    indptr: npt.NDArray[np.int32]
+    indices: npt.NDArray[np.int32]
+
+    @staticmethod
+    def build(
+        lists: Sequence[tuple[npt.NDArray, npt.NDArray]],
+        unknowns: Unknowns,
+        pairs: Sequence[tuple[npt.NDArray, npt.NDArray]],
+        old: Pattern | None,
+    ) -> Pattern:
+        """Pattern of couplings; a node is numbered with its field's offset.
+
+        Args:
+            lists: First entries and nodes of lists of nodes that are all coupled.
+            unknowns: The unknowns.
+            pairs: Coupled active nodes, shape (n,) each.
+            old: Pattern of the same unknowns, or None. It is returned, to be kept
+                with all that was computed for it, if it has all the couplings;
+                otherwise the new one has its couplings too, so that points that
+                wander about in the same cells soon stop to change it.
+        """
+        fields = unknowns.fields
+        active = np.concatenate([f.nodes + np.int32(f.offset) for f in fields])
+        n = active.size
+        compact = np.empty(sum(f.numbering.size for f in fields), np.int32)
+        compact[active] = np.arange(n, dtype=np.int32)
+        empty = [np.empty(0, np.int32)]
+        extra_rows = np.concatenate(empty + [rows for rows, _ in pairs])
+        extra_columns = np.concatenate(empty + [columns for _, columns in pairs])
+        node_start, nodes = _one_after_the_other(lists)
+        start = np.zeros(n + 1, np.int64)
+        graph = active, compact, node_start, nodes, extra_rows, extra_columns, start
+        _couple(*graph, np.empty(0, np.int32))
+        neighbours = np.empty(start[-1], np.int32)
+        _couple(*graph, neighbours)
+        if old is not None and _covers(old.start, old.neighbours, start, neighbours):
+            return old
+        if old is not None:
+            kept = np.repeat(active, np.diff(old.start)), active[old.neighbours]
+            return Pattern.build(lists, unknowns, [*pairs, kept], None)
+        rows = np.full((n, max(f.components for f in fields)), -1, np.int32)
+        at = 0
+        for f in fields:
+            rows[at : at + f.nodes.size, : f.components] = f.row_of[f.nodes]
+            at += f.nodes.size
+        indptr = np.zeros(unknowns.local + 1, np.int32)
+        _expand(start, neighbours, rows, indptr, np.empty(0, np.int32))
+        indices = np.empty(indptr[-1], np.int32)
+        indptr[:] = 0
+        _expand(start, neighbours, rows, indptr, indices)
+        return Pattern(start, neighbours, indptr, indices)
+
+
+def _one_after_the_other(lists):
+    """Several lists of lists as one."""
+    if len(lists) == 1:
+        return lists[0]
+    node_start = [np.zeros(1, np.int64)]
+    for start, _ in lists:
+        node_start.append(node_start[-1][-1] + start[1:].astype(np.int64))
+    nodes = [nodes for _, nodes in lists]
+    return np.concatenate(node_start), np.concatenate([np.empty(0, np.int32), *nodes])

@@ -1,0 +1,112 @@
+"""The new state of the points, computed first, then written by one writer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
+from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["NewState", "advance", "commit"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NewState:
+    """The points' state at the end of a step.
+
+    Attributes:
+        fields: New values by field.
+        to: Where the points go, or None where they stay in their cells.
+    """
+
+    fields: dict[str, Array]
+    to: Destinations | None
+
+
+def advance(
+    operator: Operator,
+    updates: Sequence[PointUpdates],
+    moves: bool,
+    cell_size: float,
+    step: int,
+) -> NewState | str:
+    """The new state that goes with the increments an operator was moved to. Collective.
+
+    Nothing is changed.
+
+    Args:
+        operator: The operator.
+        updates: Fields that are set to UFL expressions.
+        moves: Whether the first field is a displacement.
+        cell_size: Largest size of a cell (m).
+        step: Number of the step, for messages.
+
+    Returns:
+        The state, or why there is none.
+
+    Raises:
+        PointsOutsideGridError: Points would leave the grid, by no more than a cell.
+    """
+    points, comm = operator.form.points, operator.form.points.comm
+    d, evaluation = points.gdim, operator.points
+    new = evaluation.commit()
+    for update in updates:
+        update.run(evaluation, new)
+    bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
+    if moves:
+        dF = evaluation.gradient[0] + np.eye(d)
+        new["F"] = np.ascontiguousarray(dF @ points["F"])
+        J = np.linalg.det(new["F"])
+        bad = np.flatnonzero(~(J > 0))
+        new["V"] = J * points["V0"]
+        new["x"] = points["x"] + evaluation.value[0]
+        if operator.here.fields[0].basis.averaged:
+            new["l"] = update_domains(new["F"], points["l0"])
+    finite = all(np.isfinite(values).all() for values in new.values())
+    if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
+        if bad.size:
+            evaluation.blame(int(bad[0]))
+        return "a material point's state is not finite or its volume not positive"
+    if not moves or operator.here.total:
+        return NewState(new, None)
+    to = destinations(points.grid, new["x"], points["cell"])
+    lost = np.flatnonzero(to.rank < 0)
+    far = np.any(np.abs(evaluation.value[0][lost]) > cell_size)
+    if comm.allreduce(bool(far), op=MPI.LOR):
+        # Newton may find a state of equilibrium on the far side of a singular one
+        return "material points would be thrown out of the grid, further than a cell"
+    raise_together(comm, _outside(points, new["x"], lost, step))
+    return NewState(new, to)
+
+
+def commit(points: MaterialPoints, state: NewState) -> int:
+    """Write a new state, and move the points to the ranks of their cells. Collective.
+
+    Returns:
+        How many points changed rank.
+    """
+    for name, values in state.fields.items():
+        points.fields[name][...] = values
+    return 0 if state.to is None else points.migrate(state.to)
+
+
+def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:
+    if lost.size == 0:
+        return None
+    p = lost[0]
+    return PointsOutsideGridError(
+        f"{lost.size} material points would leave the grid in step {step}; point "
+        f"{points['id'][p]} goes from {points['x'][p]} m to {x[p]} m. The state is that before it: "
+        "enlarge the grid or hold the points with boundary conditions"
+    )

@@ -1,0 +1,133 @@
+"""The load factor of an arc-length step, and the equation that closes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+from ufl.algorithms import expand_derivatives, extract_coefficients
+from ufl.algorithms.analysis import extract_constants
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+
+from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["Constraint", "LoadFactor"]
+
+
+class LoadFactor:
+    """The load factor λ and the constants that it multiplies.
+
+    Args:
+        form: Weak form that contains the constants.
+        grid: Background grid.
+        constants: DOLFINx constants; their present values are the load at λ = 1.
+        factor: λ at first.
+
+    Raises:
+        ParameterError: There is no constant, one is not what it may be, or all are zero.
+        FormError: The form does not contain them.
+    """
+
+    def __init__(
+        self, form: ufl.Form, grid: Mesh, constants: Sequence[fem.Constant], factor: float
+    ):
+        if not constants or not all(isinstance(c, fem.Constant) for c in constants):
+            raise ParameterError(
+                f"load = {constants!r} must be one or several dolfinx.fem.Constant of the form"
+            )
+        if not math.isfinite(factor):
+            raise ParameterError(f"factor = {factor} must be finite")
+        _check_load(form, constants)
+        self.constants = list(constants)
+        self._reference = [np.array(c.value, float) for c in constants]
+        if not any(np.any(r) for r in self._reference):
+            raise ParameterError(
+                "the load's constants are all zero; set them to the load at factor 1 before"
+            )
+        self._factor = fem.Constant(grid, np.float64(factor))
+        self.derivative = self._derive(form, grid)
+
+    def _derive(self, form: ufl.Form, grid) -> ufl.Form:
+        """∂(form)/∂λ, where the constants are λ times what they are now."""
+        factor = ufl.variable(self._factor)
+        scaled = {
+            c: factor * fem.Constant(grid, r) for c, r in zip(self.constants, self._reference)
+        }
+        kept = []
+        for integral in expand_derivatives(
+            ufl.replace(expand_derivatives(form), scaled)
+        ).integrals():
+            lowered = apply_algebra_lowering(ufl.diff(integral.integrand(), factor))
+            slope = apply_derivatives(lowered)
+            if ufl.algorithms.extract_arguments(slope):
+                kept.append(integral.reconstruct(slope))
+        return ufl.Form(kept)
+
+    @property
+    def value(self) -> float:
+        """λ now."""
+        return float(self._factor.value)
+
+    def set(self, factor: float) -> None:
+        """Set λ, and with it the constants."""
+        self._factor.value = factor
+        for constant, reference in zip(self.constants, self._reference):
+            constant.value = factor * reference
+
+
+def _check_load(form: ufl.Form, constants: Sequence[fem.Constant]) -> None:
+    integrands = [integral.integrand() for integral in expand_derivatives(form).integrals()]
+    found = {c for i in integrands for c in extract_constants(i)}
+    missing = [k for k, constant in enumerate(constants) if constant not in found]
+    if missing:
+        raise FormError(f"constant {missing[0]} of the load is in no term of the form")
+    for coefficient in {c for i in integrands for c in extract_coefficients(i)}:
+        operand = getattr(coefficient, "operand", None)
+        if operand is not None and any(c in constants for c in extract_constants(operand)):
+            raise FormError(
+                f"the law '{coefficient}' takes a constant of the load as its argument; the load "
+                "factor can only multiply terms outside laws"
+            )
+
+
+class Constraint:
+    """The equation that closes an arc-length step.
+
+    Spherical: ⟨Δu, Δu⟩ + ψ² Δλ² = ℓ², cylindrical: the same with ψ = 0 (Crisfield 1981,
+    doi 10.1016/0045-7949(81)90108-5), where ⟨a, b⟩ = Σ V0 a_p·b_p / Σ V0 is a mean over
+    the material points: nodes of cut cells that next to nothing holds have no part in
+    it, and it does not change with the grid. ψ is ‖du/dλ‖ in the first step. A linear
+    form c(v) instead closes it by c(Δu) = ℓ: displacement control.
+
+    Args:
+        control: "spherical", "cylindrical" or a form over the points, linear in the test
+            function alone.
+        u: Increment.
+        v: Test function.
+        points: Material points.
+
+    Raises:
+        ParameterError: The control is not known.
+        FormError: The form contains the increment or other than points.
+    """
+
+    def __init__(self, control: str | ufl.Form, u, v, points: MaterialPoints):
+        self.linear = isinstance(control, ufl.Form)
+        if not self.linear and control not in ("spherical", "cylindrical"):
+            raise ParameterError(
+                f'control = {control!r} must be "spherical", "cylindrical" or a form linear in the '
+                "test function, such as surface.mean((0, 1), v)"
+            )
+        self.kind = "displacement" if self.linear else control
+        volume = points.comm.allreduce(float(points["V0"].sum()), op=MPI.SUM)
+        weight = fem.Constant(points.grid, 1 / volume)
+        self.form = control if self.linear else weight * ufl.inner(u, v) * points.dX
+        self.weight = 1 / volume
+        self.psi: float | None = None if control == "spherical" else 0.0

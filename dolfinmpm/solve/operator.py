@@ -1,0 +1,275 @@
+"""A weak form on an activation: residual, tangent and external forces of the unknowns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from petsc4py import PETSc
+
+from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation, ActiveField, region_on
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.forms.splitting import SplitForm, split
+from dolfinmpm.solve.unsoftened import Unsoftened
+
+__all__ = ["Operator", "Residual", "WeakForm"]
+
+Array = npt.NDArray[np.float64]
+
+
+class WeakForm:
+    """A weak form over points and grid, made ready to be put on activations. Collective.
+
+    Args:
+        form: Weak form, linear in the test functions.
+        spaces: Spaces of the increments.
+        points: Material points.
+        softening: Terms of the tangent only, or None.
+
+    Attributes:
+        parts: The form, split.
+        spaces: The spaces.
+        points: The material points.
+        grid: What DOLFINx assembles.
+        softening: The same of the terms of the tangent only, or None.
+        also: Subdomain ids that further forms need on the same activations.
+
+    Raises:
+        FormError: A term cannot be evaluated where it stands.
+    """
+
+    def __init__(
+        self,
+        form: ufl.Form,
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+        softening: ufl.Form | None = None,
+    ):
+        self.parts: SplitForm = split(form, spaces, points)
+        self.spaces, self.points = list(spaces), points
+        self.grid = GridAssembler(self.parts.grid, spaces)
+        self.also: set[int] = set()
+        self.softening: GridAssembler | None = None
+        if softening is not None:
+            self.softening = GridAssembler(split(softening, spaces, points).grid, spaces)
+        for region in self.regions:
+            # what cannot be compiled is to be told now; tangents wait until a solver asks
+            region.external, region.internal, region.operands  # noqa: B018
+
+    @property
+    def regions(self):
+        """Parts of the body with terms of their own."""
+        return self.parts.regions
+
+    @property
+    def moving(self) -> set[int]:
+        """Subdomain ids of the facets and cells that it integrates over as they are active."""
+        own = self.grid.moving | (self.softening.moving if self.softening else set())
+        return own | self.also
+
+    @property
+    def loads(self) -> list[Any]:
+        """DOLFINx constants and functions in the form."""
+        found: list[Any] = []
+        for region in self.regions:
+            found += region.slots.constants
+            found += [function for function, _ in region.slots.functions]
+        return found + self.grid.loads
+
+    def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
+        """Tangent of its terms over the grid, and of those of the tangent only. Collective."""
+        self.grid.attach(fields)
+        blocks = self.grid.tangent(fields)
+        if self.softening is None:
+            return blocks, []
+        self.softening.attach(fields)
+        return blocks, self.softening.tangent(fields)
+
+    def on(self, here: Activation) -> Operator:
+        """The form on an activation. Collective."""
+        return Operator(self, here)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is out of balance.
+
+    Attributes:
+        values: Internal and external forces on the owned unknowns (N), shape (owned,).
+        norm: Their norm, over all ranks.
+        reference: Norm of external forces, and of reactions where they are what balances
+            internal ones.
+    """
+
+    values: Array
+    norm: float
+    reference: float
+
+
+class Operator:
+    """Residual and tangent of a weak form as functions of the unknowns; nothing else changes.
+
+    Args:
+        form: The weak form.
+        here: What is active.
+
+    Attributes:
+        form, here: The arguments.
+        points: The terms of the points.
+    """
+
+    def __init__(self, form: WeakForm, here: Activation):
+        self.form, self.here = form, here
+        # a second form on an activation that was made for another has its own parts of the body
+        self._main = form is here.terms
+        parts = here.regions
+        if not self._main:
+            parts = [region_on(r, form.points, here) for r in form.regions]
+            form.grid.attach(here.fields)
+        self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
+        self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
+        self._external = here.unknowns.nodal()
+        self.renew_external()
+
+    # -- vectors --------------------------------------------------------------
+
+    def renew_external(self) -> None:
+        """Take the DOLFINx constants and functions as they are now. Collective."""
+        here, out = self.here, self._external
+        here.unknowns.clear(out)
+        self.points.update_constants()
+        self.points.add_external(out.arrays)
+        self.form.grid.add_external(here.fields, out.arrays)
+        out.add_up()
+
+    @property
+    def external(self) -> Sequence[Array]:
+        """Nodal forces that do not depend on the increments (N), (nodes, components) each field."""
+        return self._external.arrays
+
+    def move(self, x: Array) -> None:
+        """Evaluate the increments at nodes and points. Collective.
+
+        Args:
+            x: Owned unknowns, shape (owned,).
+        """
+        self.here.unknowns.expand(x, self.here.prescribed, self._u)
+        self.points.interpolate(self._u.arrays)
+
+    def rest(self) -> None:
+        """Evaluate no increment at all, not even those prescribed. Collective."""
+        self.here.unknowns.clear(self._u)
+        self.points.interpolate(self._u.arrays)
+
+    def _internal(self) -> Nodal:
+        """Internal forces at the increments moved to, summed over ranks. Collective."""
+        here, out = self.here, self._force
+        here.unknowns.clear(out)
+        if not self.points.add_internal(out.arrays):
+            # the norm is then no number on any rank
+            for field, force in zip(here.unknowns.fields, out.arrays):
+                force[field.nodes] = math.nan
+        for blocks in self._linear():
+            add_product(blocks, self._u.arrays, out.arrays)
+        if not self.form.parts.grid.linear:
+            self.fill_functions()
+            self.form.grid.add_internal(here.fields, out.arrays)
+        out.add_up()
+        return out
+
+    def residual(self, x: Array) -> Residual:
+        """Forces out of balance. Collective.
+
+        Args:
+            x: Owned unknowns, shape (owned,).
+        """
+        unknowns = self.here.unknowns
+        self.move(x)
+        internal = self._internal().arrays
+        external = unknowns.restrict(self.external)
+        values = unknowns.restrict(internal) + external
+        reactions = unknowns.reactions(internal)
+        sums = np.array([values @ values, external @ external + reactions @ reactions])
+        norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
+        return Residual(values, float(norm), float(reference))
+
+    def vector(self, x: Array) -> Array:
+        """All forces on the owned unknowns (N), shape (owned,). Collective."""
+        return self.residual(x).values
+
+    def push(self) -> Array:
+        """Residual of the linear step from rest under the prescribed increments. Collective.
+
+        Returns:
+            f + K g on the owned unknowns, shape (owned,), K being the tangent that was
+            assembled last and g the prescribed increments.
+        """
+        unknowns = self.here.unknowns
+        internal = self._internal().arrays
+        self._lift.add_up()
+        parts = internal, self.external, self._lift.arrays
+        return np.sum([unknowns.restrict(part) for part in parts], axis=0)
+
+    # -- tangent --------------------------------------------------------------
+
+    def _linear(self) -> list[Blocks]:
+        """Blocks whose products with the increments are internal forces."""
+        here = self.here
+        if not self._main:
+            return []
+        penalties = [f.penalty for f in here.fields if f.penalty is not None]
+        return [*here.grid, *penalties] if self.form.parts.grid.linear else penalties
+
+    def tangent(self, matrix: Matrix) -> None:
+        """Assemble the tangent at the increments moved to. Collective.
+
+        Args:
+            matrix: Written; of the activation's pattern.
+        """
+        here = self.here
+        matrix.data[:] = 0.0
+        here.unknowns.clear(self._lift)
+        fields = list(zip(here.unknowns.fields, self._lift.arrays))
+        entries = {
+            (i, j): Entries(rows, columns, here.pattern, matrix.data, here.prescribed[j], lift)
+            for i, (rows, lift) in enumerate(fields)
+            for j, columns in enumerate(here.unknowns.fields)
+        }
+        blocks = [*self._linear(), *here.soft]
+        if not self.form.parts.grid.linear:
+            self.fill_functions()
+            blocks += self.form.grid.tangent(here.fields)
+        for b in blocks:
+            add_blocks(b, entries[b.row_field, b.column_field])
+        self.points.add_tangent(entries)
+        matrix.finish()
+
+    def unsoftened(self, matrix: Matrix) -> PETSc.Mat:
+        """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
+        if self.form.softening is None:
+            return matrix.petsc
+        return Unsoftened(self.here.unknowns, self.here.soft).operator(matrix.petsc)
+
+    # -- results --------------------------------------------------------------
+
+    def fill_functions(self) -> None:
+        """Hand the increments moved to to the DOLFINx functions."""
+        for field, u in zip(self.here.fields, self._u.arrays):
+            values = field.space.increment.x.array.reshape(-1, field.space.components)
+            if field.to_grid is not None:
+                values[:] = (field.to_grid @ u)[: len(values)]
+                continue
+            values[:] = 0.0
+            known = field.nodes[field.nodes < len(values)]
+            values[known] = u[known]

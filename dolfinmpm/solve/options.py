@@ -1,0 +1,74 @@
+"""PETSc options of one problem, kept apart from those of every other."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import weakref
+from collections.abc import Mapping
+from typing import Any
+
+from petsc4py import PETSc
+
+__all__ = ["Options"]
+
+_numbers = itertools.count(1)
+_of_problems: set[str] = set()
+
+
+class Options:
+    """Options under a prefix that no other problem has.
+
+    They are, the later the stronger: those given to the problem; those that stand in
+    PETSc's database under the common prefix; those on the command line under it, such as
+    `python3 case.py -mpm_ksp_type cg`. They leave the database with the problem.
+
+    Args:
+        owner: The problem.
+        common: Common prefix of all problems.
+        given: Options of this one, without prefix; a flag has the value None.
+
+    Attributes:
+        prefix: The prefix of this problem.
+    """
+
+    def __init__(self, owner: Any, common: str, given: Mapping[str, Any]):
+        self.prefix = f"{common}{next(_numbers)}_"
+        database = PETSc.Options()
+        merged = dict(given)
+        for name, value in database.getAll().items():
+            of_other = any(name.startswith(prefix) for prefix in _of_problems)
+            if name.startswith(common) and not of_other:
+                merged[name.removeprefix(common)] = value
+        merged |= _from_command_line(common)
+        for name, value in merged.items():
+            database[self.prefix + name] = value
+        _of_problems.add(self.prefix)
+        weakref.finalize(owner, _remove, self.prefix)
+
+    def has(self, name: str) -> bool:
+        """Whether an option is set."""
+        return PETSc.Options().hasName(self.prefix + name)
+
+
+def _from_command_line(common: str) -> dict[str, str | None]:
+    """Options on the command line, which petsc4py does not read when DOLFINx imports it."""
+    found: dict[str, str | None] = {}
+    words = sys.argv[1:]
+    for word, after in itertools.zip_longest(words, words[1:], fillvalue="-"):
+        if word.startswith(f"-{common}"):
+            number = after.lstrip("-").replace(".", "", 1)[:1].isdigit()
+            valued = not after.startswith("-") or number
+            found[word.removeprefix(f"-{common}")] = after if valued else None
+    return found
+
+
+def _remove(prefix: str) -> None:
+    """Take a problem's options out of the database."""
+    _of_problems.discard(prefix)
+    if PETSc.Sys.isFinalized():
+        return
+    database = PETSc.Options()
+    for name in database.getAll():
+        if name.startswith(prefix):
+            database.delValue(name)

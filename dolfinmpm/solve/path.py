@@ -1,0 +1,152 @@
+"""The border of an arc-length step: one equation for the load factor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import FormError
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
+from dolfinmpm.solve.newton import Newton
+from dolfinmpm.solve.operator import Operator, WeakForm
+
+__all__ = ["PathBorder"]
+
+Array = npt.NDArray[np.float64]
+
+
+class PathBorder:
+    """The load factor as unknown, and the length of the step along the path as equation.
+
+    Args:
+        load: The load factor.
+        constraint: The equation for it.
+        trail: Field of the points with their increment in the last step (m).
+        spaces: Spaces of the increments.
+        points: Material points.
+
+    Attributes:
+        load, constraint: The arguments.
+        length: Length of the step (m), or None before the first, which then sets it.
+        last_change: Change of the factor in the last step, or None before the first.
+        first: What the first step is to add to the factor, where `length` is not set.
+        tolerance, unmet: See `Border`.
+
+    Raises:
+        FormError: The load factor multiplies what it cannot, or the control is no form of the
+            points.
+    """
+
+    # how well the length is met: it chooses the next state, it is no physics
+    tolerance = 1e-6
+    unmet = "the length of the step was not met"
+
+    def __init__(
+        self,
+        load: LoadFactor,
+        constraint: Constraint,
+        trail: PointField,
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+    ):
+        self.load, self.constraint = load, constraint
+        self.length: float | None = None
+        self.last_change: float | None = None
+        self.first = 0.0
+        self._trail = trail
+        self._slope_form = WeakForm(load.derivative, spaces, points)
+        self._control_form = WeakForm(constraint.form, spaces, points)
+        if any(form is not None for form in self._slope_form.parts.grid.internal):
+            raise FormError(
+                "the load factor multiplies a term over cells or facets of the grid that contains "
+                "the increment; integrate it over the points instead"
+            )
+        control = self._control_form
+        varies = any(region.internal is not None for region in control.regions)
+        if constraint.linear and (varies or control.parts.grid):
+            raise FormError(
+                "a control must be a form over the points that contains the test function, and "
+                "neither the increment nor terms over cells or facets"
+            )
+
+    @property
+    def moving(self) -> set[int]:
+        """Subdomain ids of facets and cells that its forms integrate over as they are active."""
+        return self._slope_form.moving | self._control_form.moving
+
+    def begin(self, operator: Operator) -> None:
+        """See `Border`. Collective."""
+        self._operator = operator
+        self._slope = self._slope_form.on(operator.here)
+        self._control = self._control_form.on(operator.here)
+        self._start = self.load.value
+
+    def _dot(self, a: Array, b: Array) -> float:
+        comm = self._operator.here.unknowns.comm
+        return comm.allreduce(float(a @ b), op=MPI.SUM)
+
+    def slopes(self, x: Array) -> Array:
+        """∂r/∂λ; see `Border`. Collective."""
+        self._slope.renew_external()
+        return self._slope.vector(x)[:, None]
+
+    def move(self, change: Array) -> None:
+        """See `Border`. Collective."""
+        self.load.set(self.load.value + float(change[0]))
+
+    def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
+        """Along the tangent of the path, on the side that the last step came to. Collective."""
+        constraint = self.constraint
+        operator.rest()
+        assert newton.linear.matrix is not None
+        operator.tangent(newton.linear.matrix)
+        q = self.slopes(np.zeros(operator.here.unknowns.owned))[:, 0]
+        rate = newton.linear.solve(-q)
+        along = self._dot(self._control.vector(rate), rate)
+        if not math.isfinite(along) or along == 0.0:
+            return "the tangent is singular, or the load does not move what controls the step"
+        if constraint.linear:
+            assert self.length is not None
+            change = self.length / along
+        else:
+            if constraint.psi is None:
+                constraint.psi = math.sqrt(along)
+            speed = math.sqrt(along + constraint.psi**2)
+            if self.length is None:
+                self.length = abs(self.first) * speed
+            change = math.copysign(self.length / speed, self._side())
+        self.load.set(self._start + change)
+        return change * rate, abs(change) * math.sqrt(self._dot(q, q))
+
+    def _side(self) -> float:
+        """Sign of the predictor: no turning back on the last step's increment. Collective."""
+        if self.last_change is None:
+            return self.first
+        moved = self._trail.array
+        rate = self._control.points.value[0][:, : moved.shape[1]]
+        V0 = self._trail.points["V0"]
+        forward = self.constraint.weight * self._dot(V0, np.sum(moved * rate, axis=1))
+        assert self.constraint.psi is not None
+        return forward + self.constraint.psi**2 * self.last_change
+
+    def gap(self, x: Array) -> tuple[Array, Array, Array]:
+        """The length at the present state, over its size; see `Border`. Collective."""
+        constraint = self.constraint
+        assert self.length is not None
+        w = self._control.vector(x)
+        if constraint.linear:
+            gap = self._dot(w, x) / self.length - 1
+            by_x = np.asarray(w[:, None] / self.length, float)
+            return np.array([gap]), by_x, np.zeros((1, 1))
+        change, square = self.load.value - self._start, self.length**2
+        assert constraint.psi is not None
+        value = (self._dot(w, x) + constraint.psi**2 * change**2) / square - 1
+        by_factor = 2 * constraint.psi**2 * change / square
+        by_x = np.asarray(2 * w[:, None] / square, float)
+        return np.array([value]), by_x, np.array([[by_factor]])

@@ -1,0 +1,60 @@
+"""What a step is asked for, and what it reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["Failed", "Step", "StepRecord"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step, or a part of one.
+
+    Attributes:
+        t: Where it ends: the part of the load's way from the last converged step to what is
+            set now, or the time (s).
+        dt: How far it goes.
+        share: Its share of the whole step, and of the increments prescribed for that.
+    """
+
+    t: float = 1.0
+    dt: float = 1.0
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why a step was not taken.
+
+    Attributes:
+        reason: Why, in a few words.
+        worst: The point whose law failed, or that is compressed most.
+    """
+
+    reason: str
+    worst: str
+
+
+@dataclass
+class StepRecord:
+    """What one call of `step` did.
+
+    Attributes:
+        iterations: Newton iterations, those of failed attempts included.
+        residuals: Relative out-of-balance force before and after each iteration
+            of the last part of the step.
+        parts: Converged parts that the step was made of.
+        halvings: How often it was halved.
+        unknowns: Unknowns in the last part.
+        migrated: Points that changed rank.
+        seconds: Wall time (s).
+    """
+
+    iterations: int = 0
+    residuals: list[float] = field(default_factory=list)
+    parts: int = 0
+    halvings: int = 0
+    unknowns: int = 0
+    migrated: int = 0
+    seconds: float = 0.0
