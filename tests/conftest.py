@@ -13,6 +13,8 @@ import pytest
 from dolfinx import mesh
 from mpi4py import MPI
 
+from dolfinmpm.assembly.points import Matrix
+
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -58,6 +60,43 @@ def unit_grid(kind: str, n: int = 3):
     else:
         grid = mesh.create_unit_cube(COMM, n, n + 1, n, cell)
     return distort(grid) if kind.startswith("distorted") else grid
+
+
+class Linearised:
+    """Residual and tangent of a problem's next step, for comparison with differences.
+
+    Args:
+        problem: The problem.
+
+    Attributes:
+        operator: Its weak form on what is active.
+        size: Number of this rank's unknowns.
+        matrix: The tangent that was assembled last, as a PETSc matrix.
+    """
+
+    def __init__(self, problem):
+        self.operator = problem.operator()
+        here = self.operator.here
+        self.size = here.unknowns.owned
+        self._matrix = Matrix(here.pattern, here.unknowns)
+        self.matrix = self._matrix.petsc
+
+    def residual(self, x):
+        """Forces out of balance at the unknowns x, shape (size,)."""
+        return self.operator.residual(np.asarray(x, float)).values.copy()
+
+    def tangent(self, x):
+        """The tangent at the unknowns x, which `matrix` is then."""
+        self.operator.residual(np.asarray(x, float))
+        self.operator.tangent(self._matrix)
+        return self.matrix
+
+    def product(self, vector):
+        """The tangent times a vector, shape (size,)."""
+        x, y = self.matrix.createVecs()
+        x.array[:] = vector
+        self.matrix.mult(x, y)
+        return y.array.copy()
 
 
 def dense(matrix):

@@ -122,7 +122,7 @@ def test_snap_through_in_other_bases(basis):
 def test_unloading_along_the_same_path():
     _, problem = Arch().path("displacement", until=0.85)
     up = problem.factor
-    problem.system.length *= -1
+    problem.path.length *= -1
     for _ in range(9):
         problem.step()
     assert up > 0.1
@@ -231,10 +231,10 @@ def test_a_path_starts_where_another_solver_ended():
 
 def test_a_failed_step_leaves_state_and_load():
     rows, problem = Arch().path("spherical", until=0.2)
-    points, constant = problem.points, problem._factor.constants[0]
+    points, constant = problem.points, problem.path.load.constants[0]
     before = {name: values.copy() for name, values in points.fields.items()}
-    factor, load, length = problem.factor, float(constant.value), problem.system.length
-    problem.system._max_iterations = 1
+    factor, load, length = problem.factor, float(constant.value), problem.path.length
+    problem.newton.max_iterations = 1
     problem.max_halvings = 2
     with pytest.raises(ConvergenceError, match=r"load factor 0\.\d+ with a length of") as caught:
         problem.step()
@@ -242,11 +242,11 @@ def test_a_failed_step_leaves_state_and_load():
     for name, values in points.fields.items():
         assert np.array_equal(values, before[name]), name
     assert (problem.factor, float(constant.value)) == (factor, pytest.approx(load))
-    assert problem.system.length == length
+    assert problem.path.length == length
     assert len(problem.history) == len(rows) - 1
     # one that fails once goes on with half the length
-    problem.system._max_iterations = 20
-    problem.system.length = 40.0
+    problem.newton.max_iterations = 20
+    problem.path.length = 40.0
     problem.max_halvings = 12
     record = problem.step()
     assert record.halvings > 0

@@ -48,14 +48,15 @@ def problem_of(grid, basis, term, shape=None, **options):
     u, v = V.increment, V.test
     F = ufl.inner(ufl.grad(u), ufl.grad(v)) * points.dx + term(points, u, v)
     problem = mpm.QuasiStatic(F, u, points, **options)
-    problem.system.activate(1.0)
+    problem.activate()
     return problem
 
 
 def matrix_of(problem):
     """Sum of the blocks of the terms over the grid, between the solver's nodes."""
-    rows, columns, blocks = problem.system._blocks
-    c, size = blocks.shape[1], problem.system.basis.nodes.size
+    (part,) = problem.here.grid
+    rows, columns, blocks = part.rows, part.columns, part.values
+    c, size = blocks.shape[1], problem.here.fields[0].basis.nodes.size
     i = rows[:, None, None] * c + np.arange(c)[:, None] + np.zeros((c, c), int)
     j = columns[:, None, None] * c + np.arange(c) + np.zeros((c, c), int)
     shape = size * c, size * c
@@ -64,7 +65,7 @@ def matrix_of(problem):
 
 def on_splines(problem):
     """Whether classes of facets are used."""
-    return problem.system.ordinary.on_splines
+    return problem.form.grid.splines == {(0, 0)}
 
 
 def every_facet(monkeypatch):
@@ -98,7 +99,7 @@ def ghost(points, u, v):
 )
 def test_ghost_penalty(basis, gdim, monkeypatch):
     problem = check(monkeypatch, lambda: problem_of(box(*CELLS[gdim]), basis, ghost))
-    block = problem.system.ordinary._jacobian[0][0]
+    block = problem.form.grid._jacobian[0, 0]
     assert isinstance(block, FacetBlock)
     # borders of the grid on all sides, and insides
     kinds = [np.unique(cells).size for cells, _ in block._kinds]
@@ -113,10 +114,10 @@ def test_ghost_penalty(basis, gdim, monkeypatch):
 def test_what_the_classes_leave_out(gdim):
     """DOLFINx integrates over fewer facets than there are."""
     problem = problem_of(box(*CELLS[gdim]), "bspline2", ghost)
-    block = problem.system.ordinary._jacobian[0][0]
-    assert 0 < block._codes.size <= problem.system.ghost_facets
-    assert gdim == 1 or block._codes.size < problem.system.ghost_facets
-    assert block._kind.size == problem.system.ghost_facets
+    block = problem.form.grid._jacobian[0, 0]
+    assert 0 < block._codes.size <= problem.here.ghost_facets
+    assert gdim == 1 or block._codes.size < problem.here.ghost_facets
+    assert block._kind.size == problem.here.ghost_facets
 
 
 def one_sided(points, u, v):
@@ -134,7 +135,7 @@ def test_a_term_of_ones_own(basis, gdim, monkeypatch):
     # in the smallest grid every cell is near borders on both sides
     cells = (4, 4, 3) if gdim == 3 and basis == "bspline3" else CELLS[gdim]
     problem = check(monkeypatch, lambda: problem_of(box(*cells), basis, one_sided))
-    block = problem.system.ordinary._jacobian[0][0]
+    block = problem.form.grid._jacobian[0, 0]
     A = matrix_of(problem)
     assert np.abs(A - A.T).max() > 0.05 * np.abs(A).max()
     assert all(t.shape[2] == gdim**2 for t in block._tensors.values())
@@ -178,13 +179,13 @@ def test_constants_that_change(monkeypatch):
 
     problem = check(monkeypatch, lambda: problem_of(grid, "bspline2", term))
     once = matrix_of(problem)
-    problem.system.assemble_ordinary()
+    problem.activate()
     np.testing.assert_array_equal(matrix_of(problem), once)
     gamma.value *= 3.0
-    problem.system.assemble_ordinary()
+    problem.activate()
     np.testing.assert_allclose(matrix_of(problem), 3 * once, atol=1e-11 * np.abs(once).max())
     direction.value[:] = (0.2, -0.7)
-    problem.system.assemble_ordinary()
+    problem.activate()
     changed = matrix_of(problem)
     assert np.abs(changed - 3 * once).max() > 0.1 * np.abs(once).max()
     every_facet(monkeypatch)
@@ -196,16 +197,16 @@ def test_points_that_move(monkeypatch):
     """New facets and classes come, tensors of the old ones stay."""
     grid = box(12, 9)
     problem = problem_of(grid, "bspline3", ghost)
-    block = problem.system.ordinary._jacobian[0][0]
+    block = problem.form.grid._jacobian[0, 0]
     before = dict(block._tensors)
     problem.points["x"][:] = problem.points["x"] * [0.9, 0.8] + [0.6, 0.2]
-    problem.system.activate(1.0)
+    problem.activate()
     assert before.keys() < block._tensors.keys()
     assert all(block._tensors[code] is tensor for code, tensor in before.items())
     every_facet(monkeypatch)
     reference = problem_of(grid, "bspline3", ghost)
     reference.points["x"][:] = reference.points["x"] * [0.9, 0.8] + [0.6, 0.2]
-    reference.system.activate(1.0)
+    reference.activate()
     expected = matrix_of(reference)
     np.testing.assert_allclose(
         matrix_of(problem), expected, rtol=0, atol=1e-11 * np.abs(expected).max()
@@ -269,9 +270,9 @@ def test_with_nodes_that_follow_others(basis, monkeypatch):
 
     grid = box(8, 7)
     free = problem_of(grid, basis, ghost)
-    problem_size = [free.system.basis.nodes.size]
+    problem_size = [free.here.fields[0].basis.nodes.size]
     tied = check(monkeypatch, lambda: problem_of(grid, basis, ghost, prolongation=follow))
-    C = sparse.kron(follow(None, free.system.unknowns.nodes), sparse.identity(2)).toarray()
+    C = sparse.kron(follow(None, free.here.unknowns.fields[0].nodes), sparse.identity(2)).toarray()
     A = matrix_of(free)
     np.testing.assert_allclose(matrix_of(tied), C.T @ A @ C, atol=1e-11 * np.abs(A).max())
 

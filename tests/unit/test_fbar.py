@@ -15,7 +15,7 @@ from test_tangent import box, check, strained
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
-from dolfinmpm.assembly.cellmeans import CellMeans
+from dolfinmpm.cut.cellmeans import CellMeans
 from dolfinmpm.forms import PointOperator
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.materials import Hencky, Tresca, VonMises
@@ -86,9 +86,8 @@ def test_tangent_where_points_yield(kind, basis, law):
     F = mpm.momentum(law, points, V.increment, V.test, fbar=True)
     problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
     with_history(points)
-    check(problem, tolerance=5e-6)
-    problem.system.evaluator.operand(0)
-    yielded = problem.system.evaluator.commit()["plastic_strain"] > 0
+    operator = check(problem, tolerance=5e-6).operator
+    yielded = operator.points.commit()["plastic_strain"] > 0
     assert yielded.mean() > 0.5
 
 
@@ -154,7 +153,8 @@ def test_tangent_of_two_laws_two_fields_and_a_nonlinear_form():
     F += ufl.tr(stress) * q * points.dx + p * q * points.dX
     F += mpm.momentum(Hencky(E=10.0, nu=0.4), points, u, v, fbar=True)
     problem = mpm.QuasiStatic(F, [p, u], points, mpm.fixed(V, "bottom"))
-    assert not problem.system.evaluator.gradient_only
+    (region,) = problem.form.regions
+    assert region.tangent[0, 0].value
     with_history(points)
     check(problem, tolerance=1e-5)
 
@@ -168,7 +168,9 @@ def test_means_keep_constants_and_sums(basis):
     rng = np.random.default_rng(1)
     points["V"] *= rng.uniform(0.5, 2, len(points))
     V = mpm.Space(grid, basis)
-    means = CellMeans(points, V.basis.stencils(points), V.basis)
+    means = CellMeans(
+        points["V"], points.placement(), V.basis.stencils(points.placement()), V.basis
+    )
     np.testing.assert_allclose(means.mean(np.full(len(points), 3.0)), 3.0, rtol=1e-14)
     m = rng.uniform(1, 2, len(points))
     mean = means.mean(m)
@@ -183,7 +185,9 @@ def test_means_of_overlapping_domains_by_hand():
     points["x"], points["l"] = [[0.8], [1.6]], [0.4]
     points["V"] = [2.0, 3.0]
     V = mpm.Space(grid, "gimp")
-    means = CellMeans(points, V.basis.stencils(points), V.basis)
+    means = CellMeans(
+        points["V"], points.placement(), V.basis.stencils(points.placement()), V.basis
+    )
     second = (0.25 * 2 * 10 + 3 * 20) / (0.25 * 2 + 3)
     expected = [0.75 * 10 + 0.25 * second, second]
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0])), expected, rtol=1e-14)
@@ -242,14 +246,15 @@ def test_pressure_is_that_of_the_mean_volume(basis):
     pressure = np.trace(points["stress"], axis1=1, axis2=2) / 3
     np.testing.assert_allclose(pressure, E / (3 * (1 - 2 * nu)) * np.log(J_bar) / J_bar, atol=1e-10)
     # one more increment, by the operator itself
-    law = FBar(problem.system.evaluator._averaging(0).framework, points)
+    law = FBar(problem.form.regions[0].operators[0].law.framework, points)
     rng = np.random.default_rng(2)
     H = rng.uniform(-0.05, 0.05, (len(points), 4))
-    means = CellMeans(points, problem.system.basis.stencils(points), problem.system.basis)
+    where, basis_of = points.placement(), problem.fields[0].space.basis
+    means = CellMeans(points["V"], where, basis_of.stencils(where), basis_of)
     law.prepare(H, means.mean)
     S = np.empty_like(H)
     assert law.evaluate(H, S, None, np.arange(len(points), dtype=np.int32)) == -1
-    new = law.commit(H)
+    new = law.commit(H, np.arange(len(points)))
     dF = H.reshape(-1, 2, 2) + np.eye(2)
     volume = J * np.linalg.det(dF)
     expected = volume[:, None, None] * (new["stress"][:, :2, :2] @ np.linalg.inv(dF).swapaxes(1, 2))
@@ -277,21 +282,20 @@ def test_linear_functions_need_no_more_couplings():
     for basis in ("linear", "gimp"):
         for fbar in (False, True):
             problem = bent(basis, Hencky(20.0, 0.3), steps=3, load=1.0, fbar=fbar)
-            sizes[basis, fbar] = problem.system._pattern.indices.size
+            sizes[basis, fbar] = problem.here.pattern.indices.size
             assert ("J_bar" in problem.points.fields) == fbar
-            assert problem.system.evaluator.averages == fbar
+            assert problem.form.regions[0].averages == fbar
     assert sizes["linear", True] == sizes["linear", False]
     assert sizes["gimp", True] > sizes["gimp", False]
 
 
-def test_the_nonlocal_part_matters():
+def test_the_nonlocal_part_matters(monkeypatch):
     """Without the mean's derivative the tangent would be another one."""
     problem = bent("gimp", Hencky(20.0, 0.49), steps=1, load=0.1)
-    problem.system.activate(1.0)
-    whole = dense(problem.system.tangent_matrix())
-    couplings = problem.system.evaluator._couplings
-    couplings.add_outer = lambda *arguments: None
-    local = dense(problem.system.tangent_matrix())
+    whole = dense(problem.stiffness())
+    with monkeypatch.context() as patch:
+        patch.setattr("dolfinmpm.assembly.evaluation.add_outer", lambda *arguments: None)
+        local = dense(problem.stiffness())
     assert np.abs(whole - local).max() > 0.1 * np.abs(whole).max()
     # of an isotropic elastic body at rest it is symmetric
     problem = bent("gimp", Hencky(20.0, 0.49), steps=0)
@@ -302,9 +306,8 @@ def test_the_nonlocal_part_matters():
 def test_a_point_turned_inside_out_is_named():
     """A volume that is not positive, or not a number, fails the step and not the run."""
     problem = bent("gimp", Hencky(20.0, 0.3), steps=1, load=0.1)
-    system, n = problem.system, len(problem.points)
-    system.activate(1.0)
-    law, means = system.evaluator._averaging(0), system.evaluator._couplings.means
+    n, here = len(problem.points), problem.activate()
+    law, means = problem.form.regions[0].operators[0].law, here.regions[0].couplings[0].means
     for bad in (-1.5, np.nan):
         H = np.zeros((n, 4))
         H[5, 0] = bad

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import ufl
-from conftest import dense, unit_grid
+from conftest import Linearised, dense, unit_grid
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -18,6 +18,8 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     PointsOutsideGridError,
 )
+from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.body.points import GHOST_FACETS
 
 
 def column(n=8, E=1e4, **options):
@@ -82,8 +84,7 @@ def test_giving_up_keeps_the_state_and_names_the_place():
         assert np.array_equal(values, before[name]), name
     assert g.value[1] == 0.0
     # and the problem can go on
-    problem.system._max_iterations = 20
-    problem.system._snes.setTolerances(max_it=20)
+    problem.newton.max_iterations = 20
     g.value[1] = -0.25
     assert problem.step().parts >= 1
 
@@ -160,8 +161,8 @@ def test_only_active_unknowns_are_solved_on_a_large_grid():
         F -= ufl.inner(g, V.test) * points.dX + 0 * mpm.ghost(points, V.increment, V.test, 1.0)
         problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
         record = problem.step()
-        assert problem.system._matrix.petsc.getSize() == (record.unknowns, record.unknowns)
-        assert problem.system.active_cells == 4
+        assert problem.newton.linear.matrix.petsc.getSize() == (record.unknowns, record.unknowns)
+        assert problem.here.active_cells == 4
         sizes.append(record.unknowns)
     assert sizes == [12, 12]
 
@@ -171,23 +172,23 @@ def test_an_unchanged_active_set_keeps_its_matrix():
     for load in (1e-3, 2e-3):  # the first step lets domains reach across the cells' edges
         g.value[1] = -load
         problem.step()
-    matrix = problem.system._matrix
+    matrix = problem.newton.linear.matrix
     for load in (3e-3, 4e-3):
         g.value[1] = -load
         problem.step()
-        assert problem.system._matrix is matrix
+        assert problem.newton.linear.matrix is matrix
     for load in range(20):
         g.value[1] = -0.2 * load
         problem.step()
-    assert problem.system._matrix is not matrix
+    assert problem.newton.linear.matrix is not matrix
 
 
 def test_without_ghost_terms_no_facets_are_searched():
     problem, _ = column(4)
-    assert problem.system._facets is None
-    assert problem.system.ordinary is None
+    assert problem.activate().fields[0].entities == {}
+    assert not problem.form.parts.grid
     problem, _ = column(4, ghost=True)
-    assert problem.system._facets is not None
+    assert GHOST_FACETS in problem.activate().fields[0].entities
 
 
 def test_petsc_options_reach_the_solver():
@@ -196,12 +197,12 @@ def test_petsc_options_reach_the_solver():
     )
     g.value[1] = -0.25
     problem.step()
-    pc = problem.system._snes.getKSP().getPC()
+    pc = problem.newton.linear.snes.getKSP().getPC()
     assert pc.getFactorSolverType() == "petsc"
     default, g = column(4)
     g.value[1] = -0.25
     default.step()
-    assert default.system._snes.getKSP().getPC().getFactorSolverType() == "mumps"
+    assert default.newton.linear.snes.getKSP().getPC().getFactorSolverType() == "mumps"
 
 
 def test_the_increment_can_be_read_after_a_step():
@@ -209,7 +210,7 @@ def test_the_increment_can_be_read_after_a_step():
     g.value[1] = -0.25
     x = problem.points["x"].copy()
     problem.step()
-    u = problem.system.spaces[0].increment
+    u = problem.fields[0].space.increment
     moved = np.zeros((len(x), 3))
     moved[:, :2] = x
     # all domains were inside one cell, where the average of u is u at the middle
@@ -231,17 +232,17 @@ def test_an_interruption_leaves_a_problem_that_can_go_on(monkeypatch):
     g.value[1] = -0.25
     problem.step()
     before = state(problem.points)
-    evaluator, calls = problem.system.evaluator, 0
-    original = evaluator.add_internal
+    calls = 0
+    original = Evaluation.add_internal
 
-    def interrupted(out):
+    def interrupted(self, out):
         nonlocal calls
         calls += 1
         if calls == 3:
             raise KeyboardInterrupt
-        return original(out)
+        return original(self, out)
 
-    monkeypatch.setattr(evaluator, "add_internal", interrupted)
+    monkeypatch.setattr(Evaluation, "add_internal", interrupted)
     g.value[1] = -0.5
     with pytest.raises(KeyboardInterrupt):
         problem.step()
@@ -315,15 +316,9 @@ def test_residuals_are_pure():
     g.value[1] = -0.25
     problem.step()
     before = state(problem.points)
-    system = problem.system
-    system.activate(1.0)
-    matrix = system.tangent_matrix()
-    x, f = matrix.createVecs()
-    x.array[:] = np.random.default_rng(0).uniform(-0.1, 0.1, x.array.size)
-    values = []
-    for _ in range(3):
-        system._residual(None, x, f)
-        values.append(f.array.copy())
+    linearised = Linearised(problem)
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, linearised.size)
+    values = [linearised.residual(x) for _ in range(3)]
     assert np.array_equal(values[0], values[2])
     for name, fields in problem.points.fields.items():
         assert np.array_equal(fields, before[name])
@@ -337,12 +332,12 @@ def test_prolongation_equals_the_matrix_product():
         plain, g = column(8, ghost=ghost)
         g.value[1] = -0.25
         plain.step()
-        size = plain.system.unknowns.row_of.shape[0]
         K = plain.stiffness()
+        size = plain.here.unknowns.fields[0].row_of.shape[0]
         full = dense(K)
-        nodes = plain.system.unknowns.nodes
-        rows = plain.system.unknowns.row_of
-        x = plain.system.spaces[0].function_space.tabulate_dof_coordinates()
+        nodes = plain.here.unknowns.fields[0].nodes
+        rows = plain.here.unknowns.fields[0].row_of
+        x = plain.fields[0].space.function_space.tabulate_dof_coordinates()
         top = nodes[np.argsort(x[nodes, 1])[-2:]]
         pairs = {}
         for a in top:  # the uppermost nodes continue the line of the two below them
@@ -365,7 +360,7 @@ def test_prolongation_equals_the_matrix_product():
         for name, values in plain.points.fields.items():
             tied.points.fields[name][...] = values
         reduced = dense(tied.stiffness())
-        new_rows = tied.system.unknowns.row_of
+        new_rows = tied.here.unknowns.fields[0].row_of
         C = np.zeros((full.shape[0], reduced.shape[0]))
         for a in nodes:
             for i in range(2):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import dense
+from conftest import Linearised, dense
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from scipy.optimize import brentq
@@ -46,9 +46,9 @@ def problem_of(points, V, F, bcs=(), E=1e3, nu=0.3, **options):
 
 def resultants(problem):
     """Force and moment about the origin of the nodal loads."""
-    problem.system.activate(1.0)
-    f = -problem.system._external
-    x = problem.system.basis.node_coordinates()[: len(f), : f.shape[1]]
+    operator = problem.operator()
+    f = -operator.external[0]
+    x = operator.here.fields[0].basis.node_coordinates()[: len(f), : f.shape[1]]
     return f.sum(axis=0), np.einsum("ai,aj->ij", x, f)
 
 
@@ -133,20 +133,11 @@ def test_tangent_of_a_follower_pressure(basis):
     p = fem.Constant(grid, 200.0)
     # not constant in space either
     problem = problem_of(points, V, -surface.pressure(p * surface.position(u)[1], u, v))
-    system = problem.system
-    system.activate(1.0)
-    x, f = system._x, system._x.duplicate()
+    linearised = Linearised(problem)
     rng = np.random.default_rng(1)
-    at = 0.02 * rng.standard_normal(x.getLocalSize())
-
-    def residual(values):
-        x.getArray()[:] = values
-        system._residual(None, x, f)
-        return f.getArray().copy()
-
-    residual(at)
-    system._jacobian(None, None, None, None)
-    K = dense(system._matrix.petsc)
+    at = 0.02 * rng.standard_normal(linearised.size)
+    K = dense(linearised.tangent(at))
+    residual = linearised.residual
     w = rng.standard_normal(at.size)
     step = 1e-6
     slope = (residual(at + step * w) - residual(at - step * w)) / (2 * step)

@@ -129,19 +129,18 @@ def test_ghost_penalty_leaves_linear_motions_alone():
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(E=0.001, nu=0.0), points, u, v)
     F += mpm.ghost(points, u, v, gamma=1e3)
-    system = mpm.QuasiStatic(F, u, points).system
-    system.activate(1.0)
-    rows, columns, blocks = system._blocks
-    assert blocks.size > 0
+    (blocks,) = mpm.QuasiStatic(F, u, points).activate().grid
+    assert blocks.values.size > 0
     x = V.function_space.tabulate_dof_coordinates()[:, :2]
     A = np.array([[1.0, 0.3], [0.2, -0.7]])
     force = np.zeros_like(x)
-    from dolfinmpm.assembly.points import multiply_blocks
+    from dolfinmpm.assembly.points import add_product
 
-    multiply_blocks(rows, columns, blocks, x @ A.T + 1.0, force)
-    assert np.abs(force).max() < 1e-10 * np.abs(blocks).max()
-    multiply_blocks(rows, columns, blocks, x**2, force)
-    assert np.abs(force).max() > 1e-3 * np.abs(blocks).max()
+    size = np.abs(blocks.values).max()
+    add_product(blocks, [x @ A.T + 1.0], [force])
+    assert np.abs(force).max() < 1e-10 * size
+    add_product(blocks, [x**2], [force])
+    assert np.abs(force).max() > 1e-3 * size
 
 
 def test_energy_of_ones_own_in_ufl_equals_the_built_in_law():

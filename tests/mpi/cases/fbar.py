@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import ufl
+from conftest import Linearised
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -74,27 +75,18 @@ def fbar_tangent():
         problem, figures[basis + remedy] = _fbar(
             basis, remedy=remedy, wide=remedy == "ghost", load=0.3
         )
-        system = problem.system
-        system.activate(1.0)
-        nodes = system.unknowns.owned_nodes
-        x = system.basis.node_coordinates()[nodes, :2]
-        free = ~system.unknowns.fixed[nodes]
+        linearised = Linearised(problem)
+        here = linearised.operator.here
+        field = here.unknowns.fields[0]
+        nodes = field.owned_nodes
+        x = here.fields[0].basis.node_coordinates()[nodes, :2]
+        free = ~field.fixed[nodes]
         start = np.stack([np.sin(x @ (1.0, 0.7)), np.cos(x @ (0.4, 1.1))], axis=1)[free] * 0.02
         direction = np.stack([np.cos(x @ (2.0, 1.7)), np.sin(x @ (1.4, 2.1))], axis=1)[free]
-        y, f = system._x.duplicate(), system._x.duplicate()
-
-        def residual(values, y=y, f=f, system=system):
-            y.array[:] = values
-            system._residual(None, y, f)
-            return f.array.copy()
-
-        t = 1e-6
+        residual, t = linearised.residual, 1e-6
         numerical = (residual(start + t * direction) - residual(start - t * direction)) / (2 * t)
-        residual(start)
-        system._jacobian(None, None, None, None)
-        y.array[:] = direction
-        system._matrix.petsc.mult(y, f)
-        exact = f.array.copy()
+        linearised.tangent(start)
+        exact = linearised.product(direction)
         scale = COMM.allreduce(np.abs(exact).max(initial=0.0), op=MPI.MAX)
         error = COMM.allreduce(np.abs(exact - numerical).max(initial=0.0), op=MPI.MAX)
         assert error < 2e-6 * scale, (basis, remedy, error, scale)

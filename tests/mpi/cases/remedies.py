@@ -8,7 +8,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.points import multiply_blocks
+from dolfinmpm.assembly.points import add_product
 from dolfinmpm.body.location import destinations
 
 from .common import COMM, hencky, run
@@ -70,24 +70,24 @@ def facets_of_few_ranks():
         # the second term mixes components; neither depends on which side comes first
         F = hencky(points, V, ghost=False) + mpm.ghost(points, u, v, gamma)
         F += gamma * ufl.avg(ufl.div(u)) * ufl.avg(v[0] + 2.0 * v[1]) * points.dS
-        system = mpm.QuasiStatic(F, u, points).system
-        assert system.ordinary.on_splines
+        problem = mpm.QuasiStatic(F, u, points)
+        assert problem.form.grid.splines == {(0, 0)}
         found, moved, idle = [], 0, 0
         for shift in (0.0, 6.5, 6.5, 6.5):
             new = points["x"] + [shift, shift / 50]
             to = destinations(grid, new, points["cell"])
             points["x"][...] = new
             moved += points.migrate(to)
-            system.activate(1.0)
-            x = system.basis.node_coordinates()[:, :2]
+            here = problem.activate()
+            x = here.fields[0].basis.node_coordinates()[:, :2]
             values, forces = np.sin(x) + x[:, ::-1], np.zeros_like(x)
-            multiply_blocks(*system._blocks, values, forces)
+            add_product(here.grid[0], [values], [forces])
             found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
-            idle += COMM.allreduce(int(system._blocks[0].size == 0), op=MPI.SUM)
+            idle += COMM.allreduce(int(here.grid[0].rows.size == 0), op=MPI.SUM)
             gamma.value += 1.0
-            system.assemble_ordinary()
+            here = problem.activate()
             forces[:] = 0.0
-            multiply_blocks(*system._blocks, values, forces)
+            add_product(here.grid[0], [values], [forces])
             found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
         assert idle > 0 or COMM.size == 1
         figures[basis] = {"forces": found, "moved": (moved > 0) if COMM.size > 1 else None}

@@ -88,11 +88,13 @@ def stencils_across_corners():
 
     from dolfinmpm.assembly.points import add_vector
 
-    s = V.basis.stencils(points)
-    sums_ = V.basis.nodes.vector(1)
+    where = points.placement()
+    basis = V.basis.grown(V.basis.reach(where)[0])
+    s = basis.stencils(where)
+    sums_ = basis.nodes.vector(1)
     flux = np.column_stack([points["V"], 2 * points["V"], 3 * points["V"]])
     nodal = sums_.array.reshape(-1, 1)
-    add_vector(s, 0, s.groups.size - 1, np.ascontiguousarray(flux[s.order]), nodal)
+    add_vector(s, 0, s.groups.size - 1, np.ascontiguousarray(flux[s.order]), 0, nodal)
     sums_.scatter_reverse(InsertMode.add)
     mine = nodal[: V.basis.nodes.owned, 0]
     x = V.function_space.tabulate_dof_coordinates()[: V.basis.nodes.owned]
