@@ -1,4 +1,4 @@
-"""Every demo runs small, in a process of its own, and its figures hold."""
+"""Every study runs small, in a process of its own, and its figures hold."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from conftest import figures_of
 
 
-def run(demo, *options, ranks=1):
-    return figures_of(f"demos/{demo}.py", "--json", "-", *options, ranks=ranks)
+def run(study, *options, ranks=1):
+    return figures_of(f"demos/studies/{study}.py", "--json", "-", *options, ranks=ranks)
 
 
 @pytest.mark.parametrize("ranks", [1, 3])
