@@ -1,0 +1,62 @@
+"""Every demo runs, alone and on two ranks, ends with its own assertion, and leaves its picture."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import statistics
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, start
+
+DEMOS = sorted((ROOT / "demos").glob("*.py"))
+# what each asserts of an exact or published value, and the value that it has had
+NUMBERS = {
+    "cantilever": ("down", 0.8262),
+    "column_compaction": ("error", 5.56e-4),
+    "footing": ("factor", 5.242),
+    "growing_strip": ("angle", 2.3617),
+    "new_stabilisation": ("worst", 286.8),
+    "slope_failure": ("limit", 5.4),
+    "thick_cylinder": ("p", 0.9952),
+    "your_own_law": ("top", 16.6279),
+}
+
+
+@pytest.mark.parametrize("demo", [path.stem for path in DEMOS])
+def test_alone(demo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    # as a user runs it: Numba remembers the name of the module in which a kernel was compiled
+    names = runpy.run_path(str(ROOT / "demos" / f"{demo}.py"), run_name="__main__")
+    name, value = NUMBERS[demo]
+    found = names[name]
+    found = found["kappa_K"] if demo == "new_stabilisation" else found
+    found = found[-1] if demo == "thick_cylinder" else found
+    assert found == pytest.approx(value, rel=2e-3)
+    (picture,) = (tmp_path / "output").iterdir()
+    assert picture.name == f"{demo}.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("demo", [path.stem for path in DEMOS])
+def test_on_two_ranks(demo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = start(f"demos/{demo}.py", ranks=2)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    assert (tmp_path / "output" / f"{demo}.png").stat().st_size > 0
+
+
+def test_demos_are_short():
+    texts = [path.read_text() for path in DEMOS]
+    assert statistics.median(text.count("\n") for text in texts) < 80
+    for text in texts:
+        assert "argparse" not in text
+        assert text.splitlines()[-1].startswith("assert ")
+
+
+def test_the_script_of_readme_is_the_first_demo():
+    script, *_ = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    code = [line for line in script.splitlines() if line and not line.startswith("#")]
+    assert 15 <= len(code) <= 25
+    assert set(code) <= set(Path(ROOT / "demos/column_compaction.py").read_text().splitlines())
