@@ -1,240 +1,47 @@
-# %% [markdown]
-# # An elastic column compacts under its own weight
-#
-# A column of height $l_0$ stands on a fixed base between smooth walls, and its
-# weight is applied in equal steps. With Hencky's law and $\nu = 0$ it compacts to
-# less than half its height, so that material points cross many cells.
-#
-# Equilibrium in one dimension gives the Cauchy stress at a point of original height
-# $Y$, whatever the law,
-#
-# $$\sigma_a(Y) = -\rho_0 g\,(l_0 - Y),$$
-#
-# and the error of a computation is its mean deviation (Charlton, Coombs & Augarde
-# 2017, doi 10.1016/j.compstruc.2017.05.004)
-#
-# $$e = \frac{\sum_p |\sigma_{yy,p} - \sigma_a(Y_p)|\,V^0_p}{\rho_0 g\, l_0 \sum_p V^0_p}.$$
-#
-# With the constrained modulus $M = E(1-\nu)/((1+\nu)(1-2\nu))$, Lambert's function
-# $W$ and $s = \rho_0 g (l_0 - Y)/M$ the exact height at which the point $Y$ ends is
-#
-# $$y(Y) = \frac{M}{\rho_0 g}\,\bigl(\Phi(s_0) - \Phi(s)\bigr), \qquad
-#   \Phi(s) = W(s) + \tfrac12 W(s)^2 .$$
+"""A column of soft soil compacts to half its height under its own weight.
 
-# %%
-import time
+The material points sink through the grid, which stays as it is, and leave more and more of its
+cells empty. In one dimension equilibrium alone gives the stress in the end, whatever the law: a
+point of first height Y carries what is above it,
 
-started = time.perf_counter()
+    σ(Y) = −ρ₀ g (50 m − Y).
 
+GIMP spreads a point over a domain, so that it takes part in two cells while it passes from one to
+the other. Try basis="linear": points that jump from cell to cell make the stress err by 8 % instead
+of 0.06 %, and more cells do not help (Charlton, Coombs & Augarde 2017,
+doi 10.1016/j.compstruc.2017.05.004).
+"""
+
+# mpirun -n 4 python3 demos/column_compaction.py
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
-from scipy.special import lambertw
 
 import dolfinmpm as mpm
 
-# %% [markdown]
-# ## The scene
-# Square or cubic cells of side $l_0/N$. The last axis is the vertical one.
+cells = mesh.CellType.quadrilateral
+grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 60)], (1, 60), cells)
+points = mpm.fill(grid, mpm.Box((0, 0), (1, 50)), per_cell=2, density=80.0)  # 2² points a cell
+V = mpm.Space(grid, basis="gimp")
+u, v = V.increment, V.test  # the step's displacement increment, its test function
 
-
-# %%
-def exact_position(Y, height, modulus, weight):
-    """Final height (m) of the points that were at Y."""
-
-    def phi(s):
-        w = np.real(lambertw(s))
-        return w + 0.5 * w**2
-
-    s0, s = weight * height / modulus, weight * (height - Y) / modulus
-    return modulus / weight * (phi(s0) - phi(s))
-
-
-def background(dimension, columns, elements, h):
-    """A grid of `columns` cells across and `elements` cells high."""
-    cells = [columns] * (dimension - 1) + [elements]
-    corner = [h * n for n in cells]
-    if dimension == 2:
-        kind = mesh.CellType.quadrilateral
-        return mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), tuple(corner)], cells, kind)
-    kind = mesh.CellType.hexahedron
-    return mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), tuple(corner)], cells, kind)
-
-
-def picture(path, x0, x, stress, height, weight, modulus):
-    """Stress and position of the points over their original height, beside the exact ones."""
-    up = x.shape[1] - 1
-    Y = np.linspace(0, height, 200)
-    with mpm.figure(path, width=6.5, height=2.8, ncols=2) as (_, (left, right)):
-        left.plot(stress[:, up, up] / 1e3, x0[:, up], ".", label="material points")
-        left.plot(-weight * (height - Y) / 1e3, Y, label="exact")
-        left.set(xlabel="vertical Cauchy stress (kPa)", ylabel="original height Y (m)")
-        right.plot(x[:, up], x0[:, up], ".", label="material points")
-        right.plot(exact_position(Y, height, modulus, weight), Y, label="exact")
-        right.set(xlabel="final height y (m)", ylabel="original height Y (m)")
-        for axes in (left, right):
-            axes.legend()
-
-
-def arguments():
-    """The command line."""
-    options = parser("Self-weight compaction of an elastic column.")
-    options.add_argument("--elements", type=int, default=64, help="cells over the height")
-    options.add_argument("--columns", type=int, default=1, help="cells across")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument(
-        "--points-per-cell", type=int, help="in each direction; 2, and 3 for cubic splines"
-    )
-    options.add_argument("--steps", type=int, default=40)
-    options.add_argument("--modulus", type=float, default=10e3, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.0)
-    options.add_argument("--density", type=float, default=80.0, help="kg/m³")
-    options.add_argument("--gravity", type=float, default=10.0, help="m/s²")
-    options.add_argument(
-        "--height", dest="initial_height", type=float, default=50.0, help="l0 (m), at first"
-    )
-    options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
-    options.add_argument(
-        "--stabilisation",
-        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"),
-        help="none by default, ghost for splines, whose last functions hardly feel the body",
-    )
-    options.add_argument(
-        "--ghost", choices=("none", "literal", "scaled"), help="ghost penalty of that scaling"
-    )
-    options.add_argument(
-        "--gamma", type=float, help="ghost penalty in units of E/30; that of the basis by default"
-    )
-    options.add_argument(
-        "--points", dest="points_file", metavar="PATH", help="CSV of all points at the end"
-    )
-    given = options.parse_args()
-    splines = given.basis.startswith("bspline")
-    if given.points_per_cell is None:
-        given.points_per_cell = 3 if given.basis == "bspline3" else 2
-    if given.ghost is not None:
-        given.stabilisation = "none" if given.ghost == "none" else "ghost"
-    elif given.stabilisation is None:
-        given.stabilisation = "ghost" if splines else "none"
-    for name in ("elements", "columns", "points_per_cell", "steps"):
-        if getattr(given, name) < 1:
-            options.error(f"{name} = {getattr(given, name)} must be at least 1")
-    for name in ("modulus", "density", "initial_height"):
-        if not 0 < getattr(given, name) < np.inf:
-            options.error(f"{name} = {getattr(given, name)} must be positive and finite")
-    if not -1 < given.poisson < 0.5:
-        options.error(f"poisson = {given.poisson} must be in (-1, 0.5)")
-    if given.gravity == 0 or not np.isfinite(given.gravity):
-        options.error(f"gravity = {given.gravity} must be finite and not zero")
-    return given
-
-
-# %%
-args = arguments()
-d, up = args.dimension, args.dimension - 1
-h, height = args.initial_height / args.elements, args.initial_height
-weight = args.density * args.gravity
-modulus = args.modulus * (1 - args.poisson) / ((1 + args.poisson) * (1 - 2 * args.poisson))
-rise = 0
-if weight * height / modulus <= -np.exp(-1):
-    raise SystemExit(
-        f"no equilibrium: density * gravity * height / M = {weight * height / modulus:.4g} must be "
-        "above -1/e; a longer or heavier hanging column tears under Hencky's law"
-    )
-if weight < 0:
-    # a hanging column grows; the grid must hold it
-    top = exact_position(np.array(height), height, modulus, weight)
-    rise = int(np.ceil((1.05 * top - height) / h))
-
-grid = background(d, args.columns, args.elements + rise, h)
-body = mpm.Box((0.0,) * d, (h * args.columns,) * up + (height,))
-points = mpm.fill(grid, body, per_cell=args.points_per_cell, density=args.density)
-
-V = mpm.Space(grid, basis=args.basis)
-u, v = V.increment, V.test
-
-# %% [markdown]
-# ## The weak form
-# Internal forces minus weight, both summed over the material points, and if asked for
-# a remedy against small cuts: the ghost penalty, say, acts on the step's increment across
-# the facets of cells at the body's boundary.
-
-# %%
-soil = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
-gravity = fem.Constant(grid, (0.0,) * d)
+soil = mpm.materials.Hencky(E=10e3, nu=0.0)  # Pa
+gravity = fem.Constant(grid, (0.0, 0.0))
 F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
-remedy = mpm.Stabilisation(
-    args.stabilisation, E=args.modulus, gamma=args.gamma, scaling=args.ghost or "scaled"
-)
+F += mpm.ghost(points, u, v, gamma=10e3 / 30)  # itself a few lines of UFL over points.dS
 
-sides = ("left", "right") if d == 2 else ("left", "right", "front", "back")
-bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
-problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=remedy)
-
-# %% [markdown]
-# ## Forty steps
-
-# %%
-ready = time.perf_counter()
-for load in mpm.steps(args.steps, label="gravity"):
-    gravity.value[up] = -args.gravity * load
+bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+problem = mpm.QuasiStatic(F, u, points, bcs)
+for load in mpm.steps(40, label="gravity"):  # progress bar on rank 0
+    gravity.value[1] = -10.0 * load
     problem.step()
-solved = time.perf_counter()
+mpm.plot(points, "output/column_compaction.png")
 
-# %% [markdown]
-# ## Error and figures
-
-# %%
-comm = grid.comm
-Y, V0 = points["x0"][:, up], points["V0"]
-sigma, exact = points["stress"][:, up, up], -weight * (height - Y)
-deviation = comm.allreduce(np.sum(np.abs(sigma - exact) * V0))
-error = deviation / (abs(weight) * height * comm.allreduce(np.sum(V0)))
-tops = points["x"][:, up] + points["F"][:, up, up] * points["l0"][:, up]
-iterations = [record.iterations for record in problem.history]
-figures = {
-    "error": float(error),
-    "height": float(comm.allreduce(tops.max(initial=0.0), op=MPI.MAX)),
-    "height_exact": float(exact_position(np.array(height), height, modulus, weight)),
-    **solver_figures(problem),
-    "seconds_setup": ready - started,
-    "seconds_solve": solved - ready,
-}
-say(
-    f"{args.basis}, {args.elements} elements high, {figures['points']} points, "
-    f"{comm.size} rank(s): "
-    f"error {error:.5e}, height {figures['height']:.4f} m (exact {figures['height_exact']:.4f} m), "
-    f"{sum(iterations)} Newton iterations in {args.steps} steps, "
-    f"{figures['seconds_solve']:.2f} s after {figures['seconds_setup']:.2f} s of set-up"
-)
-
-# %% [markdown]
-# ## Points, picture and ParaView file
-# The stress of the points lies on the exact line but for the cells at the top, where
-# few points carry little stress, and the base.
-
-# %%
-if args.points_file:
-    rows = points.gather("x0", "x", "stress")
-    if rows is not None:
-        x0, x, stress = rows
-        # the order of rows must not depend on the number of ranks
-        order = np.lexsort(x0.T)
-        table = np.hstack([x0, x, stress.reshape(-1, 9)])[order]
-        names = [f"{a}{i}" for a in ("X", "x") for i in "xyz"[:d]]
-        names += [f"stress_{i}{j}" for i in "xyz" for j in "xyz"]
-        np.savetxt(args.points_file, table, delimiter=",", header=",".join(names), comments="")
-
-if not args.no_plot:
-    with mpm.ParaView(args.output / "column_compaction.pvd", points) as file:
-        file.write(1.0)
-    mpm.plot(points, args.output / "column_compaction_points.png")
-    rows = points.gather("x0", "x", "stress")
-    if rows is not None:
-        picture(args.output / "column_compaction.png", *rows, height, weight, modulus)
-
-finish(args, figures)
+# the mean error of the vertical stress over the body, by the largest stress
+Y, V0 = points["x0"][:, 1], points["V0"]
+deviation = np.abs(points["stress"][:, 1, 1] + 800.0 * (50.0 - Y)) @ V0
+error = grid.comm.allreduce(deviation) / (800.0 * 50.0 * grid.comm.allreduce(V0.sum()))
+if grid.comm.rank == 0:
+    print(f"error of the stress {error:.2e}")
+assert error < 1e-3

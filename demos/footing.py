@@ -1,392 +1,50 @@
-# %% [markdown]
-# # Footings: settlement, bearing capacity, and what locks
-#
-# Half of a layer of ground, 15 m wide and 5 m deep, on a fixed base between smooth walls,
-# carries a strip footing of half-width 2 m. Three clays show three things:
-#
-# - `--law cam-clay`: modified Cam-Clay with weight, normally consolidated, under a flexible
-#   smooth footing. Without strain the clay has $p_0 = p_c = 20$ kPa, which a surcharge of as much
-#   on the whole top keeps in equilibrium. Then come the weight, 10 kN/m³ in 20 steps, and
-#   90 kPa on the footing in 50. The linear theory overestimates the settlement, for ground that
-#   is compressed gets thinner and its columns share more load.
-# - `--law tresca`: weightless clay that hardens from 10 to 15 kPa,
-#   $c = c_u + (c_0 - c_u)\,e^{-5\bar\varepsilon^p}$, under 70 kPa on a flexible rough footing in
-#   100 steps. It flows at constant volume, and standard elements are too stiff for that.
-# - `--law tresca-perfect`: the same without hardening under a rigid footing that is pressed down.
-#   The load has a limit, Prandtl's $(2 + \pi)\,c$.
-#
-# What comes out, with cells of 0.5 m unless said otherwise:
-#
-# - Cam-Clay under 90 kPa, 4² points, settles by 0.689 m in the centre and 0.630 m on average with
-#   quadratic splines, conforming elements say 0.690 and 0.637 m; in the linear theory both say
-#   0.878 m in the centre, 27 % more. GIMP has 0.688 and 0.620 m. The mean is less exact because
-#   the ground bends within a cell or two of the footing's edge.
-# - Hardening Tresca clay, 2² points, locks without F-bar. At 70 kPa linear functions are 10 % too
-#   stiff in the centre, GIMP 9 %, quadratic splines 4 %. That is their order under the last load;
-#   on the way there GIMP is now and then the stiffer of the first two, by up to 7 %, because what
-#   points that cross cells do to linear functions softens them. With 4² points it is by 1 % at the
-#   end too. F-bar makes all softer: GIMP misses 6 %, and 0.2 % at 56 kPa, up to where the
-#   conforming curves converge; quadratic splines 0.5 % and 0.7 %. Linear functions flow too much
-#   with it, by 18 %.
-# - Cell means constrain splines too little where a clay changes its volume: the plastic strain of
-#   Cam-Clay comes in stripes two cells wide, and it settles by 10 % too much, where GIMP with F-bar
-#   has 0.689 and 0.630 m.
-# - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge, by 5.8 %
-#   without, where the load still rises; by 2.3 and 8.7 % with cells of 0.1 m. (E/c is 10⁴ there, so
-#   that the clay flows before its shape changes.)
-#
-# All pressures are dead, vertical and per first area. The curves are compared with stored ones of
-# conforming elements (eight nodes, reduced integration) for the same laws and loads:
-# `tests/reference/footings.py`.
+"""A strip footing on clay carries 5.14 times the cohesion, and not more.
 
-# %%
-import time
+A smooth rigid strip of half-width 1 m is pressed into weightless clay of Tresca's law, c = 10 kPa.
+Prandtl (1921) found the load at which the ground flows from under it and up beside it,
+
+    q = (2 + π) c = 5.14 c,
+
+whatever the stiffness. Where the ground flows its volume stays, and linear functions cannot
+follow: each point in a cell is a constraint, and there are more of them than unknowns. The ground
+*locks*: try fbar=False, with which the load is 7 % too high here, and rises. F-bar takes the change
+of volume from the mean over a cell (de Souza Neto et al. 1996, doi 10.1016/0020-7683(95)00259-6).
+"""
 
 import numpy as np
-import ufl
 from dolfinx import fem, mesh
-from footing_curves import compared, describe, draw_compared, draw_run, stored
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ConvergenceError
-from dolfinmpm.body.location import destinations
 
-WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
-COHESION, GRAVITY = 10e3, 10.0  # Pa, m/s²
-LIMIT = (2 + np.pi) * COHESION
-DEFAULTS = {  # by the law
-    "cam-clay": {
-        "h": 0.5, "points_per_cell": 4, "steps": 50, "load": 90e3, "footing": "flexible",
-        "rough": "off", "fbar": "off", "modulus": 1e6, "basis": "bspline2",
-    },
-    "tresca": {
-        "h": 0.5, "points_per_cell": 2, "steps": 100, "load": 70e3, "footing": "flexible",
-        "rough": "on", "fbar": "on", "modulus": 1e6, "basis": "gimp",
-    },
-    "tresca-perfect": {
-        "h": 0.05, "points_per_cell": 2, "steps": 25, "load": 70e3, "footing": "rigid",
-        "rough": "off", "fbar": "on", "modulus": 1e8, "basis": "gimp",
-        "coarsest": 0.5,
-    },
-}  # fmt: skip
+# Half of the ground. Above it the grid has a row of cells for what heaves beside the footing.
+h = 0.0625  # m
+corners, cells = [(0, 0), (4, 2 + h)], (64, 33)
+grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=1000.0)
+V = mpm.Space(grid, basis="gimp")
+u, v = V.increment, V.test
 
+# So stiff that the clay flows before its shape changes: the linear theory's limit is what we want.
+E, c = 1e8, 10e3  # Pa
+clay = mpm.materials.Tresca(E, 0.33, cohesion=c)
+F = mpm.momentum(clay, points, u, v, fbar=True)
 
-def arguments():
-    """The command line; what is not given takes the law's value in DEFAULTS."""
-    options = parser("A strip footing on a layer of clay.")
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    remedies = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
-    options.add_argument("--law", choices=tuple(DEFAULTS), default="cam-clay")
-    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
-    options.add_argument("--basis", choices=bases, help="by the law")
-    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
-    options.add_argument("--footing", choices=("flexible", "rigid"), help="by the law")
-    options.add_argument("--rough", choices=("on", "off"), help="by the law")
-    options.add_argument("--h", type=float, help="size of the cells (m); by the law")
-    options.add_argument(
-        "--coarsest", type=float, help="size of the cells (m) far from the footing's edge; by the "
-        "law; h for equal ones"
-    )  # fmt: skip
-    options.add_argument("--points-per-cell", type=int, help="in each direction; by the law")
-    options.add_argument("--steps", type=int, help="of the footing; by the law")
-    options.add_argument("--load", type=float, help="last pressure of a flexible footing (Pa)")
-    options.add_argument(
-        "--settlement", type=float, help="last one of a rigid footing (m); 75 c B/E by default"
-    )
-    options.add_argument("--modulus", type=float, help="Young's modulus (Pa) of Tresca's clay")
-    options.add_argument("--stabilisation", choices=remedies, default="aggregation")
-    options.add_argument(
-        "--compare", action="store_true", help="cam-clay: measures of strain; tresca: bases with "
-        "and without F-bar; tresca-perfect: F-bar on finer and finer cells"
-    )  # fmt: skip
-    given = options.parse_args()
-    for name, value in DEFAULTS[given.law].items():
-        if getattr(given, name) is None:
-            setattr(given, name, value)
-    if given.coarsest is None:
-        given.coarsest = given.h
-    given.coarsest = max(given.coarsest, given.h)
-    if given.settlement is None:
-        given.settlement = 75 * 10e3 / given.modulus
-    if not 0 < given.h <= 1:
-        options.error(f"h = {given.h:g} m must be positive and at most 1 m")
-    if not given.coarsest <= 2:
-        options.error(f"coarsest = {given.coarsest:g} m must be at most 2 m")
-    if given.steps < 1 or given.points_per_cell < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    if not min(given.load, given.settlement, given.modulus) > 0:
-        options.error("load, settlement and modulus must be positive")
-    return given
+# The footing holds the faces of the points under it to its own motion. It is pressed down, not
+# loaded: beyond the limit no load would have an equilibrium, but every settlement has one.
+under = mpm.Surface(points, lambda x: np.isclose(x[1], 2) & (x[0] < 1), normal=(0, 1))
+settlement = fem.Constant(grid, 0.0)
+footing = mpm.RigidFooting(under, settlement, rough=False, E=E)
+F -= footing.contact(u, v)
 
+bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+for share in mpm.steps(10, label="settlement"):
+    settlement.value = 2e-3 * share
+    problem.step()
 
-# %% [markdown]
-# ## Grid and ground
-# Equal cells, or cells that grow away from the footing's edge, where the stress jumps: a
-# rectangular grid stays one when its lines are moved. There is room above the ground for what
-# heaves beside the footing.
-
-
-# %%
-def lines(length, at, h, coarsest):
-    """Ends of cells in [0, length], a line at `at`, where their size is h (m)."""
-
-    def half(reach):
-        sizes = [h]
-        while sum(sizes) < reach - 1e-9:
-            sizes.append(min(1.2 * sizes[-1], coarsest))
-        return np.cumsum(sizes) * reach / sum(sizes) if reach > 0 else np.empty(0)
-
-    return np.r_[at - half(at)[::-1], at, at + half(length - at)]
-
-
-def rectangle(x, y):
-    """A grid of rectangles with the lines x and y (m)."""
-    n = len(x) - 1, len(y) - 1
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), n], n, mesh.CellType.quadrilateral)
-    at = grid.geometry.x
-    at[:, 0] = x[np.rint(at[:, 0]).astype(int)]
-    at[:, 1] = y[np.rint(at[:, 1]).astype(int)]
-    return grid
-
-
-def law_of(args):
-    """The law; and the unit weight of the ground (N/m³) and the pressure on its top (Pa)."""
-    if args.law == "cam-clay":
-        clay = mpm.materials.CamClay(
-            swelling=0.018, compression=0.130, M=1.05, mu0=5.4e6, alpha=0.0,
-            reference_pressure=20e3, preconsolidation=20e3,
-        )  # fmt: skip
-        return clay, 10e3, 20e3
-    ultimate = 15e3 if args.law == "tresca" else 10e3
-    clay = mpm.materials.Tresca(args.modulus, 0.33, COHESION, ultimate_cohesion=ultimate, rate=5.0)
-    return clay, 0.0, 0.0
-
-
-# %% [markdown]
-# ## The weak form
-# Pressures act on the faces of the points, not on the points. A rough footing that is flexible
-# moves with the ground but lets nothing slide: a penalty holds the horizontal displacement of the
-# faces. A rigid one has all of that in `RigidFooting`.
-#
-# ## The linear theory
-# Small strain says that equilibrium is that of the ground as it was at first. The points
-# of a material point method move, however, and the next step's gradients are taken where they are
-# then: in one dimension this alone turns added strains into logarithmic ones. So after
-# every step they go back, and the field `moved` keeps the displacement, `turned` its
-# gradient. Under a rigid footing, with a few millimetres until the ground flows, they need not.
-
-
-# %%
-class Scene:
-    """Ground and footing, step by step.
-
-    Args:
-        args: The command line, or a variation of it.
-    """
-
-    def __init__(self, args):
-        self.grid = grid = rectangle(
-            lines(WIDTH, HALF_WIDTH, args.h, args.coarsest),
-            lines(DEPTH + ROOM, DEPTH, args.h, args.coarsest),
-        )
-        self.args = args
-        law, self.weight, surcharge = law_of(args)
-        self.internal = next(iter(law.internal))
-        body = mpm.Box((0, 0), (WIDTH, DEPTH))
-        # any density where there is no weight
-        density = self.weight / GRAVITY or 1000.0
-        self.points = points = mpm.fill(grid, body, args.points_per_cell, density)
-        top = mpm.Surface(points, lambda x: np.isclose(x[1], DEPTH), (0, 1), name="top")
-        self.under = under = mpm.Surface(
-            points, lambda x: np.isclose(x[1], DEPTH) & (x[0] < HALF_WIDTH), (0, 1), name="under"
-        )
-        V = mpm.Space(grid, args.basis)
-        u, v = V.increment, V.test
-        self.gravity = fem.Constant(grid, (0.0, 0.0))
-        self.pressure = fem.Constant(grid, (0.0, 0.0))
-        self.settlement = fem.Constant(grid, 0.0)
-        moved = points.add_field("moved", (2,), "m")
-        turned = points.add_field("turned", (2, 2))
-        rough, self.rigid = args.rough == "on", args.footing == "rigid"
-
-        F = mpm.momentum(law, points, u, v, strain=args.strain, fbar=args.fbar == "on")
-        F -= top.traction(fem.Constant(grid, (0.0, -surcharge)), v)
-        F -= ufl.inner(points.density * self.gravity, v) * points.dX
-        if self.rigid:
-            self.footing = mpm.RigidFooting(under, self.settlement, rough=rough, E=args.modulus)
-            F -= self.footing.contact(u, v)
-        else:
-            F -= under.traction(self.pressure, v)
-        if rough and not self.rigid:
-            stiffness = fem.Constant(grid, 1e3 * args.modulus / args.h)
-            slip = moved + ufl.dot(turned, under.offset) + under.at(u)
-            F -= under.traction(ufl.as_vector((-stiffness * slip[0], 0.0)), v)
-        self.problem = mpm.QuasiStatic(
-            F,
-            u,
-            points,
-            mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom"),
-            updates={"moved": moved + u, "turned": turned + ufl.dot(ufl.grad(u), points.F)},
-            stabilisation=mpm.Stabilisation(args.stabilisation, E=args.modulus),
-        )
-
-    def load(self):
-        """Mean pressure on the footing (Pa). Collective."""
-        if self.rigid:
-            return self.footing.load() / HALF_WIDTH
-        return -float(self.pressure.value[1])
-
-    def step(self):
-        """One step; the last two residuals of each of its parts' last. Collective."""
-        record = self.problem.step()
-        if self.args.strain == "small" and not self.rigid:
-            self.put_back()
-        return record.residuals[-2:]
-
-    def put_back(self):
-        """Return the points to where they were at first. Collective."""
-        points = self.points
-        points["x"], points["l"], points["V"] = points["x0"], points["l0"], points["V0"]
-        points["F"] = np.eye(2)
-        points.migrate(destinations(self.grid, points["x"], points["cell"]))
-
-    def sunk(self):
-        """Downward displacement (m) at the axis, of the footing on average, at its edge."""
-        points, offset, area = self.points, self.under.offset.array, self.under.area.array
-        at = area[:, 1] > 0
-        s = -points["moved"][:, 1] - np.einsum("pj,pj->p", points["turned"][:, 1], offset)
-        rows = np.column_stack([points["x0"][at, 0], area[at, 1], s[at]])
-        rows = np.concatenate(self.grid.comm.allgather(rows))
-        x, size, s = rows[np.argsort(rows[:, 0])].T
-        # even in x about the axis, and straight at the edge
-        centre = s[0] - (s[1] - s[0]) / (x[1] ** 2 - x[0] ** 2) * x[0] ** 2
-        edge = s[-1] + (s[-1] - s[-2]) / (x[-1] - x[-2]) * (HALF_WIDTH - x[-1])
-        return np.array([centre, s @ size / size.sum(), edge])
-
-    def look(self):
-        """What is drawn of all points: x, F, l0 and what the law remembers; None beyond rank 0."""
-        state = self.points.gather("x", "F", "l0", self.internal)
-        if self.args.strain == "small" and not self.rigid:
-            # the linear theory moves nothing; the picture does
-            moved = self.points.gather("moved", "turned")
-            if state is not None:
-                state = state[0] + moved[0], state[1] + moved[1], *state[2:]
-        return state
-
-
-# %% [markdown]
-# ## A run
-# Settlement counts from when the footing is loaded. A run that finds no equilibrium ends there.
-# Where there is a stored curve of conforming elements, the run is compared with it, in
-# `footing_curves.py`, where the pictures are drawn too.
-
-
-# %%
-def run(args):
-    """Load the footing; returns the figures, the history and the scene. Collective."""
-    started = time.perf_counter()
-    scene = Scene(args)
-    ready = time.perf_counter()
-    residuals, reason = [], ""
-    history = mpm.History(scene.grid.comm)
-    first = np.zeros(3)
-    try:
-        for part in mpm.steps(20, label="weight") if scene.weight else ():
-            scene.gravity.value[1] = -GRAVITY * part
-            residuals.append(scene.step())
-        first = scene.sunk()
-        history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
-        for part in mpm.steps(args.steps, label="footing"):
-            scene.pressure.value[1] = -args.load * part
-            scene.settlement.value = args.settlement * part
-            residuals.append(scene.step())
-            names = "centre", "mean", "edge"
-            history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
-    except ConvergenceError as error:
-        reason = str(error)
-        if not len(history):
-            # under the weight already
-            history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
-    curve = np.array([history[name] for name in ("load", "centre", "mean", "edge")])
-    figures = {
-        **{name: getattr(args, name) for name in ("law", "strain", "basis", "fbar", "h", "rough")},
-        "completed": not reason,
-        "reason": reason,
-        "load": float(curve[0, -1]),
-        "settlement_centre": float(curve[1, -1]),
-        "settlement_mean": float(curve[2, -1]),
-        "settlement_edge": float(curve[3, -1]),
-        "settlement_before": float(first[0]),
-        "curve": curve.tolist(),
-        "last_ratios": residuals,
-        **solver_figures(scene.problem),
-        "seconds_setup": ready - started,
-        "seconds_solve": time.perf_counter() - ready,
-    }
-    if args.law == "tresca-perfect":
-        before = max(0, curve.shape[1] - 1 - max(1, args.steps // 5))
-        figures["bearing_factor"] = float(curve[0, -1] / COHESION)
-        figures["bearing_factor_exact"] = 2 + np.pi
-        figures["bearing_error"] = float(curve[0, -1] / LIMIT - 1)
-        # what the last fifth of the settlement still adds
-        rise = curve[0, -1] - curve[0, before]
-        figures["last_rise"] = float(rise / curve[0, -1]) if rise else 0.0
-    reference = stored(args)
-    if reference is not None and figures["load"] > 0:
-        figures |= compared(curve, reference)
-    say(describe(args, figures))
-    return figures, history, scene
-
-
-# %% [markdown]
-# ## Runs
-
-# %%
-BASES = {
-    "linear": "linear",
-    "gimp": "GIMP",
-    "bspline2": "quadratic splines",
-    "bspline3": "cubic splines",
-}
-
-
-def variations(args):
-    """What `--compare` runs: label and options of each."""
-    if args.law == "cam-clay":
-        return [(f"{strain} strain", {"strain": strain}) for strain in ("large", "small")]
-    if args.law == "tresca":
-        return [
-            (f"{name}, F-bar" if fbar == "on" else name, {"basis": basis, "fbar": fbar})
-            for basis, name in BASES.items()
-            for fbar in ("off", "on")
-        ]
-    return [
-        (f"$h$ = {h:g} m" + (", F-bar" if fbar == "on" else ""), {"h": h, "fbar": fbar})
-        for h in (4 * args.h, 2 * args.h, args.h)
-        for fbar in ("off", "on")
-    ]
-
-
-args = arguments()
-if not args.compare:
-    figures, history, scene = run(args)
-    history.write(args.output / "footing.csv")
-    if not args.no_plot:
-        state = scene.look()
-        if state is not None:
-            picture = args.output / f"footing_{args.law}.png"
-            draw_run(picture, args, figures, state, scene.internal, (WIDTH, DEPTH, ROOM), LIMIT)
-    finish(args, figures)
-else:
-    results = []
-    for label, options in variations(args):
-        one = type(args)(**{**vars(args), **options})
-        results.append({"label": label, **run(one)[0]})
-    short = ("curve", "last_ratios", "last_residuals")
-    rows = [{k: v for k, v in r.items() if k not in short} for r in results]
-    mpm.study.write_table(rows, args.output / f"footing_{args.law}_compared.csv")
-    if not args.no_plot:
-        draw_compared(args.output / f"footing_{args.law}_compared.png", args, results, LIMIT)
-    finish(args, {"runs": results})
+factor = footing.load() / c
+if grid.comm.rank == 0:
+    print(f"bearing factor {factor:.3f}, Prandtl {2 + np.pi:.3f}")
+mpm.plot(points, "output/footing.png", "plastic_strain", limits=(0, 0.005), size=(5.5, 3.5))
+assert abs(factor / (2 + np.pi) - 1) < 0.03

@@ -1,4 +1,4 @@
-"""The cantilever of `demos/cantilever.py` against the elastica and against conforming elements."""
+"""The study `cantilever.py` against the elastica and against conforming elements."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ ELASTICA = np.array(
 
 @functools.cache
 def demo(*options: str, ranks: int = 1) -> dict:
-    """Figures of the demo, run by an interpreter of its own."""
-    return figures_of("demos/cantilever.py", "--json", "-", "--no-plot", *options, ranks=ranks)
+    """Figures of the study, run by interpreters of its own."""
+    return figures_of(
+        "demos/studies/cantilever.py", "--json", "-", "--no-plot", *options, ranks=ranks
+    )
 
 
 def hencky_energy(F, E, nu):

@@ -16,7 +16,7 @@ from dolfinmpm.solve.newton import Newton
 @pytest.fixture(scope="module")
 def collapse():
     """The published scene as it stands."""
-    return figures_of("demos/elastoplastic_collapse.py", "--json", "-", "--no-plot")
+    return figures_of("demos/studies/elastoplastic_collapse.py", "--json", "-", "--no-plot")
 
 
 def test_few_newton_iterations(collapse):
@@ -43,7 +43,7 @@ def test_the_weight_does_the_work_that_is_stored_and_dissipated(collapse):
 def test_smaller_steps_and_cells_end_in_the_same_shape(collapse):
     # with these points and 80 steps the run does not come to its end without a remedy
     options = "--json - --no-plot --points-per-cell 3 --stabilisation ghost"
-    script = "demos/elastoplastic_collapse.py"
+    script = "demos/studies/elastoplastic_collapse.py"
     small = figures_of(script, *options.split(), "--steps", "80")
     fine = figures_of(script, *options.split(), "--h", "0.25")
     for other in (small, fine):

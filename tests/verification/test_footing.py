@@ -1,4 +1,4 @@
-"""Footings against conforming elements and Prandtl's limit, by the demo."""
+"""Footings against conforming elements and Prandtl's limit, by the study."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from conftest import figures_of
 
 @functools.cache
 def footing(options):
-    figures = figures_of("demos/footing.py", "--no-plot", "--json", "-", *options.split())
+    figures = figures_of("demos/studies/footing.py", "--no-plot", "--json", "-", *options.split())
     assert figures["completed"], figures["reason"]
     return figures
 

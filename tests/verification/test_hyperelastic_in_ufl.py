@@ -1,4 +1,4 @@
-"""Growing tissue, stated in UFL by `demos/hyperelastic_in_ufl.py`, against its exact solution."""
+"""Growing tissue, stated in UFL by the study `hyperelastic_in_ufl.py`, against its solution."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ ROOT = Path(__file__).parents[2]
 
 @functools.cache
 def demo(*options: str, ranks: int = 1) -> dict:
-    """Figures of the demo, run by an interpreter of its own."""
+    """Figures of the study, run by interpreters of its own."""
     return figures_of(
-        "demos/hyperelastic_in_ufl.py", "--json", "-", "--no-plot", *options, ranks=ranks
+        "demos/studies/hyperelastic_in_ufl.py", "--json", "-", "--no-plot", *options, ranks=ranks
     )
 
 

@@ -10,7 +10,7 @@ from conftest import figures_of
 
 @functools.cache
 def solve(*options, ranks=1):
-    script = "demos/manufactured_solution.py"
+    script = "demos/studies/manufactured_solution.py"
     if "--basis" not in options:
         options = "--basis", "gimp", *options
     return figures_of(script, "--json", "-", "--no-plot", *options, ranks=ranks)

@@ -1,4 +1,4 @@
-"""The thick cylinder of `demos/thick_cylinder.py` against Hill's closed form."""
+"""The thick cylinder of `demos/studies/thick_cylinder.py` against Hill's closed form."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ LIMIT = 0.19209e9
 
 @functools.cache
 def demo(options: str, ranks: int = 1) -> dict:
-    """Figures of the demo, run by an interpreter of its own."""
+    """Figures of the study, run by interpreters of its own."""
     given = "--json", "-", "--no-plot", *options.split()
-    return figures_of("demos/thick_cylinder.py", *given, ranks=ranks)
+    return figures_of("demos/studies/thick_cylinder.py", *given, ranks=ranks)
 
 
 @pytest.mark.parametrize(

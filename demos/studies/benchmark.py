@@ -61,7 +61,7 @@ def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profil
 
 REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of their own work is done
-MODULES = {"stabilise.py", "aggregate.py", "fractions.py", "prolong.py", "ordinary.py"}
+MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py", "gridterms.py"}
 
 
 def remedy_calls(columns, elements, basis, remedy, steps=40):
@@ -74,7 +74,7 @@ def remedy_calls(columns, elements, basis, remedy, steps=40):
     for (path, _, name), (_, calls, *_) in stats.stats.items():
         path = Path(path)
         facets = path.name == "active.py" and name in ("select", "active_cells")
-        if path.parent == package and (path.name in MODULES or facets):
+        if path.parent.parent == package and (path.name in MODULES or facets):
             own += calls
     return own / steps, stats.total_calls / steps
 

@@ -18,7 +18,7 @@ from scene import draw_points
 
 import dolfinmpm as mpm
 
-STORED = Path(__file__).resolve().parent.parent / "tests" / "reference"
+STORED = Path(__file__).resolve().parents[2] / "tests" / "reference"
 # what the ground is coloured by: what its law remembers
 LABELS = {
     "preconsolidation_pressure": "preconsolidation pressure $p_c$ (kPa)",

@@ -1,4 +1,4 @@
-"""What all demos share: their command line, and how they hand over their figures."""
+"""What all studies share: their command line, and how they hand over their figures."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 from mpi4py import MPI
 
-OUTPUT = Path(__file__).resolve().parent.parent / "output"
+OUTPUT = Path(__file__).resolve().parents[2] / "output"
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """A command line with the options that every demo takes."""
+    """A command line with the options that every study takes."""
     result = argparse.ArgumentParser(
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -44,7 +44,7 @@ def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
 
 
 def solver_figures(problem: Any) -> dict[str, Any]:
-    """What the steps of a problem took, for the figures of a demo. Collective."""
+    """What the steps of a problem took, for the figures of a study. Collective."""
     history = problem.history
     iterations = [record.iterations for record in history]
     return {

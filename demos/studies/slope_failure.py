@@ -1,0 +1,305 @@
+# %% [markdown]
+# # A slope fails: which runs come to the end?
+#
+# Coombs (2023, doi 10.1002/nme.7332) brings a slope of soft clay with a weak zone to failure with
+# GIMP, on three grids and with three densities of points, and counts the runs that finish. Without
+# a remedy against small cuts several do not; with ghost stabilisation all do. Material, number of
+# steps and the table are published, the shape of the slope only as a picture. The one here is
+#
+# - ground 24 m wide and 2 m thick, on a rough base between smooth walls;
+# - on it a slope 6 m high at 45°, with its toe at $x = 12$ m and its crest from $x = 0$ to 6 m, so
+#   that the body is 8 m high at the left wall; all that is not above the line
+#   $x + y = 14$ m belongs to it;
+# - at the foot of the slope a weak zone 8 m long and 1 m thick, $4 \le x \le 12$ m,
+#   $2 \le y \le 3$ m;
+# - a grid of squares over 24 m by 9 m.
+#
+# Young's modulus is 1 MPa, Poisson's ratio 0.3, the density 2400 kg/m³, gravity 10 m/s² in $40/h$
+# equal steps ($h$ in m). Von Mises' yield stress $\rho_y$, with $f = \sqrt{2J_2} - \rho_y$, is
+# 15 kPa, and 7.5 kPa in the weak zone; the undrained strength is $c_u = \rho_y/\sqrt2$. A slope
+# of 45° without a weak zone stands up to a height of about $5.5\,c_u/(\rho g) = 2.4$ m (Taylor's
+# chart): this one is two and a half times as high.
+#
+# It slides over the weak zone onto the ground in front of it: what was the toe moves by several
+# metres, and points pass the grid's lines with domains that are slivers in the new cells.
+
+# %%
+import time
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import draw_points, finish, parser, say
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import DolfinMPMError
+
+E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
+DENSITY, GRAVITY = 2400.0, 10.0
+WIDTH, BASE, TOP, TOE, GRID_TOP = 24.0, 2.0, 8.0, 12.0, 9.0
+ZONE = (4.0, 12.0), (2.0, 3.0)
+REMEDIES = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
+
+
+def arguments():
+    """The command line."""
+    options = parser("A slope with a weak zone fails under its weight.")
+    options.add_argument(
+        "--table", action="store_true", help="run all of the lists below, and draw a table"
+    )
+    options.add_argument("--h", help="size of the cells (m), divides 1; with --table 1,0.5,0.25")
+    options.add_argument("--points-per-cell", help="in each direction; with --table 2,3,4")
+    options.add_argument(
+        "--stabilisation", help=f"of {', '.join(REMEDIES)}; with --table none,ghost,aggregation"
+    )
+    options.add_argument("--ghost", choices=("on", "off"), help="ghost stabilisation or none")
+    bases = "linear", "gimp", "bspline2", "bspline3"
+    options.add_argument("--basis", choices=bases, default="gimp")
+    options.add_argument("--law", choices=("von-mises", "tresca"), default="von-mises")
+    options.add_argument("--steps", type=int, help="of gravity; 40/h by default")
+    given = options.parse_args()
+    if given.ghost is not None and given.stabilisation is not None:
+        options.error("--ghost and --stabilisation exclude each other")
+    if given.ghost is not None:
+        given.stabilisation = "ghost" if given.ghost == "on" else "none"
+    defaults = ("1,0.5,0.25", "2,3,4", "none,ghost,aggregation")
+    defaults = defaults if given.table else ("1", "2", "ghost")
+    kinds = {"h": float, "points_per_cell": int, "stabilisation": str}
+    for (name, kind), default in zip(kinds.items(), defaults):
+        try:
+            values = [kind(word) for word in (getattr(given, name) or default).split(",")]
+        except ValueError as error:
+            options.error(f"{name}: {error}")
+        if len(values) > 1 and not given.table:
+            options.error(f"{name}: more than one value needs --table")
+        setattr(given, name, values)
+    for h in given.h:
+        if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
+            options.error(f"h = {h:g} m must divide 1 m")
+    for name in given.stabilisation:
+        if name not in REMEDIES:
+            options.error(f"stabilisation = {name} must be one of {', '.join(REMEDIES)}")
+    if min(given.points_per_cell) < 1 or (given.steps is not None and given.steps < 1):
+        options.error("points-per-cell and steps must be at least 1")
+    return given
+
+
+# %% [markdown]
+# ## One run
+# A step in which full Newton steps do not converge is tried again with a line search, and then
+# halved, up to ten times. If that does not help, the run ends there, and the table says so, with
+# the share of gravity that was reached. The line search matters: for $h = 0.25$ m full steps go to
+# and fro between two states when the toe overhangs the ground, however small the load, with ghost
+# stabilisation too. With it all runs with ghost stabilisation or aggregation come to the end, and
+# two of nine without a remedy.
+
+
+# %%
+def in_zone(x):
+    """Whether points at x, shape (2, n), were in the weak zone."""
+    (left, right), (low, high) = ZONE
+    return (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
+
+
+def in_body(x):
+    """Whether x, shape (2, n), is in the slope or in the ground."""
+    # rounding must not decide about the points on the slope's surface
+    return (x[1] <= TOP) & ((x[1] <= BASE) | (x[0] + x[1] <= TOE + BASE + 1e-9))
+
+
+def law_of(name):
+    """The law; both have the undrained strength ρ_y/√2."""
+    if name == "tresca":
+        cohesion = np.array([YIELD, WEAK]) / np.sqrt(2)
+        return mpm.materials.Tresca(E, NU, lambda x: np.where(in_zone(x), cohesion[1], cohesion[0]))
+    return mpm.materials.VonMises(E, NU, lambda x: np.where(in_zone(x), WEAK, YIELD))
+
+
+def run(h, per_cell, remedy, args):
+    """Bring the slope to failure; returns the figures of the run and its points. Collective."""
+    started = time.perf_counter()
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)),
+        mesh.CellType.quadrilateral,
+    )  # fmt: skip
+    comm = grid.comm
+    points = mpm.fill(grid, mpm.Where(in_body), per_cell, DENSITY)
+    V = mpm.Space(grid, args.basis)
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(law_of(args.law), points, u, v)
+    F -= ufl.inner(points.density * gravity, v) * points.dX
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    steps = args.steps or round(40 / h)
+    reason = ""
+    for load in mpm.steps(steps, label=f"h = {h:g} m, {per_cell}², {remedy}"):
+        gravity.value[1] = -GRAVITY * load
+        try:
+            problem.step()
+        except DolfinMPMError as error:
+            # the run's outcome is what is asked for, good or bad
+            reason = f"{type(error).__name__}: {error}"
+            break
+    history = problem.history
+    slope = points["x0"][:, 1] > BASE
+    reach = np.einsum("pj,pj->p", np.abs(points["F"][:, 0]), points["l0"])
+    front = comm.allreduce((points["x"][:, 0] + reach)[slope].max(initial=-np.inf), op=MPI.MAX)
+    top = comm.allreduce(points["x"][slope, 1].max(initial=-np.inf), op=MPI.MAX)
+    strain = comm.allreduce(points["plastic_strain"].max(initial=0.0), op=MPI.MAX)
+    return {
+        "h": h,
+        "points_per_cell": per_cell,
+        "stabilisation": remedy,
+        "ghost": "on" if remedy == "ghost" else "off",
+        "completed": not reason,
+        "steps": steps,
+        "steps_done": len(history),
+        "gravity_reached": float(-gravity.value[1] / GRAVITY),
+        "newton_iterations": sum(record.iterations for record in history),
+        "max_newton_iterations": max((record.iterations for record in history), default=0),
+        "halvings": sum(record.halvings for record in history),
+        "runout": float(front - TOE),
+        "top": float(top),
+        "max_plastic_strain": float(strain),
+        "points": points.total,
+        "ranks": comm.size,
+        "seconds": time.perf_counter() - started,
+        "reason": reason,
+    }, points
+
+
+def describe(result):
+    """A line on a run."""
+    end = "completed" if result["completed"] else f"ended at {result['gravity_reached']:.1%}"
+    r = {**result, "end": end}
+    return (
+        "h = {h:4g} m, {points_per_cell}² points, {stabilisation:16s} {end:14s} {steps_done:3d} of "
+        "{steps} steps, {newton_iterations:4d} iterations (at most {max_newton_iterations}), "
+        "{halvings} halvings, runout {runout:5.2f} m, plastic strain {max_plastic_strain:5.2f}, "
+        "{seconds:.1f} s"
+    ).format(**r)
+
+
+# %% [markdown]
+# ## Pictures
+# The deformed body with its plastic strain over its first outline; for a table, the outcomes, and
+# below them the states in which runs with a remedy came to their end.
+
+
+# %%
+def draw_state(axes, x, F, l0, alpha, limit):
+    """Draw the deformed body over its first outline."""
+    drawn = draw_points(axes, x, F, l0, alpha, cmap="viridis", clim=(0, limit))
+    outline = [(0, TOP), (TOE + BASE - TOP, TOP), (TOE, BASE), (WIDTH, BASE)]
+    axes.plot(*np.array(outline).T, color="0.4", lw=0.6, ls="--")
+    (left, right), (low, high) = ZONE
+    corners = [(left, low), (right, low), (right - (high - low), high), (left, high), (left, low)]
+    axes.plot(*np.array(corners).T, color="0.8", lw=0.6, ls=":")
+    axes.set(xlim=(0, WIDTH), ylim=(0, GRID_TOP))
+    return drawn
+
+
+STATE = "x", "F", "l0", "plastic_strain"
+
+
+def picture(path, rows, label):
+    """Draw one state."""
+    with mpm.figure(path, 6.5, 3.0) as (figure, axes):
+        drawn = draw_state(axes, *rows, np.percentile(rows[3], 99.5))
+        axes.set_title(label)
+        bar = figure.colorbar(drawn, ax=axes, extend="max", shrink=0.75)
+        bar.set_label(r"plastic strain $\alpha$")
+
+
+def table_picture(path, results, states, args):
+    """Draw the outcomes of all runs, and one state for every size of cells."""
+    remedies, shown = args.stabilisation, sorted(states, reverse=True)
+    # as high as the states are at the width that they have
+    lower = 0.75 + 6.2 / len(shown) * GRID_TOP / WIDTH if shown else 0.0
+    height = 0.95 + 0.3 * len(args.h) + lower
+    with mpm.figure(path, 7.2, height) as (figure, old):
+        old.remove()
+        parts = [figure]
+        if shown:
+            parts = figure.subfigures(2, 1, height_ratios=(height - lower, lower))
+        for axes, remedy in zip(np.atleast_1d(parts[0].subplots(1, len(remedies))), remedies):
+            of_remedy = [r for r in results if r["stabilisation"] == remedy]
+            outcome = {(r["h"], r["points_per_cell"]): r for r in of_remedy}
+            for row, h in enumerate(args.h):
+                for column, n in enumerate(args.points_per_cell):
+                    one = outcome[h, n]
+                    box = (column - 0.5, row - 0.5), 1, 1
+                    colour = "#B7DFC9" if one["completed"] else "#F3C9AE"
+                    axes.add_patch(_rectangle(*box, colour))
+                    text = "✓" if one["completed"] else f"✗ {100 * one['gravity_reached']:.0f} %"
+                    axes.text(column, row, text, ha="center", va="center")
+            columns, lines = len(args.points_per_cell), len(args.h)
+            axes.set(xlim=(-0.5, columns - 0.5), ylim=(lines - 0.5, -0.5), title=remedy)
+            axes.set_xticks(range(columns), labels=[f"{n}²" for n in args.points_per_cell])
+            axes.set_yticks(range(lines), labels=[f"{h:g}" for h in args.h])
+            axes.tick_params(length=0)
+            axes.grid(visible=False)
+            axes.set_xlabel("points a cell")
+        parts[0].axes[0].set_ylabel("$h$ (m)")
+        parts[0].suptitle("✓ came to the end, ✗ ended at this share of gravity", fontsize=7)
+        if not shown:
+            return
+        panels = np.atleast_1d(parts[1].subplots(1, len(shown), sharey=True))
+        for axes, h in zip(panels, shown):
+            label, rows = states[h]
+            drawn = draw_state(axes, *rows, 2.0)
+            axes.set_title(label)
+        for axes in panels[1:]:
+            axes.set_ylabel("")
+        bar = parts[1].colorbar(drawn, ax=[*panels], extend="max", shrink=0.6)
+        bar.set_label(r"plastic strain $\alpha$")
+
+
+def _rectangle(corner, width, height, colour):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle(corner, width, height, facecolor=colour, edgecolor="white", linewidth=1.5)
+
+
+# %% [markdown]
+# ## Runs
+
+# %%
+args = arguments()
+results, states = [], {}
+for h in args.h:
+    for per_cell in args.points_per_cell:
+        for remedy in args.stabilisation:
+            result, points = run(h, per_cell, remedy, args)
+            results.append(result)
+            say(describe(result))
+            if result["reason"]:
+                say(f"    {result['reason'][:160]} ...")
+            if not args.no_plot and (remedy == "ghost" or len(args.stabilisation) == 1):
+                state = points.gather(*STATE)
+                if state is not None:
+                    states[h] = f"h = {h:g} m, {per_cell}², {remedy}", state
+
+if not args.table:
+    result = results[0]
+    if not args.no_plot:
+        with mpm.ParaView(args.output / "slope_failure.pvd", points) as file:
+            file.write(result["gravity_reached"])
+        state = points.gather(*STATE)
+        if state is not None:
+            label = "" if result["completed"] else f"at {result['gravity_reached']:.1%} of gravity"
+            picture(args.output / "slope_failure.png", state, label)
+    finish(args, result)
+else:
+    stabilised = [r["completed"] for r in results if r["stabilisation"] in ("ghost", "aggregation")]
+    bare = [r["completed"] for r in results if r["stabilisation"] == "none"]
+    say(
+        f"with ghost penalty or aggregation {sum(stabilised)} of {len(stabilised)} runs came to "
+        f"the end, without a remedy {sum(bare)} of {len(bare)}"
+    )
+    mpm.study.write_table(results, args.output / "slope_failure_table.csv")
+    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+        table_picture(args.output / "slope_failure_table.png", results, states, args)
+    finish(args, {"runs": results, "all_stabilised_completed": all(stabilised)})

@@ -1,0 +1,250 @@
+"""What `benchmarks.py` measures: one row a claim, with its commands and how to read their JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+Answer = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A claim and what it rests on.
+
+    Attributes:
+        name: Its name on the command line.
+        part: Heading that it stands under.
+        claim: What is measured, in words.
+        commands: Studies with their options; `--no-plot --json -` is added.
+        read: Function of their JSON, one argument a command, that returns the figures.
+        shown: Format of the figures.
+        reference: What they are compared with, and where that is from.
+        quick: Whether it takes seconds and does not measure time.
+        fresh: Whether everything must be compiled anew.
+    """
+
+    name: str
+    part: str
+    claim: str
+    commands: tuple[str, ...]
+    read: Callable[..., Iterable[float]]
+    shown: str
+    reference: str = ""
+    quick: bool = False
+    fresh: bool = False
+
+
+def keys(*names: str) -> Callable[..., list[float]]:
+    """Reads figures by name from every answer in turn."""
+    return lambda *answers: [answer[name] for answer in answers for name in names]
+
+
+def each(study: str, *options: str) -> tuple[str, ...]:
+    """One command for every set of options."""
+    return tuple(f"demos/studies/{study}.py {option}".strip() for option in options)
+
+
+def spread(*answers: Answer) -> list[float]:
+    """Worst over best condition number of the stiffness, of every sweep."""
+    kappa = [[place["kappa_K"] for place in answer["places"]] for answer in answers]
+    return [max(values) / min(values) for values in kappa]
+
+
+def worst(*names: str) -> Callable[..., list[float]]:
+    """Reads the worst figures of every sweep."""
+    return lambda *answers: [answer["worst"][name] for answer in answers for name in names]
+
+
+def orders(*scenes: str) -> Callable[..., list[float]]:
+    """Reads overall orders of displacement and stress."""
+    return lambda answer: [
+        next(o for name, o in answer["overall"].items() if name.startswith(scene))[key]
+        for scene in scenes
+        for key in ("displacement", "stress")
+    ]
+
+
+def displacement_orders(*answers: Answer) -> list[float]:
+    """Overall orders of displacement in all scenes of every answer."""
+    return [order["displacement"] for answer in answers for order in answer["overall"].values()]
+
+
+def column_errors(basis: str, remedy: str) -> Callable[[Answer], list[float]]:
+    """Reads the errors of the column under one basis and one remedy."""
+    return lambda answer: [
+        run["error"] for run in answer["runs"] if (run["basis"], run["remedy"]) == (basis, remedy)
+    ]
+
+
+def kappa_of(*remedies: str) -> Callable[[Answer], list[float]]:
+    """Reads κ(K) of the remedies of `new_stabilisation.py`."""
+    return lambda answer: [
+        next(row["kappa_K"] for row in answer["table"] if row["remedy"] == remedy)
+        for remedy in remedies
+    ]
+
+
+def finished(answer: Answer) -> list[float]:
+    """How many slopes came to the end with ghost penalty, with aggregation, without a remedy."""
+    return [
+        sum(run["completed"] for run in answer["runs"] if run["stabilisation"] == name)
+        for name in ("ghost", "aggregation", "none")
+    ]
+
+
+def settlements(answer: Answer) -> list[float]:
+    """Settlement in the centre (m), without and with F-bar, of three bases."""
+    found = {(run["basis"], run["fbar"]): run["settlement_centre"] for run in answer["runs"]}
+    return [found[b, f] for b in ("linear", "gimp", "bspline2") for f in ("off", "on")]
+
+
+def cases(key: str, *names: str) -> Callable[[Answer], list[float]]:
+    """Reads a figure of several cases of `benchmark.py`."""
+    return lambda answer: [answer["cases"][name][key] for name in names]
+
+
+COLUMN, BEAM, ORDER = "The compacting column", "Elasticity", "A manufactured solution"
+CUTS, PLASTIC, FOOTING = "Small cuts", "Plasticity", "Footings"
+SPEED = "Time and memory"
+SIZES = tuple(f"--elements {n}" for n in (4, 16, 64, 256))
+TWO_D = "--dimension 2 --offsets 200"
+TIMES = each("benchmark", "")
+
+ROWS = (
+    Row("column-gimp", COLUMN, "error of the stress, GIMP, 2² points, 4, 16, 64, 256 elements",
+        each("column_compaction", *SIZES), keys("error"), "{:.5e}, {:.5e}, {:.5e}, {:.5e}",
+        "AMPLE: 4.13333e-2, 3.65891e-3, 4.35724e-4, 1.02910e-4", quick=True),
+    Row("column-linear", COLUMN, "the same, standard MPM",
+        each("column_compaction", *(f"--basis linear {n}" for n in SIZES)), keys("error"),
+        "{:.5e}, {:.5e}, {:.5e}, {:.5e}",
+        "AMPLE: 6.32522e-2, 8.66965e-2, 8.28870e-2, 8.94597e-2", quick=True),
+    Row("column-3d", COLUMN, "the same in 3D, GIMP, 16 elements",
+        each("column_compaction", "--dimension 3 --elements 16"), keys("error"), "{:.5e}",
+        "2D: 3.65891e-3", quick=True),
+    Row("column-newton", COLUMN, "Newton iterations a step to 1e-9, GIMP, 64 elements",
+        each("column_compaction", "--elements 64"), keys("max_newton_iterations"),
+        "at most {:.0f}", quick=True),
+    Row("column-ghost", COLUMN, "error with ghost penalty, scaled and literal, 64 elements",
+        each("column_compaction", "--ghost scaled", "--ghost literal"), keys("error"),
+        "{:.3e}, {:.3e}", "without: 4.357e-4", quick=True),
+    Row("column-splines", COLUMN, "error, quadratic splines, ghost penalty, 8, 16, 32 elements",
+        each("compaction_compared",
+             "--elements 8,16,32 --bases gimp,bspline2 --remedies none,ghost,aggregation"),
+        column_errors("bspline2", "ghost"), "{:.2e}, {:.2e}, {:.1e}",
+        "GIMP with it: 1.14e-2, 3.17e-3, 9.8e-4", quick=True),
+    Row("column-splines-aggregation", COLUMN, "the same with aggregation",
+        each("compaction_compared",
+             "--elements 8,16,32 --bases gimp,bspline2 --remedies none,ghost,aggregation"),
+        column_errors("bspline2", "aggregation"), "{:.2e}, {:.1e}, {:.1e}", quick=True),
+    Row("cantilever", BEAM, "cantilever at PL²/EI = 10, h = 0.25 m: u/L, v/L",
+        each("cantilever", ""), lambda a: [a["u_L"][-1], a["v_L"][-1]], "{:.4f}, {:.4f}",
+        "elastica 0.5550, 0.8106; conforming Q2 elements 0.5534, 0.8264", quick=True),
+    Row("cantilever-fine", BEAM, "the same, h = 0.125 m",
+        each("cantilever", "--h 0.125"), lambda a: [a["u_L"][-1], a["v_L"][-1]],
+        "{:.4f}, {:.4f}", "the same"),
+    Row("disc", BEAM, "growing disc, energy in UFL: error of displacement; worst κ(K) with and "
+        "without a penalty of one's own", each("hyperelastic_in_ufl", ""),
+        keys("displacement_error", "condition_number", "bare_condition_number"),
+        "{:.1e}; {:.1e}, {:.0e}", "exact solution by Ritz's method"),
+    Row("orders-gimp", ORDER, "overall orders of displacement and stress, GIMP, 4² points, 8 to 64 "
+        "cells: full cells; cut, first 0.001 of a cell; first 0.37",
+        each("manufactured_solution", "--basis gimp"),
+        orders("full", "cut cells, first 0.001", "cut cells, first 0.37"),
+        "{:.2f}, {:.2f}; {:.2f}, {:.2f}; {:.2f}, {:.2f}", "2, 1 of linear finite elements"),
+    Row("orders-one-step", ORDER, "the same in one step, full cells",
+        each("manufactured_solution", "--basis gimp --steps 1 --scene full"), orders("full"),
+        "{:.2f}, {:.2f}", "2, 1"),
+    Row("orders-splines", ORDER, "overall orders of displacement in the same three scenes: "
+        "quadratic splines; cubic",
+        each("manufactured_solution", "--basis bspline2", "--basis bspline3"),
+        displacement_orders, "{:.2f}, {:.2f}, {:.2f}; {:.2f}, {:.2f}, {:.2f}", "at least 1.9"),
+    Row("cuts-none", CUTS, "bar pushed through a 1D grid, worst of 14 places, no remedy: κ(K), "
+        "κ(M), Δt c/h", each("conditioning", "--stabilisation none"),
+        worst("kappa_K", "kappa_M", "dt_consistent"), "{:.1e}, {:.1e}, {:.1e}",
+        "exact: 3e12, 3e25, 2e-7", quick=True),
+    Row("cuts-ghost", CUTS, "the same with ghost penalty", each("conditioning", ""),
+        worst("kappa_K", "kappa_M", "dt_consistent"), "{:.1f}, {:.1f}, {:.3f}",
+        "exact: 287, 37.2, 0.575; a bar that nothing cuts 0.577", quick=True),
+    Row("cuts-aggregation", CUTS, "the same with aggregation to full cells, and Δt c/h with lumped "
+        "mass", each("conditioning", "--stabilisation aggregation"),
+        worst("kappa_K", "kappa_M", "dt_consistent", "dt_lumped"),
+        "{:.2f}, {:.2f}, {:.3f}, {:.3f}", "at most 9.5, 12.7; at least 0.50, 0.765", quick=True),
+    Row("cuts-units", CUTS, "κ(K) at h = 0.01 m: ghost penalty scaled, literal",
+        each("conditioning", "--spacing 0.01", "--spacing 0.01 --scaling literal"),
+        worst("kappa_K"), "{:.1f}, {:.1e}", "287, 2.7e6", quick=True),
+    *(
+        Row(f"cuts-2d-{basis}", CUTS, f"block in 200 places of a 2D grid, worst over best κ(K), "
+            f"{words}: {', '.join(remedies)}",
+            each("conditioning",
+                 *(f"{TWO_D} --basis {basis} --stabilisation {r}" for r in remedies)),
+            spread, ", ".join(["{:.3g}"] * len(remedies)), "at most 20")
+        for basis, words, remedies in (
+            ("linear", "linear functions", ("ghost", "aggregation", "soft")),
+            ("gimp", "GIMP", ("ghost", "aggregation", "weak-aggregation", "soft")),
+            ("bspline2", "quadratic splines", ("ghost", "aggregation", "weak-aggregation", "soft")),
+            ("bspline3", "cubic splines", ("ghost", "aggregation", "weak-aggregation", "soft")),
+        )
+    ),
+    Row("cuts-own", CUTS, "block in 20 places of a 2D grid, worst κ(K): ghost penalty, "
+        "aggregation, jumps of all derivatives in UFL", each("new_stabilisation", ""),
+        kappa_of("ghost", "aggregation", "derivative jumps"), "{:.2g}, {:.2g}, {:.3g}",
+        "without: singular"),
+    Row("cuts-cost", CUTS, "calls of the remedies' code a step, no remedy",
+        each("benchmark", "--repeat 1 --cases 1x64 --bases gimp --remedies none"),
+        lambda a: [a["remedies"]["gimp 1x64 none"]["remedy_calls_per_step"]], "{:.0f}",
+        quick=True),
+    Row("collapse", PLASTIC, "collapse of a block, 9216 points, 40 steps: Newton iterations a "
+        "step, median observed order", each("elastoplastic_collapse", ""),
+        keys("max_newton_iterations", "newton_order"), "at most {:.0f}, {:.2f}", "8, 2"),
+    Row("slope", PLASTIC, "slope failure, 9 runs each: finished with ghost penalty, aggregation, "
+        "no remedy (where rounding decides)", each("slope_failure", "--table"), finished,
+        "{:.0f}, {:.0f}, {:.0f}", "Coombs (2023): all with ghost stabilisation, some without"),
+    Row("cylinder", PLASTIC, "thick cylinder on a grid that does not fit it: largest error of the "
+        "pressure, error of the limit load; GIMP, quadratic splines, linear functions",
+        each("thick_cylinder", "--basis gimp", "--basis bspline2", "--basis linear"),
+        lambda *answers: [100 * a[k] for a in answers
+                          for k in ("max_pressure_error", "limit_load_error")],
+        "{:.2f} %, {:+.2f} %; {:.2f} %, {:+.2f} %; {:.2f} %, {:+.2f} %", "Hill's closed form"),
+    Row("cam-clay", FOOTING, "Cam-Clay at 90 kPa, h = 0.5 m, quadratic splines: settlement in the "
+        "centre, mean, against conforming elements; small strain against large",
+        each("footing", "", "--strain small"),
+        lambda a, small: [100 * a["deviation_centre"], 100 * a["deviation_mean"],
+                          100 * (small["settlement_centre"] / a["settlement_centre"] - 1)],
+        "{:+.1f} %, {:+.1f} %; {:+.0f} %", "conforming elements, `tests/reference`"),
+    Row("prandtl", FOOTING, "Prandtl's limit, smooth rigid footing, cells of 0.05 m at the edge, "
+        "F-bar: GIMP, linear functions, quadratic splines; GIMP without F-bar",
+        each("footing", *(f"--law tresca-perfect {o}" for o in (
+            "--basis gimp", "--basis linear", "--basis bspline2", "--basis gimp --fbar off"))),
+        lambda *answers: [100 * a["bearing_error"] for a in answers],
+        "{:+.2f} %, {:+.2f} %, {:+.2f} %; {:+.1f} %", "(2 + π) c"),
+    Row("tresca", FOOTING, "hardening Tresca clay at 70 kPa, h = 0.5 m, 2² points, settlement in "
+        "the centre without and with F-bar: linear functions, GIMP, quadratic splines (m)",
+        each("footing", "--law tresca --compare"), settlements,
+        "{:.3f}, {:.3f}; {:.3f}, {:.3f}; {:.3f}, {:.3f}", "conforming elements 0.929"),
+    Row("time-small", SPEED, "column, 64 elements, 256 points, 40 steps, GIMP (s)", TIMES,
+        cases("seconds", "gimp 1x64"), "{:.2f}",
+        "Kratos MPM 10.4, neo-Hookean, in the same minutes at 77283f2: 0.32"),
+    Row("time-large", SPEED, "column, 16 × 256 elements, 16 384 points, 40 steps: GIMP, standard "
+        "MPM (s)", TIMES, cases("seconds", "gimp 16x256", "linear 16x256"), "{:.1f}, {:.1f}",
+        "Kratos, likewise: 23.3"),
+    Row("time-point", SPEED, "of that, a point and Newton iteration: GIMP, standard MPM (µs)",
+        TIMES,
+        cases("microseconds_per_point_and_iteration", "gimp 16x256", "linear 16x256"),
+        "{:.1f}, {:.1f}", "Kratos, likewise: 7.4"),
+    Row("memory", SPEED, "memory beyond a small run, 16 384 points, GIMP (kB a point)", TIMES,
+        lambda a: [1e-3 * a["cases"]["gimp 16x256"]["bytes_per_point"]], "{:.1f}"),
+    Row("time-laws", SPEED, "laws with their tangents, million points a second, all yielding: "
+        "von Mises, Tresca, Mohr–Coulomb, Drucker–Prager, Cam-Clay",
+        each("benchmark", "--cases= --laws"), lambda a: a["laws"].values(),
+        "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
+    Row("time-facets", SPEED, "ghost penalty, assembly of a facet in 2D: linear functions, GIMP, "
+        "quadratic, cubic splines (µs)",
+        each("benchmark", "--cases= --facets --bases linear,gimp,bspline2,bspline3"),
+        lambda a: a["facets"].values(), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("time-start", SPEED, "start to first step, all compiled before (s)",
+        each("column_compaction", ""), keys("seconds_setup"), "{:.1f}"),
+    Row("time-first", SPEED, "the whole first run ever (s)",
+        each("column_compaction", ""), keys("seconds_whole"), "{:.0f}", fresh=True),
+)  # fmt: skip
