@@ -25,7 +25,6 @@ _KINDS = {
     "cell": IntegralType.cell,
     "exterior_facet": IntegralType.exterior_facet,
     "interior_facet": IntegralType.interior_facet,
-    "vertex": IntegralType.vertex,
 }
 
 Array = npt.NDArray[np.float64]

@@ -129,10 +129,6 @@ class Prolongation:
                 "multiply the matrices first"
             )
 
-    def __matmul__(self, other: Prolongation) -> Prolongation:
-        """First `other`, then this one: u = C₁ C₂ x."""
-        return Prolongation(self.matrix @ other.matrix)
-
     def stencils(self, s: Stencils) -> Stencils:
         """Stencils on the nodes that remain, N C and ∇N C."""
         if not np.any(self.tied[s.nodes]):

@@ -8,6 +8,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 from conftest import unit_grid
+from mpi4py import MPI
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -135,3 +137,40 @@ def test_drawn_sweeps_show_numbers_and_nested_curves_differ(tmp_path):
         sizes = [line.get_markersize() for line in right.lines[:2]]
         assert sizes[0] > sizes[1]
     assert (tmp_path / "drawn.png").stat().st_size > 0
+
+
+def test_small_eigenvalues_keep_their_digits():
+    """A graded matrix D A D: condition number 2e24, found to twelve digits on one rank."""
+    D = np.diag([1.0, 1e-4, 1e-12])
+    A = np.array([[1.0, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 1.0]])
+    matrix = PETSc.Mat().createDense(3, array=(D @ A @ D).ravel(), comm=MPI.COMM_SELF)
+    matrix.assemble()
+    # to first order in the ratios of D: pivots of the elimination in the order of their size
+    expected = 1 / (1e-24 * np.linalg.det(A) / np.linalg.det(A[:2, :2]))
+    assert study.condition_number(matrix) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["interval", "triangle", "quadrilateral", "hexahedron"])
+def test_rigid_modes_cost_no_force(kind):
+    grid = unit_grid(kind, 4)
+    d = grid.geometry.dim
+    # far from the origin rotations must not drown in translations
+    grid.geometry.x[:, 0] += 1e3
+    points = mpm.fill(
+        grid, mpm.Box((1e3,) + (0,) * (d - 1), (1e3 + 0.6,) + (0.7,) * (d - 1)), 2, 1.0
+    )
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.2), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points)
+    K = problem.stiffness()
+    modes = study.rigid_modes(problem.system)
+    products = grid.comm.allreduce(modes.T @ modes, op=MPI.SUM)
+    np.testing.assert_allclose(products, np.eye({1: 1, 2: 3, 3: 6}[d]), atol=1e-12)
+    x, y = K.createVecs()
+    for mode in modes.T:
+        x.getArray()[:] = mode
+        K.mult(x, y)
+        assert y.norm() < 1e-12
+    held = mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left"))
+    held.stiffness()
+    assert study.rigid_modes(held.system).shape[1] == 0
