@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import matplotlib.image
@@ -13,7 +14,8 @@ from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.solve.quasistatic import StepRecord
 
 
 def test_sweep_takes_what_a_scene_returns():
@@ -174,3 +176,101 @@ def test_rigid_modes_cost_no_force(kind):
     held = mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left"))
     held.stiffness()
     assert study.rigid_modes(held.system).shape[1] == 0
+
+
+# -- strength reduction -------------------------------------------------------
+
+
+@functools.cache
+def body():
+    return mpm.fill(unit_grid("quadrilateral"), mpm.Box((0, 0), (1, 1)), 1, 1.0)
+
+
+class Spring:
+    """A problem whose body moves with its load, and further above a strength."""
+
+    def __init__(self, strength, softness=0.0, breaks=False):
+        self.points, self.load = body(), 0.0
+        self.strength, self.softness, self.breaks = strength, softness, breaks
+
+    def step(self):
+        beyond = max(self.load - self.strength, 0.0)
+        if beyond > 0 and self.breaks:
+            raise ConvergenceError("step 7 failed")
+        self.points["x"][:] = self.points["x0"] + [0, 1e-3 * (self.load + self.softness * beyond)]
+        return StepRecord(iterations=2)
+
+
+def load_spring(factor, steps=4, **options):
+    problem = Spring(1.5 / factor, **options)
+    for step in range(1, steps + 1):
+        problem.load = step / steps
+        yield problem
+
+
+def test_a_run_that_breaks_has_failed():
+    loading = functools.partial(load_spring, breaks=True)
+    safety = study.factor_of_safety(loading, 1.0, 2.0, tolerance=0.1)
+    assert safety.bracket == (1.5, 1.5625)
+    assert safety.factor == 1.53125
+    assert [t.factor for t in safety.trials] == [1.0, 1.5, 1.5625, 1.625, 1.75, 2.0]
+    last = safety.trials[-1]
+    assert last == study.Trial(
+        2.0, False, "in step 4 of the load: step 7 failed", 3, pytest.approx(0.75e-3),
+        pytest.approx(1.0), 6,
+    )  # fmt: skip
+    assert safety.table()[0]["displacement"] == pytest.approx(1e-3)
+
+
+def test_a_run_that_leaves_the_line_has_failed():
+    """δ = 1 + 100 (1 − 1.5/F) passes 3 at F = 1.5/0.98."""
+    loading = functools.partial(load_spring, softness=100.0)
+    low, high = study.factor_of_safety(loading, 1.0, 2.0, tolerance=1e-4).bracket
+    assert low <= 1.5 / 0.98 <= high <= low + 1e-4
+    low, high = study.factor_of_safety(loading, 1.0, 2.0, tolerance=1e-4, growth=5.0).bracket
+    assert low <= 1.5 / 0.96 <= high
+
+
+def test_safety_is_drawn(tmp_path):
+    rows = study.factor_of_safety(functools.partial(load_spring, softness=100.0)).table()
+    study.plot_reduction(rows, tmp_path / "new" / "safety.png", 1e-3, ylabel="$d$")
+    study.plot_reduction(rows[:1], tmp_path / "one.png")
+    for name in ("new/safety", "one"):
+        assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
+    with mpm.figure(tmp_path / "drawn.png") as (_, axes):
+        study.draw_reduction(axes, rows, 1e-3)
+        stands, fails = (line.get_ydata() for line in axes.lines)
+        assert stands.max() == pytest.approx(
+            max(r["displacement"] for r in rows if r["stands"]) * 1e3
+        )
+        assert len(stands) + len(fails) == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"low": 0.0}, "low = 0.0 and high = 2.0 must be positive"),
+        ({"low": 3.0}, "low = 3.0 and high = 2.0 must be positive and increase"),
+        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"growth": 1.0}, "growth = 1.0 must be more than 1"),
+        ({"high": 1.4}, "stands at high = 1.4 still"),
+        ({"low": 1.9}, "fails at low = 1.9 already, in step 4 of the load: step 7 failed"),
+        ({"loading": lambda F: load_spring(F, steps=1)}, "at factor 1 has 1 steps, it needs two"),
+        ({"loading": lambda F: []}, "at factor 1 has 0 steps"),
+        ({"loading": lambda F: [Spring(1.0)] * 2}, "moves nothing"),
+    ],
+)
+def test_wrong_reductions(options, message):
+    arguments = {"loading": functools.partial(load_spring, breaks=True), **options}
+    with pytest.raises(ParameterError, match=message):
+        study.factor_of_safety(**arguments)
+
+
+def test_reduced_strength():
+    cohesion, friction = study.reduced_strength(10e3, 30.0, 1.5)
+    assert cohesion == pytest.approx(10e3 / 1.5)
+    assert np.tan(np.radians(friction)) == pytest.approx(np.tan(np.radians(30)) / 1.5)
+    assert study.reduced_strength(5.0, 0.0, 2.0) == (2.5, 0.0)
+    for wrong in ((1.0, 20.0, 0.0), (-1.0, 20.0, 1.0), (1.0, 90.0, 1.0), (1.0, 20.0, np.inf)):
+        with pytest.raises(ParameterError, match=r"(factor|cohesion|friction_angle) = "):
+            study.reduced_strength(*wrong)
