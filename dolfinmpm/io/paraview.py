@@ -35,7 +35,8 @@ class ParaView:
     of the grid. Each lists, for every time, an index of one compressed piece a rank
     in the folder `output/column/`. Both are complete after every write, so that a
     run that was broken off can still be opened. Parent folders are created; files
-    of an earlier run are replaced.
+    of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
+    others for ever.
 
     The points carry, with two components padded to three and 2 × 2 tensors to nine
     (F_zz is 1 then, the rest 0), d being the dimension of space:

@@ -308,6 +308,7 @@ def draw_reduction(axes: Any, rows: Sequence[Row], scale: float | None = None) -
         axes.semilogy(factors[chosen], moved[chosen], marker, label=word)
     if stands.any() and not stands.all():
         axes.axvspan(factors[stands].max(), factors[~stands].min(), color="0.85", zorder=0)
+    _two_decades(axes)
     largest = "largest displacement"
     axes.set(xlabel="strength divided by", ylabel=f"{largest} (m)" if scale is None else largest)
     axes.legend()

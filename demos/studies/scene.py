@@ -1,0 +1,91 @@
+"""What all studies share: their command line, and how they hand over their figures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+OUTPUT = Path(__file__).resolve().parents[2] / "output"
+
+
+def parser(description: str) -> argparse.ArgumentParser:
+    """A command line with the options that every study takes."""
+    result = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    result.add_argument(
+        "--json", metavar="PATH", help="write inputs and figures there; - for the last line printed"
+    )
+    result.add_argument("--no-plot", action="store_true", help="no picture, no ParaView file")
+    result.add_argument("--output", type=Path, default=OUTPUT, help="folder for pictures and files")
+    return result
+
+
+def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
+    """Write the inputs and the figures where `--json` asks for them; on rank 0."""
+    if arguments.json is None or MPI.COMM_WORLD.rank != 0:
+        return
+    inputs = {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in vars(arguments).items()
+        if name not in ("json", "no_plot", "output")
+    }
+    text = json.dumps({**inputs, **figures})
+    if arguments.json == "-":
+        sys.stdout.flush()
+        print(text, flush=True)
+    else:
+        Path(arguments.json).write_text(text + "\n")
+
+
+def solver_figures(problem: Any) -> dict[str, Any]:
+    """What the steps of a problem took, for the figures of a study. Collective."""
+    history = problem.history
+    iterations = [record.iterations for record in history]
+    return {
+        "newton_iterations": sum(iterations),
+        "max_newton_iterations": max(iterations, default=0),
+        "halvings": sum(record.halvings for record in history),
+        "last_residuals": history[-1].residuals if history else [],
+        "points": problem.points.total,
+        "active_cells": problem.system.active_cells,
+        "unknowns": history[-1].unknowns if history else 0,
+        "migrated": sum(record.migrated for record in history),
+        "ranks": problem.comm.size,
+    }
+
+
+def say(*words: Any) -> None:
+    """Print on rank 0."""
+    if MPI.COMM_WORLD.rank == 0:
+        print(*words, flush=True)
+
+
+def draw_points(axes: Any, x: Any, F: Any, l0: Any, values: Any, **look: Any) -> Any:
+    """Draw the points' deformed first domains, coloured by values; returns the collection.
+
+    Args:
+        axes: Matplotlib axes.
+        x: Positions (m), shape (n, 2).
+        F: Deformation gradients, shape (n, 2, 2).
+        l0: First half-lengths (m), shape (n, 2).
+        values: What they are coloured by, shape (n,).
+        look: Further arguments of Matplotlib's `PolyCollection`.
+    """
+    import numpy as np
+    from matplotlib.collections import PolyCollection
+
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
+    # smooth edges would let the paper shine through between neighbours
+    look = {"linewidths": 0, "antialiased": False, "snap": False, "rasterized": True, **look}
+    drawn = PolyCollection([*parts], array=values, **look)
+    axes.add_collection(drawn)
+    axes.set(aspect="equal", xlabel="$x$ (m)", ylabel="$y$ (m)")
+    axes.grid(visible=False)
+    return drawn
