@@ -1,8 +1,9 @@
-"""An exception that nobody catches ends all ranks, not only the one that raised it.
+"""An exception that nobody catches ends all ranks, and is told once.
 
-Without this the other ranks wait in their next collective call for ever, and so
-does the launcher: PETSc's own shutdown is collective. Checks of dolfinmpm raise
-on all ranks together and end in the ordinary way; what remains is an error in a
+Without this the other ranks wait in their next collective call for ever, and so does the
+launcher. `python3 -m mpi4py` does not help: it aborts when the interpreter has come to its
+end, but before that PETSc is shut down, which is collective. Checks of dolfinmpm raise on
+all ranks together, so that one sentence says what was wrong; what remains is an error in a
 script or in another package on some of the ranks.
 """
 
@@ -10,56 +11,87 @@ from __future__ import annotations
 
 import sys
 import time
+import traceback
+from pathlib import Path
 from types import TracebackType
 
 from mpi4py import MPI
+
+from dolfinmpm._platform.errors import DolfinMPMError, common_text
 
 __all__ = ["end_all_ranks"]
 
 GRACE = 2.0  # seconds in which all ranks may come to the same error
 _TAG = 32_001
+_PACKAGE = Path(__file__).parents[1]
 
 
 def end_all_ranks(comm: MPI.Comm) -> None:
     """Let exceptions that reach the interpreter end all ranks; nothing to do on one rank.
 
-    The hook that was there before prints the exception first. Where all ranks fail
-    each of them ends by itself; otherwise the run is aborted with exit code 1.
+    Where all ranks fail, rank 0 prints what they have to say, each text once, and every rank
+    ends by itself with exit code 1: an error of dolfinmpm is a sentence with the line of the
+    script that led to it, any other one its traceback. Where only some fail, each of them
+    prints its traceback under its number, and the run is aborted with exit code 1.
 
     Args:
         comm: Communicator whose ranks are ended.
     """
     if comm.size == 1:
         return
-    before = sys.excepthook
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        before(kind, error, trace)
         sys.stdout.flush()
-        sys.stderr.flush()
-        if not _all_failed(comm):
+        own = "".join(traceback.format_exception(kind, error, trace))
+        text = _sentence(error, trace) if isinstance(error, DolfinMPMError) else own
+        texts = _texts_of_all(comm, text)
+        if texts is None:
+            print(f"rank {comm.rank} of {comm.size}:\n{own}", end="", file=sys.stderr, flush=True)
             comm.Abort(1)
+        elif comm.rank == 0:
+            print(_report(texts), end="", file=sys.stderr, flush=True)
 
     sys.excepthook = hook
 
 
-def _all_failed(comm: MPI.Comm) -> bool:
-    """Whether every other rank comes here too before the time is over.
+def _sentence(error: DolfinMPMError, trace: TracebackType | None) -> str:
+    """The message, and the last line before it that is not dolfinmpm's own."""
+    message = common_text(error) or f"{type(error).__name__}: {error}"
+    where = ""
+    for frame in traceback.extract_tb(trace):
+        if Path(frame.filename).is_relative_to(_PACKAGE):
+            break
+        where = f'  in "{frame.filename}", line {frame.lineno}: {frame.line}\n'
+    return f"dolfinmpm.errors.{message}\n{where}"
+
+
+def _report(texts: list[str]) -> str:
+    """Each text once, under its ranks if it is not that of all."""
+    if len(set(texts)) == 1:
+        return texts[0]
+    ranks: dict[str, list[str]] = {}
+    for rank, text in enumerate(texts):
+        ranks.setdefault(text, []).append(str(rank))
+    return "".join(f"rank {', '.join(own)}:\n{text}" for text, own in ranks.items())
+
+
+def _texts_of_all(comm: MPI.Comm, text: str) -> list[str] | None:
+    """What every rank says, if every other one comes here too before the time is over.
 
     Messages, because a rank that has not failed may be in any collective call.
     """
     others = [rank for rank in range(comm.size) if rank != comm.rank]
-    nothing = bytearray()
-    sent = [comm.Isend([nothing, MPI.BYTE], rank, _TAG) for rank in others]
+    sent = [comm.isend(text, rank, _TAG) for rank in others]
+    texts = {comm.rank: text}
     end = time.monotonic() + GRACE
-    heard = 0
-    while heard < len(others) and time.monotonic() < end:
-        if comm.Iprobe(tag=_TAG):
-            comm.Recv([bytearray(), MPI.BYTE], tag=_TAG)
-            heard += 1
+    while len(texts) < comm.size and time.monotonic() < end:
+        status = MPI.Status()
+        if comm.iprobe(tag=_TAG, status=status):
+            source = status.Get_source()
+            texts[source] = comm.recv(source=source, tag=_TAG)
         else:
             time.sleep(0.01)
-    if heard < len(others):
-        return False
+    if len(texts) < comm.size:
+        return None
     MPI.Request.Waitall(sent)
-    return True
+    return [texts[rank] for rank in range(comm.size)]

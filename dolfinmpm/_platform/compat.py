@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,6 +104,28 @@ def _libpetsc() -> ctypes.CDLL:
     ]
     library.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
     return library
+
+
+class _SymbolInfo(ctypes.Structure):
+    """Dl_info of dlfcn.h."""
+
+    _fields_ = (
+        ("file", ctypes.c_char_p),
+        ("base", ctypes.c_void_p),
+        ("symbol", ctypes.c_char_p),
+        ("address", ctypes.c_void_p),
+    )
+
+
+def library_of(symbol: str) -> Path | None:
+    """The file of the library in which PETSc's calls of a function end; None if not known."""
+    found = _SymbolInfo()
+    try:
+        address = ctypes.cast(getattr(_libpetsc(), symbol), ctypes.c_void_p)
+        known = ctypes.CDLL(None).dladdr(address, ctypes.byref(found))
+    except (AttributeError, OSError):
+        return None
+    return Path(os.fsdecode(found.file)).resolve() if known and found.file else None
 
 
 def preallocate_coo(matrix: PETSc.Mat, rows, columns) -> None:

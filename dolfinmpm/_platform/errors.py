@@ -26,10 +26,13 @@ __all__ = [
     "StateError",
     "UnsupportedGridError",
     "call_together",
+    "common_text",
     "raise_together",
 ]
 
 Result = TypeVar("Result")
+
+_COMMON = "_text_on_all_ranks"
 
 
 class DolfinMPMError(Exception):
@@ -117,10 +120,15 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
         return
     first = (type(error), str(error)) if comm.rank == failing else None
     kind, message = comm.bcast(first, root=failing)
-    if error is not None:
-        raise error
-    try:
-        other = kind(message)
-    except TypeError:  # some exceptions of other packages take more arguments
-        other = DolfinMPMError(f"{kind.__name__}: {message}")
-    raise other
+    if error is None:
+        try:
+            error = kind(message)
+        except TypeError:  # some exceptions of other packages take more arguments
+            error = DolfinMPMError(f"{kind.__name__}: {message}")
+    error.__dict__[_COMMON] = f"{kind.__name__}: {message}"
+    raise error
+
+
+def common_text(error: BaseException) -> str | None:
+    """What all ranks say of an error that they raised together: class and message of one."""
+    return error.__dict__.get(_COMMON)

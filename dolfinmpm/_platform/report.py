@@ -10,6 +10,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from dolfinmpm._platform.compat import library_of
+
 __all__ = ["info"]
 
 # Parts of library names that tell a BLAS, most specific first.
@@ -54,7 +56,8 @@ def info() -> str:
         "PETSc": _petsc(),
         "petsc4py": _version("petsc4py"),
         "SLEPc": _slepc(),
-        "BLAS": _blas(),
+        "BLAS": _blas(library_of("dgemm_")),
+        "threads": _threads(),
         "MPI": f"{_mpi()}, mpi4py {_version('mpi4py')}",
         "Numba": _version("numba"),
         "NumPy": f"{_version('numpy')}, SciPy {_version('scipy')}",
@@ -103,33 +106,33 @@ def _mpi() -> str:
     return " ".join(first.split(",")[0].split())
 
 
-def _blas(maps: str = "/proc/self/maps") -> str:
-    """The BLAS in this process that PETSc calls, as far as Linux tells."""
-    import petsc4py.PETSc  # noqa: F401  (loads it)
+def _blas(library: Path | None) -> str:
+    """The BLAS that a library is, by its name.
 
-    try:
-        lines = Path(maps).read_text().splitlines()
-    except OSError:
+    threadpoolctl knows versions, but lists only libraries whose threads it can set: not
+    the reference BLAS, nor which of several PETSc calls.
+    """
+    if library is None:
         return "not known on this system"
-    return _which_blas([line.split(maxsplit=5)[5] for line in lines if line.count("/")])
+    # Debian keeps every BLAS as libblas.so.3 in a folder of its own name
+    text = f"{library.parent.name}/{library.name}".lower()
+    for mark, name in _BLAS:
+        if mark in text:
+            return f"{name} ({library})"
+    return f"{_SLOW} ({library})" if library.name.startswith("libblas.") else str(library)
 
 
-def _which_blas(libraries: list[str]) -> str:
-    """The BLAS among the paths of the libraries that a process has loaded."""
-    # wheels of NumPy and SciPy bring an OpenBLAS that no one else calls
-    paths = [Path(p) for p in libraries if "numpy.libs" not in p and "scipy.libs" not in p]
-    shared = [p for p in paths if ".so" in p.name or p.suffix == ".dylib"]
-    plain = [p for p in shared if p.name.startswith("libblas.")]
-    for candidates in (plain, shared):
-        for path in candidates:
-            # Debian keeps every BLAS as libblas.so.3 in a folder of its own name
-            text = f"{path.parent.name}/{path.name}".lower()
-            for mark, name in _BLAS:
-                if mark in text:
-                    return f"{name} ({path})"
-        if candidates is plain and plain:
-            return f"{_SLOW} ({plain[0]})"
-    return "not found"
+def _threads() -> str:
+    """What every BLAS and OpenMP library in this process may use."""
+    try:
+        from threadpoolctl import threadpool_info
+    except ImportError:
+        return "not known without threadpoolctl"
+    pools = (
+        f"{pool['num_threads']} of {pool['internal_api']} {pool['version'] or ''}".rstrip()
+        for pool in threadpool_info()
+    )
+    return ", ".join(pools) or "none"
 
 
 def _system() -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +14,18 @@ from dolfinx import fem, plot
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.io.vtkfiles import (
+    Arrays,
+    index_text,
+    replace_file,
+    series_text,
+    vtk_array,
+    vtk_cells,
+    vtk_points,
+    write_piece,
+)
 
 __all__ = ["ParaView"]
-
-Arrays = dict[str, npt.NDArray[Any]]
 
 
 class ParaView:
@@ -28,7 +35,8 @@ class ParaView:
     of the grid. Each lists, for every time, an index of one compressed piece a rank
     in the folder `output/column/`. Both are complete after every write, so that a
     run that was broken off can still be opened. Parent folders are created; files
-    of an earlier run are replaced.
+    of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
+    others for ever.
 
     The points carry, with two components padded to three and 2 × 2 tensors to nine
     (F_zz is 1 then, the rest 0), d being the dimension of space:
@@ -169,9 +177,9 @@ class ParaView:
         from vtkmodules.vtkCommonDataModel import vtkPolyData
 
         piece = vtkPolyData()
-        piece.SetPoints(_vtk_points(_padded(self.points["x"])))
+        piece.SetPoints(vtk_points(_padded(self.points["x"])))
         # without a vertex cell each, most filters would see no points
-        piece.SetVerts(_vtk_cells(np.arange(len(self.points))[:, None]))
+        piece.SetVerts(vtk_cells(np.arange(len(self.points))[:, None]))
         arrays, units = self._point_data()
         self._write(stem, "vtp", piece, arrays, {}, units)
 
@@ -185,31 +193,20 @@ class ParaView:
 
     def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
         """One piece a rank, and their index on rank 0. Collective."""
-        from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
-
         for target, arrays in (
             (piece.GetPointData(), point_data),
             (piece.GetCellData(), cell_data),
         ):
             for name, values in arrays.items():
-                target.AddArray(_vtk_array(values, name, units.get(name, "")))
-        writer = vtkXMLPolyDataWriter() if kind == "vtp" else vtkXMLUnstructuredGridWriter()
+                target.AddArray(vtk_array(values, name, units.get(name, "")))
         file = self._folder / f"{stem}_{self.comm.rank}.{kind}"
-        writer.SetFileName(str(file))
-        writer.SetInputData(piece)
-        writer.SetDataModeToAppended()
-        writer.EncodeAppendedDataOff()
-        writer.SetHeaderTypeToUInt64()
-        # zlib takes eight times longer to make floating-point numbers a fifth smaller
-        writer.SetCompressorTypeToLZ4()
-        writer.AddObserver("ErrorEvent", lambda *_: None)
         error = None
-        if not writer.Write() or writer.GetErrorCode():
+        if not write_piece(piece, file):
             error = OSError(f"cannot write {file}; is the folder writable and the disk not full?")
         raise_together(self.comm, error)
         files = [f"{stem}_{rank}.{kind}" for rank in range(self.comm.size)]
-        index = _index(kind, files, point_data, cell_data, units)
-        self._on_root(_replace, self._folder / f"{stem}.p{kind}", index)
+        index = index_text(kind, files, point_data, cell_data, units)
+        self._on_root(replace_file, self._folder / f"{stem}.p{kind}", index)
 
     def _write_series(self) -> None:
         folder = self._folder.name
@@ -220,7 +217,7 @@ class ParaView:
             (self.path, self._times, "points", "pvtp"),
         ):
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
-            _replace(path, _series(times, files))
+            replace_file(path, series_text(times, files))
 
     def _on_root(self, action, *arguments) -> None:
         error = None
@@ -268,8 +265,8 @@ class _GridMesh:
         from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
 
         result = vtkUnstructuredGrid()
-        result.SetPoints(_vtk_points(self._x))
-        result.SetCells(self._type, _vtk_cells(self._connectivity))
+        result.SetPoints(vtk_points(self._x))
+        result.SetCells(self._type, vtk_cells(self._connectivity))
         return result
 
     def data(self, functions: Sequence[fem.Function]) -> tuple[Arrays, Arrays]:
@@ -300,89 +297,3 @@ def _padded(values: npt.NDArray[Any], zz: float = 0.0) -> npt.NDArray[Any]:
         full[(slice(None), *map(slice, shape))] = values
         values, size = full, 3 ** len(shape)
     return np.ascontiguousarray(values.reshape(n, size))
-
-
-def _vtk_array(values: npt.NDArray[Any], name: str, unit: str):
-    from vtkmodules.util.numpy_support import numpy_to_vtk
-    from vtkmodules.vtkCommonCore import vtkDataArray
-
-    array = numpy_to_vtk(values, deep=1)
-    array.SetName(name)
-    for component, label in enumerate(_labels(values)):
-        array.SetComponentName(component, label)
-    if unit:
-        array.GetInformation().Set(vtkDataArray.UNITS_LABEL(), unit)
-    return array
-
-
-def _vtk_points(x: npt.NDArray[np.float64]):
-    from vtkmodules.util.numpy_support import numpy_to_vtk
-    from vtkmodules.vtkCommonCore import vtkPoints
-
-    result = vtkPoints()
-    result.SetData(numpy_to_vtk(x, deep=1))
-    return result
-
-
-def _vtk_cells(connectivity: npt.NDArray[np.int64]):
-    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
-    from vtkmodules.vtkCommonDataModel import vtkCellArray
-
-    number, per_cell = connectivity.shape
-    ends = numpy_to_vtkIdTypeArray(np.arange(number + 1) * per_cell, deep=1)
-    result = vtkCellArray()
-    result.SetData(ends, numpy_to_vtkIdTypeArray(connectivity.ravel(), deep=1))
-    result.ConvertTo32BitStorage()
-    return result
-
-
-def _labels(values: npt.NDArray[Any]) -> Sequence[str]:
-    return {3: "xyz", 9: [i + j for i in "xyz" for j in "xyz"]}.get(values.shape[1], ())
-
-
-_KINDS = {"f": "Float", "i": "Int", "u": "UInt"}
-
-
-def _declared(name: str, values: npt.NDArray[Any], unit: str = "") -> str:
-    kind = f"{_KINDS[values.dtype.kind]}{8 * values.dtype.itemsize}"
-    labels = "".join(f' ComponentName{k}="{label}"' for k, label in enumerate(_labels(values)))
-    key = '<InformationKey name="UNITS_LABEL" location="vtkDataArray">'
-    key = f"{key}{escape(unit)}</InformationKey>" if unit else ""
-    return (
-        f'<PDataArray type="{kind}" Name={quoteattr(name)} '
-        f'NumberOfComponents="{values.shape[1]}"{labels}>{key}</PDataArray>'
-    )
-
-
-def _index(kind: str, files: list[str], point_data: Arrays, cell_data: Arrays, units) -> str:
-    """Text of the file that lists the ranks' pieces."""
-    name = {"vtp": "PPolyData", "vtu": "PUnstructuredGrid"}[kind]
-    lines = [
-        '<?xml version="1.0"?>',
-        f'<VTKFile type="{name}" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
-        f'<{name} GhostLevel="0">',
-    ]
-    for section, arrays in (("PPointData", point_data), ("PCellData", cell_data)):
-        declared = (_declared(key, values, units.get(key, "")) for key, values in arrays.items())
-        lines += [f"<{section}>", *declared, f"</{section}>"]
-    lines += ["<PPoints>", _declared("Points", np.empty((0, 3))), "</PPoints>"]
-    lines += [f"<Piece Source={quoteattr(file)}/>" for file in files]
-    return "\n".join([*lines, f"</{name}>", "</VTKFile>", ""])
-
-
-def _series(times: Iterable[float], files: Iterable[str]) -> str:
-    """Text of the file that lists the times."""
-    sets = [
-        f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>'
-        for time, file in zip(times, files)
-    ]
-    head = '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'
-    lines = ['<?xml version="1.0"?>', head, "<Collection>", *sets, "</Collection>", "</VTKFile>"]
-    return "\n".join([*lines, ""])
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that at no moment half of it is on disk."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)

@@ -18,8 +18,10 @@ from dolfinmpm.io.plots import figure
 
 __all__ = [
     "draw_convergence",
+    "draw_reduction",
     "draw_sweep",
     "plot_convergence",
+    "plot_reduction",
     "plot_sweep",
     "read_table",
     "write_table",
@@ -258,6 +260,58 @@ def draw_convergence(
         axes.set_xticks(sizes, labels=[f"{size:.3g}" for size in sizes])
     if orders and sizes.size > 1:
         _fan(axes, drawn, sizes, orders)
+
+
+def plot_reduction(
+    rows: Sequence[Row],
+    path: PathLike,
+    scale: float | None = None,
+    *,
+    ylabel: str = "",
+    width: float = 3.5,
+    height: float = 2.6,
+) -> None:
+    """Draw a strength reduction into a picture of its own; see `draw_reduction`.
+
+    Not collective: all ranks may call it or rank 0 alone, and only rank 0 writes.
+
+    Args:
+        rows: The table of `factor_of_safety`.
+        path: Picture to write.
+        scale: Displacement that others are divided by (m).
+        ylabel: Text at the vertical axis.
+        width: Width (inch).
+        height: Height (inch).
+    """
+    with figure(path, width, height) as (_, axes):
+        draw_reduction(axes, rows, scale)
+        if ylabel:
+            axes.set_ylabel(ylabel)
+
+
+def draw_reduction(axes: Any, rows: Sequence[Row], scale: float | None = None) -> None:
+    """Draw largest displacements over the factor that strength was divided by, with a legend.
+
+    Runs that failed are crosses; they ended with the step that failed, so that their
+    displacements are only those until then. The bracket of the factor of safety is shaded.
+
+    Args:
+        axes: Matplotlib's axes; the vertical one becomes logarithmic.
+        rows: The table of `factor_of_safety`.
+        scale: Displacement that others are divided by (m), such as γH²/E.
+    """
+    unit = 1.0 if scale is None else scale
+    rows = sorted(rows, key=lambda row: row["factor"])
+    stands = np.array([row["stands"] for row in rows], bool)
+    factors, moved = _numbers(rows, "factor"), _numbers(rows, "displacement") / unit
+    for chosen, marker, word in ((stands, "o", "stands"), (~stands, "x", "fails")):
+        axes.semilogy(factors[chosen], moved[chosen], marker, label=word)
+    if stands.any() and not stands.all():
+        axes.axvspan(factors[stands].max(), factors[~stands].min(), color="0.85", zorder=0)
+    _two_decades(axes)
+    largest = "largest displacement"
+    axes.set(xlabel="strength divided by", ylabel=f"{largest} (m)" if scale is None else largest)
+    axes.legend()
 
 
 def _fan(axes: Any, drawn: list[tuple[npt.NDArray, npt.NDArray]], sizes, orders) -> None:

@@ -1,30 +1,39 @@
-"""Studies: condition numbers, critical time steps, sweeps, convergence; their tables and plots."""
+"""Studies: condition numbers, critical steps, sweeps, convergence, safety; tables and plots."""
 
 from dolfinmpm.io.tables import (
     draw_convergence,
+    draw_reduction,
     draw_sweep,
     plot_convergence,
+    plot_reduction,
     plot_sweep,
     read_table,
     write_table,
 )
 from dolfinmpm.study.condition import Conditioning, conditioning
+from dolfinmpm.study.reduction import FactorOfSafety, Trial, factor_of_safety, reduced_strength
 from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 
 __all__ = [
     "Conditioning",
+    "FactorOfSafety",
+    "Trial",
     "condition_number",
     "conditioning",
     "convergence",
     "critical_step",
     "draw_convergence",
+    "draw_reduction",
     "draw_sweep",
+    "factor_of_safety",
     "observed_orders",
     "overall_order",
     "plot_convergence",
+    "plot_reduction",
     "plot_sweep",
     "read_table",
+    "reduced_strength",
     "rigid_modes",
     "sweep",
     "worst",

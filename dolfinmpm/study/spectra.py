@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy import linalg
+from scipy.linalg import lapack
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.cut.activation import Activation
@@ -20,40 +20,6 @@ Array = npt.NDArray[np.float64]
 
 # Up to so many unknowns all eigenvalues are computed; beyond, Lanczos finds the ends.
 DENSE_LIMIT = 1500
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _jacobi(A, tolerance):
-    """One-sided Jacobi rotations make columns orthogonal, to high relative accuracy.
-
-    (Demmel & Veselić 1992, doi 10.1137/0613074.)
-    """
-    n = A.shape[1]
-    for _ in range(60):
-        worst = 0.0
-        for i in range(n - 1):
-            for j in range(i + 1, n):
-                a = b = c = 0.0
-                for k in range(A.shape[0]):
-                    a += A[k, i] * A[k, i]
-                    b += A[k, j] * A[k, j]
-                    c += A[k, i] * A[k, j]
-                if c == 0.0 or abs(c) <= tolerance * math.sqrt(a) * math.sqrt(b):
-                    continue
-                worst = max(worst, abs(c) / (math.sqrt(a) * math.sqrt(b)))
-                zeta = 0.5 * (b - a) / c
-                t = 1.0 / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
-                if zeta < 0.0:
-                    t = -t
-                cosine = 1.0 / math.sqrt(1.0 + t * t)
-                sine = t * cosine
-                for k in range(A.shape[0]):
-                    x, y = A[k, i], A[k, j]
-                    A[k, i] = cosine * x - sine * y
-                    A[k, j] = sine * x + cosine * y
-        if worst <= tolerance:
-            break
-    return A
 
 
 def _definite_spectrum(A: Array) -> Array:
@@ -69,8 +35,20 @@ def _definite_spectrum(A: Array) -> Array:
         factor = linalg.cholesky(A / np.outer(scale, scale), lower=True)
     except linalg.LinAlgError:
         return np.maximum(linalg.eigvalsh(A), 0.0)
-    rotated = _jacobi(np.ascontiguousarray(factor.T * scale), 1e-14)
-    return np.sort(np.sum(rotated**2, axis=0))
+    return np.sort(_singular_values(factor.T * scale) ** 2)
+
+
+def _singular_values(A: Array) -> Array:
+    """Singular values of a well-conditioned matrix with scaled columns, each with all its digits.
+
+    LAPACK's preconditioned one-sided Jacobi rotations (Drmač & Veselić 2008, doi
+    10.1137/050639193); an SVD by bidiagonalisation loses those below 1e-16 of the largest.
+    """
+    # joba = 0: accurate whatever the scales of the columns are; jobu, jobv = 3: no vectors
+    values, _, _, work, _, info = lapack.dgejsv(A, joba=0, jobu=3, jobv=3)
+    if info:
+        raise linalg.LinAlgError(f"LAPACK's dgejsv found no singular values, info = {info}")
+    return values * (work[0] / work[1])
 
 
 def _dense(matrix: PETSc.Mat) -> Array:
@@ -204,8 +182,8 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
 def rigid_modes(here: Activation) -> Array:
     """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
 
-    Exact for every basis that reproduces linear functions. There are none if
-    conditions hold the body anywhere.
+    Orthonormal, and exact for every basis that reproduces linear functions. There are none
+    if conditions hold the body anywhere. Collective.
     """
     unknowns, basis = here.unknowns, here.fields[0].basis
     field, d = unknowns.fields[0], basis.grid.geometry.dim
@@ -214,11 +192,11 @@ def rigid_modes(here: Activation) -> Array:
     if unknowns.comm.allreduce(held, op=MPI.LOR):
         return np.empty((unknowns.owned, 0))
     x = basis.node_coordinates()[nodes, :d]
+    # about the middle, so that rotations do not drown in translations
     x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
-    modes = [np.broadcast_to(np.eye(d)[i], x.shape) for i in range(d)]
-    for i in range(d):
-        for j in range(i + 1, d):
-            turn = np.zeros_like(x)
-            turn[:, i], turn[:, j] = -x[:, j], x[:, i]
-            modes.append(turn)
-    return np.stack([mode.ravel() for mode in modes], axis=1)
+    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=d, comm=unknowns.comm)
+    kernel = PETSc.NullSpace().createRigidBody(coordinates)
+    modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
+    if kernel.hasConstant():  # a line's only mode
+        modes.append(np.full(unknowns.owned, 1 / math.sqrt(unknowns.total)))
+    return np.stack(modes, axis=1)

@@ -6,14 +6,17 @@ import io
 import platform
 import runpy
 import sys
+import types
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 import dolfinmpm
+from dolfinmpm._platform.compat import library_of
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.report import _blas, _which_blas, info
+from dolfinmpm._platform.report import _blas, _threads, info
 from dolfinmpm.io.progress import steps
 
 ROOT = MPI.COMM_WORLD.rank == 0
@@ -79,28 +82,56 @@ def test_info_tells_versions():
     assert np.__version__ in lines["NumPy"]
     assert "MUMPS" in lines["PETSc"]
     assert lines["ranks"] == str(MPI.COMM_WORLD.size)
-    assert {"DOLFINx", "UFL", "FFCx", "Basix", "SLEPc", "MPI", "Numba", "BLAS"} <= lines.keys()
+    assert {
+        "DOLFINx",
+        "UFL",
+        "FFCx",
+        "Basix",
+        "SLEPc",
+        "MPI",
+        "Numba",
+        "BLAS",
+        "threads",
+    } <= lines.keys()
     assert repr(report) == str(report)
 
 
 @pytest.mark.parametrize(
-    ("libraries", "found"),
+    ("library", "found"),
     [
-        (["/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1"], "reference BLAS"),
-        (["/usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3"], "OpenBLAS"),
-        (["/opt/conda/lib/libopenblasp-r0.3.29.so"], "OpenBLAS"),
-        (["/opt/intel/lib/libmkl_core.so.2"], "MKL"),
-        (["/usr/lib/libc.so.6", "/p/numpy.libs/libscipy_openblas64_.so"], "not found"),
-        (["/p/numpy.libs/libscipy_openblas64_.so", "/lib/blas/libblas.so.3"], "reference BLAS"),
-        (["/usr/lib/openblas-pthread/libopenblasp.so", "/lib/blas/libblas.so.3"], "reference BLAS"),
+        ("/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1", "reference BLAS"),
+        ("/usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3", "OpenBLAS"),
+        ("/opt/conda/lib/libopenblasp-r0.3.29.so", "OpenBLAS"),
+        ("/opt/intel/lib/libmkl_intel_lp64.so.2", "MKL"),
+        ("/home/atlas/lib/libpetsc.so", "/home/atlas/lib/libpetsc.so"),
     ],
 )
-def test_blas_is_known_by_its_library(libraries, found):
-    assert _which_blas(libraries).startswith(found)
+def test_blas_is_known_by_its_library(library, found):
+    assert _blas(Path(library)).startswith(found)
 
 
 def test_blas_of_other_systems():
-    assert _blas("/no/such/file") == "not known on this system"
+    assert _blas(None) == "not known on this system"
+    assert library_of("no_such_function") is None
+
+
+def test_petsc_calls_a_blas_that_is_loaded():
+    library = library_of("dgemm_")
+    assert library.is_file()
+    if sys.platform == "linux":
+        assert str(library) in Path("/proc/self/maps").read_text()
+
+
+def test_threads_are_told_where_threadpoolctl_is(monkeypatch):
+    module = types.ModuleType("threadpoolctl")
+    module.threadpool_info = lambda: [
+        {"internal_api": "openblas", "version": "0.3.29", "num_threads": 4},
+        {"internal_api": "openmp", "version": None, "num_threads": 2},
+    ]
+    monkeypatch.setitem(sys.modules, "threadpoolctl", module)
+    assert _threads() == "4 of openblas 0.3.29, 2 of openmp"
+    monkeypatch.setitem(sys.modules, "threadpoolctl", None)
+    assert _threads() == "not known without threadpoolctl"
 
 
 def test_module_prints_the_report(capsys):

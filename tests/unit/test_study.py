@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import matplotlib.image
 import numpy as np
 import pytest
 from conftest import unit_grid
+from mpi4py import MPI
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.solve.quasistatic import StepRecord
 
 
 def test_sweep_takes_what_a_scene_returns():
@@ -135,3 +139,138 @@ def test_drawn_sweeps_show_numbers_and_nested_curves_differ(tmp_path):
         sizes = [line.get_markersize() for line in right.lines[:2]]
         assert sizes[0] > sizes[1]
     assert (tmp_path / "drawn.png").stat().st_size > 0
+
+
+def test_small_eigenvalues_keep_their_digits():
+    """A graded matrix D A D: condition number 2e24, found to twelve digits on one rank."""
+    D = np.diag([1.0, 1e-4, 1e-12])
+    A = np.array([[1.0, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 1.0]])
+    matrix = PETSc.Mat().createDense(3, array=(D @ A @ D).ravel(), comm=MPI.COMM_SELF)
+    matrix.assemble()
+    # to first order in the ratios of D: pivots of the elimination in the order of their size
+    expected = 1 / (1e-24 * np.linalg.det(A) / np.linalg.det(A[:2, :2]))
+    assert study.condition_number(matrix) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["interval", "triangle", "quadrilateral", "hexahedron"])
+def test_rigid_modes_cost_no_force(kind):
+    grid = unit_grid(kind, 4)
+    d = grid.geometry.dim
+    # far from the origin rotations must not drown in translations
+    grid.geometry.x[:, 0] += 1e3
+    points = mpm.fill(
+        grid, mpm.Box((1e3,) + (0,) * (d - 1), (1e3 + 0.6,) + (0.7,) * (d - 1)), 2, 1.0
+    )
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.2), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points)
+    K = problem.stiffness()
+    modes = study.rigid_modes(problem.system)
+    products = grid.comm.allreduce(modes.T @ modes, op=MPI.SUM)
+    np.testing.assert_allclose(products, np.eye({1: 1, 2: 3, 3: 6}[d]), atol=1e-12)
+    x, y = K.createVecs()
+    for mode in modes.T:
+        x.getArray()[:] = mode
+        K.mult(x, y)
+        assert y.norm() < 1e-12
+    held = mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left"))
+    held.stiffness()
+    assert study.rigid_modes(held.system).shape[1] == 0
+
+
+# -- strength reduction -------------------------------------------------------
+
+
+@functools.cache
+def body():
+    return mpm.fill(unit_grid("quadrilateral"), mpm.Box((0, 0), (1, 1)), 1, 1.0)
+
+
+class Spring:
+    """A problem whose body moves with its load, and further above a strength."""
+
+    def __init__(self, strength, softness=0.0, breaks=False):
+        self.points, self.load = body(), 0.0
+        self.strength, self.softness, self.breaks = strength, softness, breaks
+
+    def step(self):
+        beyond = max(self.load - self.strength, 0.0)
+        if beyond > 0 and self.breaks:
+            raise ConvergenceError("step 7 failed")
+        self.points["x"][:] = self.points["x0"] + [0, 1e-3 * (self.load + self.softness * beyond)]
+        return StepRecord(iterations=2)
+
+
+def load_spring(factor, steps=4, **options):
+    problem = Spring(1.5 / factor, **options)
+    for step in range(1, steps + 1):
+        problem.load = step / steps
+        yield problem
+
+
+def test_a_run_that_breaks_has_failed():
+    loading = functools.partial(load_spring, breaks=True)
+    safety = study.factor_of_safety(loading, 1.0, 2.0, tolerance=0.1)
+    assert safety.bracket == (1.5, 1.5625)
+    assert safety.factor == 1.53125
+    assert [t.factor for t in safety.trials] == [1.0, 1.5, 1.5625, 1.625, 1.75, 2.0]
+    last = safety.trials[-1]
+    assert last == study.Trial(
+        2.0, False, "in step 4 of the load: step 7 failed", 3, pytest.approx(0.75e-3),
+        pytest.approx(1.0), 6,
+    )  # fmt: skip
+    assert safety.table()[0]["displacement"] == pytest.approx(1e-3)
+
+
+def test_a_run_that_leaves_the_line_has_failed():
+    """δ = 1 + 100 (1 − 1.5/F) passes 3 at F = 1.5/0.98."""
+    loading = functools.partial(load_spring, softness=100.0)
+    low, high = study.factor_of_safety(loading, 1.0, 2.0, tolerance=1e-4).bracket
+    assert low <= 1.5 / 0.98 <= high <= low + 1e-4
+    low, high = study.factor_of_safety(loading, 1.0, 2.0, tolerance=1e-4, growth=5.0).bracket
+    assert low <= 1.5 / 0.96 <= high
+
+
+def test_safety_is_drawn(tmp_path):
+    rows = study.factor_of_safety(functools.partial(load_spring, softness=100.0)).table()
+    study.plot_reduction(rows, tmp_path / "new" / "safety.png", 1e-3, ylabel="$d$")
+    study.plot_reduction(rows[:1], tmp_path / "one.png")
+    for name in ("new/safety", "one"):
+        assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
+    with mpm.figure(tmp_path / "drawn.png") as (_, axes):
+        study.draw_reduction(axes, rows, 1e-3)
+        stands, fails = (line.get_ydata() for line in axes.lines)
+        assert stands.max() == pytest.approx(
+            max(r["displacement"] for r in rows if r["stands"]) * 1e3
+        )
+        assert len(stands) + len(fails) == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"low": 0.0}, "low = 0.0 and high = 2.0 must be positive"),
+        ({"low": 3.0}, "low = 3.0 and high = 2.0 must be positive and increase"),
+        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"growth": 1.0}, "growth = 1.0 must be more than 1"),
+        ({"high": 1.4}, "stands at high = 1.4 still"),
+        ({"low": 1.9}, "fails at low = 1.9 already, in step 4 of the load: step 7 failed"),
+        ({"loading": lambda F: load_spring(F, steps=1)}, "at factor 1 has 1 steps, it needs two"),
+        ({"loading": lambda F: []}, "at factor 1 has 0 steps"),
+        ({"loading": lambda F: [Spring(1.0)] * 2}, "moves nothing"),
+    ],
+)
+def test_wrong_reductions(options, message):
+    arguments = {"loading": functools.partial(load_spring, breaks=True), **options}
+    with pytest.raises(ParameterError, match=message):
+        study.factor_of_safety(**arguments)
+
+
+def test_reduced_strength():
+    cohesion, friction = study.reduced_strength(10e3, 30.0, 1.5)
+    assert cohesion == pytest.approx(10e3 / 1.5)
+    assert np.tan(np.radians(friction)) == pytest.approx(np.tan(np.radians(30)) / 1.5)
+    assert study.reduced_strength(5.0, 0.0, 2.0) == (2.5, 0.0)
+    for wrong in ((1.0, 20.0, 0.0), (-1.0, 20.0, 1.0), (1.0, 90.0, 1.0), (1.0, 20.0, np.inf)):
+        with pytest.raises(ParameterError, match=r"(factor|cohesion|friction_angle) = "):
+            study.reduced_strength(*wrong)
