@@ -160,12 +160,14 @@ class CellParts(Parts):
         else:
             N = np.concatenate([1 - xi.sum(axis=-1, keepdims=True), xi], axis=-1)
             gradient = np.vstack([-np.ones(gdim), np.eye(gdim)])
-            dN = np.broadcast_to(gradient, (*xi.shape[:-1], *gradient.shape))
+            # the Jacobian of a simplex is the same everywhere
+            dN = np.broadcast_to(gradient, (len(xi), 1, *gradient.shape))
             share = 1 / math.factorial(gdim)
         vertices, part = self._vertices[rows // self._number], rows % self._number
         x = np.einsum("rqa,rai->rqi", N[part], vertices)
         J = np.einsum("rqaj,rai->rqij", dN[part], vertices)
-        return x, np.abs(np.linalg.det(J)) * share / (self._number * xi.shape[1])
+        volume = np.abs(np.linalg.det(J)) * share / (self._number * xi.shape[1])
+        return x, np.broadcast_to(volume, x.shape[:2])
 
     def samples(self, rows: Rows, m: int) -> tuple[Array, Array]:
         """See `Parts`."""

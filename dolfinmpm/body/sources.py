@@ -169,14 +169,15 @@ def _once(comm, rows: Rows) -> Rows:
     same[1:] = np.all(rows["x"][1:] == rows["x"][:-1], axis=1)
     error = None
     for name, a in rows.items():
-        flat = a.reshape(len(a), -1)
-        differ = np.flatnonzero(same[1:] & np.any(flat[1:] != flat[:-1], axis=1))
+        other = np.any(a[1:] != a[:-1], axis=tuple(range(1, a.ndim)))
+        differ = np.flatnonzero(same[1:] & other)
         if differ.size:
             k = differ[0]
             error = ParameterError(
                 f"two ranks give the point at {rows['x'][k]} m with different values of "
                 f"{name.removeprefix('field:')}: {a[k]} and {a[k + 1]}"
             )
+            break
     raise_together(comm, error)
     return {name: a[~same] for name, a in rows.items()}
 

@@ -30,6 +30,8 @@ _FIND = {1: 16, 2: 6, 3: 4}
 _MEASURE = {1: 256, 2: 16, 3: 8}
 # A sample of this many positions at a time stays in the processor's cache.
 _CHUNK = 200_000
+# Points of less than this share of a part would weigh next to nothing.
+_SLIVER = 0.01
 # Cut pieces share the correction alone as long as none changes by more than this factor.
 _MODERATE = 1.5
 # How far a piece may be shifted at the cost of changing its volume by all of it, in its size.
@@ -67,6 +69,9 @@ def pieces_inside(parts: Parts, shape: Shape) -> Pieces:
     some, cut = np.empty(len(parts.x), bool), np.empty(len(parts.x), bool)
     for rows in _chunks(np.arange(len(parts.x)), _FIND[gdim] ** gdim):
         x, _ = parts.samples(rows, _FIND[gdim])
+        # drawn out to the corners of the part: an edge of the shape may pass close to its faces
+        middle = parts.x[rows, None]
+        x = middle + 0.999 * _FIND[gdim] / (_FIND[gdim] - 1) * (x - middle)
         inside = shape.contains(x.reshape(-1, gdim)).reshape(x.shape[:2])
         some[rows] = inside.any(axis=1)
         cut[rows] = some[rows] & ~inside.all(axis=1)
@@ -78,8 +83,8 @@ def pieces_inside(parts: Parts, shape: Shape) -> Pieces:
         samples, weight = parts.samples(at, _MEASURE[gdim])
         inside = shape.contains(samples.reshape(-1, gdim)).reshape(samples.shape[:2])
         weight = weight * inside
-        # a sliver that the finer samples miss is left out
-        some[at] = inside.any(axis=1)
+        # what slivers hold goes to their neighbours with the correction
+        some[at] = weight.sum(axis=1) > _SLIVER * parts.volume[at]
         at, samples, weight = (a[some[at]] for a in (at, samples, weight))
         volume[at] = weight.sum(axis=1)
         x[at] = np.einsum("rq,rqi->ri", weight, samples) / volume[at, None]
