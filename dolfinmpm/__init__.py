@@ -7,7 +7,7 @@ from dolfinmpm._platform.report import info
 from dolfinmpm.basis.conditions import fixed, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.filling import fill
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import RigidFooting, Surface
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
@@ -28,6 +28,7 @@ __all__ = [
     "History",
     "MaterialPoints",
     "ParaView",
+    "PointChange",
     "Polygon",
     "QuasiStatic",
     "RigidFooting",

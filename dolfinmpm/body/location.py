@@ -15,7 +15,7 @@ from dolfinmpm.basis.cells import contained
 from dolfinmpm.basis.linear import kind_of
 from dolfinmpm.grid.lattice import Lattice, lattice_of, once_per_grid
 
-__all__ = ["Destinations", "destinations"]
+__all__ = ["Destinations", "bounds", "destinations", "outside_cells"]
 
 # A point on a facet belongs to either cell; rounding must not put it outside both.
 _TOLERANCE = 1e-10
@@ -51,6 +51,15 @@ class _LatticeLocator:
         cells[inside] = self._table[tuple(index[inside].T)]
         return cells
 
+    def holds(self, x, cells) -> npt.NDArray[np.bool_]:
+        """Whether each position is in the local cell named."""
+        inside = np.ones(len(x), bool)
+        for d, line in enumerate(self._lattice.lines):
+            slack = _TOLERANCE * (line[-1] - line[0]) / (line.size - 1)
+            at = self._lattice.cell_ijk[cells, d]
+            inside &= (x[:, d] >= line[at] - slack) & (x[:, d] <= line[at + 1] + slack)
+        return inside
+
 
 class _MeshLocator:
     """Cells of any grid: first the cell that the point was in, then the bounding-box tree."""
@@ -63,7 +72,8 @@ class _MeshLocator:
         self._kind = kind_of(grid)
         self._tree: Any = None
 
-    def _contained(self, x, cells):
+    def holds(self, x, cells) -> npt.NDArray[np.bool_]:
+        """Whether each position is in the local cell named; in none where that is -1."""
         result = np.empty(len(x), bool)
         contained(
             self._kind, self._vertices, self._coordinates, cells.astype(np.int32), x, _TOLERANCE,
@@ -72,7 +82,7 @@ class _MeshLocator:
         return result
 
     def find(self, x, guess) -> npt.NDArray[np.int32]:
-        cells = np.where(self._contained(x, guess), guess, -1).astype(np.int32)
+        cells = np.where(self.holds(x, guess), guess, -1).astype(np.int32)
         lost = np.flatnonzero((cells < 0) & np.isfinite(x).all(axis=1))
         if lost.size == 0 or len(self._vertices) == 0:
             return cells
@@ -85,7 +95,7 @@ class _MeshLocator:
         padded[:, : self._gdim] = x[lost]
         candidates = geometry.compute_collisions_points(self._tree, padded)
         owner = np.repeat(np.arange(lost.size), np.diff(candidates.offsets))
-        hit = self._contained(np.ascontiguousarray(x[lost][owner]), candidates.array)
+        hit = self.holds(np.ascontiguousarray(x[lost][owner]), candidates.array)
         # the smallest cell index wins: owned cells come before ghosts
         best = np.full(lost.size, np.iinfo(np.int32).max)
         np.minimum.at(best, owner[hit], candidates.array[hit])
@@ -98,6 +108,22 @@ class _MeshLocator:
 def _locator(grid: Mesh) -> _LatticeLocator | _MeshLocator:
     lattice = lattice_of(grid)
     return _MeshLocator(grid) if lattice is None else _LatticeLocator(grid, lattice)
+
+
+@once_per_grid
+def bounds(grid: Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Lowest and highest coordinates of the grid (m), both of shape (gdim,). Collective."""
+    x = grid.geometry.x[:, : grid.geometry.dim]
+    low = np.min(grid.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+    high = np.max(grid.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+    return low, high
+
+
+def outside_cells(
+    grid: Mesh, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
+) -> npt.NDArray[np.intp]:
+    """Which positions (m), shape (n, gdim), are not in the local cells named, shape (n,)."""
+    return np.flatnonzero(~_locator(grid).holds(x, cells))
 
 
 @dataclass(frozen=True)

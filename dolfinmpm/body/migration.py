@@ -6,6 +6,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError, raise_together
+from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import Destinations, destinations
 
 __all__ = ["migrate", "settle"]
@@ -29,35 +30,13 @@ def migrate(points, to: Destinations) -> int:
     """
     comm, fields = points.comm, points.fields
     first = points.grid.topology.index_map(points.grid.topology.dim).local_range[0]
-    leaving = np.flatnonzero(to.rank != comm.rank)
-    moved = comm.allreduce(leaving.size, op=MPI.SUM)
+    moved = comm.allreduce(int(np.count_nonzero(to.rank != comm.rank)), op=MPI.SUM)
     if moved == 0:
         fields["cell"][:] = to.cell - first
         return 0
     before = _totals(points)
-    leaving = leaving[np.argsort(to.rank[leaving], kind="stable")]
-    counts = np.bincount(to.rank[leaving], minlength=comm.size)
-    rows = {**fields, "cell": to.cell}
-    packed = np.hstack(
-        [np.ascontiguousarray(a[leaving]).view(np.uint8).reshape(leaving.size, _row_bytes(a))
-         for a in rows.values()]
-    )  # fmt: skip
-    width = packed.shape[1]
-    arriving = np.empty_like(counts)
-    comm.Alltoall(counts, arriving)
-    received = np.empty((arriving.sum(), width), np.uint8)
-    comm.Alltoallv([np.ascontiguousarray(packed), counts * width], [received, arriving * width])
-    staying = to.rank == comm.rank
-    start = 0
-    for name, values in rows.items():
-        size = _row_bytes(values)
-        piece = np.ascontiguousarray(received[:, start : start + size]).view(values.dtype)
-        piece = piece.reshape(-1, *values.shape[1:])
-        joined = np.concatenate([values[staying], piece])
-        if name == "cell":
-            joined = (joined - first).astype(np.int32)
-        fields[name] = joined
-        start += size
+    fields.update(exchange(comm, {**fields, "cell": to.cell}, to.rank))
+    fields["cell"] = (fields["cell"] - first).astype(np.int32)
     after = _totals(points)
     if after[0] != before[0] or abs(after[1] - before[1]) > 1e-12 * abs(before[1]):
         raise MigrationError(
@@ -65,10 +44,6 @@ def migrate(points, to: Destinations) -> int:
             f"{after[0]:.0f} with mass {after[1]!r} kg; please report this with mpm.info()"
         )
     return moved
-
-
-def _row_bytes(values: np.ndarray) -> int:
-    return values.dtype.itemsize * int(np.prod(values.shape[1:], dtype=int))
 
 
 def _totals(points) -> np.ndarray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -14,16 +15,21 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
+    DolfinMPMError,
     FieldShapeError,
     ParameterError,
     call_together,
     raise_together,
 )
 from dolfinmpm.basis import Placement
-from dolfinmpm.body.location import Destinations
+from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body.checks import checked_rows, fault, require_grid
+from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.joining import PointChange
+from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
 
-__all__ = ["MaterialPoints", "PointField"]
+__all__ = ["MaterialPoints", "PointChange", "PointField"]
 
 _numbers = itertools.count(1)
 
@@ -31,32 +37,21 @@ _numbers = itertools.count(1)
 GHOST_FACETS = 990_001
 ACTIVE_CELLS = 990_002
 
+# Fields that every point has, by their units; those of whole numbers are no functions in a form.
+_BUILT_IN = {
+    "x": "m",
+    "x0": "m",
+    "V": "m^d",
+    "V0": "m^d",
+    "density": "kg/m^d",
+    "F": "",
+    "l": "m",
+    "l0": "m",
+    "stress": "Pa",
+}
+_RESERVED = ("id", "cell", "tag", *_BUILT_IN)
 
-class PointField(ufl.Coefficient):
-    """A field of the material points, usable in UFL under the points' own measures.
-
-    Attributes:
-        name: Its name among the points' fields.
-        unit: Its unit.
-        points: The material points that carry it.
-    """
-
-    def __init__(self, points: MaterialPoints, name: str, shape: tuple[int, ...], unit: str):
-        cell = points.grid.topology.cell_name()
-        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
-        element = basix.ufl.element("DG", cell, 1, shape=shape)
-        super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
-        self.points = points
-        self.name = name
-        self.unit = unit
-
-    @property
-    def array(self) -> npt.NDArray:
-        """The values on this rank, shape (points, *shape of the field)."""
-        return self.points.fields[self.name]
-
-    def __str__(self) -> str:
-        return f"points.{self.name}"
+Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
 
 class MaterialPoints:
@@ -85,6 +80,10 @@ class MaterialPoints:
     stress       (n, 3, 3)   Pa       Cauchy stress
     ===========  ==========  =======  =====================================
 
+    Points come from `fill`, from `from_arrays`, `from_csv` and `from_mesh`, and from `a + b`; the
+    constructor takes what these have found. Arrays in `fields` get other sizes when
+    points are added or removed or change rank: take them anew after each step.
+
     Args:
         grid: Background grid.
         x: Positions (m), shape (n, d), each in a cell that this rank owns.
@@ -94,9 +93,21 @@ class MaterialPoints:
         density: Mass per volume (kg/m^d), a number or an array of shape (n,).
         tag: Which part of the body the points belong to: a whole number from 0, or an array of
             shape (n,).
+        id: Their numbers, different on all ranks, shape (n,); by default in the order of the
+            ranks.
+
+    Attributes:
+        total: Number of points on all ranks; needs no communication.
+        revision: How many times the rows of the arrays have changed.
+        shape_volume: Volume (m^d) of the shape that `fill` put the points into, None if unknown.
+        volume_error: Relative error of the points' first volume, or None likewise.
 
     Raises:
-        ParameterError: A density or a volume is not positive and finite.
+        ParameterError: A density or a volume is not positive and finite, a half-length
+            negative, not finite or larger than the grid's, a position not finite.
+        FieldShapeError: An array has another shape.
+        PointsOutsideGridError: A point is not in its cell.
+        UnsupportedGridError: The cells are curved, or coordinates of single precision.
     """
 
     def __init__(
@@ -108,12 +119,13 @@ class MaterialPoints:
         half_length: npt.NDArray[np.float64],
         density: float | npt.NDArray[np.float64],
         tag: int | npt.NDArray[np.int32] = 0,
+        id: npt.NDArray[np.int64] | None = None,
     ):
+        require_grid(grid)
         self.grid = grid
         self.comm: MPI.Intracomm = grid.comm
         self.number = next(_numbers)
-        n, d = x.shape
-        self.gdim = d
+        self.gdim = d = grid.geometry.dim
         self.fields: dict[str, npt.NDArray[Any]] = {}
         self._ufl: dict[str, PointField] = {}
         # fields that a converged step sets to the value of a UFL expression
@@ -124,28 +136,30 @@ class MaterialPoints:
         self.declarations: dict[int, Any] = {}
         # laws at work on the points, each with its measure of strain
         self.frameworks: list[Any] = []
-        rho = call_together(
-            self.comm, lambda: np.broadcast_to(np.asarray(density, float), (n,)).copy()
+        self.shape_volume: float | None = None
+        self.volume_error: float | None = None
+        self.revision = 0
+        bounds(grid)  # all ranks ask for them together, once
+
+        values = call_together(
+            self.comm,
+            lambda: checked_rows(grid, x, cell, volume, half_length, density, tag, id),
         )
-        raise_together(self.comm, _not_positive("density", "kg/m^d", rho, x))
-        raise_together(self.comm, _not_positive("volume", "m^d", volume, x))
-        first = self.comm.exscan(n) or 0
-        self.fields["id"] = first + np.arange(n, dtype=np.int64)
-        self.fields["cell"] = np.asarray(cell, np.int32)
-        self.fields["tag"] = np.broadcast_to(np.asarray(tag, np.int32), (n,)).copy()
-        for name, values, unit in (
-            ("x", x, "m"),
-            ("x0", x, "m"),
-            ("V", volume, "m^d"),
-            ("V0", volume, "m^d"),
-            ("density", rho, "kg/m^d"),
-            ("F", np.broadcast_to(np.eye(d), (n, d, d)), ""),
-            ("l", half_length, "m"),
-            ("l0", half_length, "m"),
-            ("stress", np.zeros((n, 3, 3)), "Pa"),
-        ):
-            self.add_field(name, values.shape[1:], unit)
-            self.fields[name][:] = values
+        n = len(values["x"])
+        if id is None:
+            values["id"] += self.comm.exscan(n) or 0
+        values |= {"x0": values["x"], "V0": values["V"], "l0": values["l"]}
+        values |= {"F": np.broadcast_to(np.eye(d), (n, d, d)), "stress": np.zeros((n, 3, 3))}
+        for name in ("id", "cell", "tag"):
+            self.fields[name] = values[name]
+        for name, unit in _BUILT_IN.items():
+            self._ufl[name] = PointField(self, name, values[name].shape[1:], unit)
+            self.fields[name] = values[name].copy()
+        # what points that come later without them have
+        self._ufl["F"].first = np.eye(d)
+        raise_together(self.comm, fault(self))
+        self._next_id: int = 0
+        self.recount()
         domain = grid.ufl_domain()
         self.dX = ufl.Measure("dc", domain=domain, metadata=self._mark("V0"))
         self.dx = ufl.Measure("dc", domain=domain, metadata=self._mark("V"))
@@ -153,16 +167,137 @@ class MaterialPoints:
         self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS)
         self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
 
+    # -- where points come from -----------------------------------------------
+
+    @classmethod
+    def from_arrays(
+        cls,
+        grid: Mesh,
+        x: npt.ArrayLike,
+        volume: npt.ArrayLike,
+        density: Density,
+        tag: npt.ArrayLike = 0,
+        half_length: npt.ArrayLike | None = None,
+        fields: Mapping[str, npt.ArrayLike] | None = None,
+        id: npt.ArrayLike | None = None,
+    ) -> MaterialPoints:
+        """Points at given positions, wherever they are on the grid. Collective.
+
+        Each rank gives some of the points, which may be all, or none. Points that several
+        ranks give alike count once, so that a script that makes all of them on every
+        rank needs no change.
+
+        Args:
+            grid: Background grid.
+            x: Positions (m), shape (n, gdim).
+            volume: Volumes (m^d), a number or shape (n,).
+            density: Mass per volume (kg/m^d): a number, shape (n,), or a function of
+                positions in DOLFINx's layout, shape (gdim, n), to n values.
+            tag: Which part of the body the points belong to, a number or shape (n,).
+            half_length: Half-lengths of the points' domains (m): a number, shape (gdim,) or
+                (n, gdim); by default those of a cube of the point's volume.
+            fields: Further fields by name, shape (n, ...).
+            id: Numbers of the points, shape (n,); by default in the order of their
+                coordinates, whatever rank gave them.
+
+        Raises:
+            FieldShapeError: An array has the wrong shape, or the ranks give different fields.
+            ParameterError: A value is impossible, two points of a rank are in the same
+                place, ranks give different values for one, or a number is given twice.
+            PointsOutsideGridError: Points are outside the grid.
+            EmptyShapeError: There is no point.
+            UnsupportedGridError: The cells are curved, or coordinates of single precision.
+        """
+        rows, others = sources.located(
+            grid, x, volume, density, tag, half_length, fields or {}, id, reserved=_RESERVED
+        )
+        points = cls(grid, **rows)
+        for name, values in others.items():
+            points.add_field(name, values.shape[1:])
+            points[name] = values
+        return points
+
+    @classmethod
+    def from_csv(
+        cls,
+        grid: Mesh,
+        path: str | Path,
+        density: Density | None = None,
+        tag: int = 0,
+        delimiter: str = ",",
+    ) -> MaterialPoints:
+        """Points from a table of text, one a line, read on rank 0. Collective.
+
+        The first line names the columns: `x`, `y`, `z` as far as the grid has them and
+        `volume`; `density`, `tag` and `id` if they are not given otherwise. Every other
+        column becomes a scalar field of its name. Numbers are in metres, m^d and kg/m^d.
+
+        Args:
+            grid: Background grid.
+            path: The file, in UTF-8.
+            density: As `from_arrays`, for a file without that column.
+            tag: Tag of the points of a file without that column.
+            delimiter: What separates columns.
+
+        Raises:
+            ParameterError: A column is missing, named twice or has no value that is a
+                number; the message has line and column. Or as `from_arrays`.
+            OSError: The file cannot be read.
+        """
+        return cls.from_arrays(grid, **files.from_csv(grid, path, density, tag, delimiter))
+
+    @classmethod
+    def from_mesh(
+        cls,
+        grid: Mesh,
+        mesh: Any,
+        density: Density | Mapping[int, float],
+        points: str = "quadrature",
+        degree: int = 2,
+        tag: int | None = None,
+    ) -> MaterialPoints:
+        """Points in the cells of a mesh of the body, such as Gmsh's. Collective.
+
+        Needs meshio. Cells are intervals, triangles, quadrilaterals, tetrahedra or hexahedra with
+        straight edges, those of the grid's dimension; others in the file are passed over.
+        The volumes of the points of a cell are its own together.
+
+        Args:
+            grid: Background grid; it need not fit the mesh.
+            mesh: A file that meshio reads, or a `meshio.Mesh`; what rank 0 has is taken.
+            density: As `from_arrays`, or by tag: `{1: 2000.0, 2: 1800.0}`.
+            points: "quadrature" puts them at the quadrature points of each cell, "centres" at
+                the centroid.
+            degree: Degree of the polynomials that the quadrature integrates.
+            tag: Tag of all the points; by default the number of the physical group of
+                their cell, 0 for cells in none.
+
+        Raises:
+            ParameterError: `points` or `degree` is not what it may be, a cell has no volume, or
+                the density of a tag is missing.
+            UnsupportedGridError: The mesh has other cells, or none of the grid's dimension.
+            PointsOutsideGridError: Points are outside the grid.
+            OSError: The file cannot be read.
+        """
+        return cls.from_arrays(grid, **files.from_mesh(grid, mesh, density, points, degree, tag))
+
     def _mark(self, volume: str) -> dict[str, Any]:
         return {"points": self.number, "volume": volume}
 
     def __len__(self) -> int:
         return len(self.fields["id"])
 
-    @property
-    def total(self) -> int:
-        """Number of points on all ranks. Collective."""
-        return self.comm.allreduce(len(self), op=MPI.SUM)
+    def recount(self) -> None:
+        """Note that rows of the arrays have come or gone. Collective.
+
+        Whoever replaces the arrays in `fields` by those of other points calls it.
+        """
+        ids = self.fields["id"]
+        self.total: int = self.comm.allreduce(len(ids), op=MPI.SUM)
+        highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
+        # a number is not given again when its point has been removed
+        self._next_id = max(self._next_id, highest + 1)
+        self.revision += 1
 
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
@@ -173,10 +308,13 @@ class MaterialPoints:
             name: Its name.
             shape: Shape of its value at one point.
             unit: Its unit.
-            value: First value, one for all points.
+            value: First value, one for all points, or a function of first positions (m), shape
+                (gdim, n), to shape (n, *shape). Points that join the body later without
+                this field have it too.
 
         Raises:
-            FieldShapeError: A field of that name has another shape.
+            FieldShapeError: A field of that name, or the first value, has another shape.
+            ParameterError: The name cannot be one of a field.
         """
         shape = tuple(shape)
         if name in self._ufl:
@@ -188,15 +326,10 @@ class MaterialPoints:
             return self._ufl[name]
         if not name.isidentifier() or name in self.__dict__ or hasattr(MaterialPoints, name):
             raise ParameterError(f"'{name}' cannot name a field; use a new identifier")
-        if np.shape(value) not in ((), shape):
-            raise FieldShapeError(
-                f"field '{name}' has shape {shape} at a point, its first value {np.shape(value)}"
-            )
-        values = np.empty((len(self), *shape))
-        values[:] = value
-        self.fields[name] = values
-        self._ufl[name] = PointField(self, name, shape, unit)
-        return self._ufl[name]
+        field = PointField(self, name, shape, unit, value)
+        self.fields[name] = field.first_values(self["x0"])
+        self._ufl[name] = field
+        return field
 
     def __getattr__(self, name: str) -> PointField:
         try:
@@ -218,11 +351,19 @@ class MaterialPoints:
     def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
         """Set a field's values on this rank; a single value is given to all points.
 
+        What is impossible for the body, such as a negative density, ends the next step
+        on all ranks.
+
         Raises:
             FieldShapeError: The array has the wrong shape.
+            ParameterError: Values are no numbers, or not whole where they must be.
         """
         target = self[name]
         given = np.asarray(values)
+        if not np.can_cast(given.dtype, target.dtype, "same_kind"):
+            raise ParameterError(
+                f"field '{name}' takes values of kind {target.dtype}, got {given.dtype}"
+            )
         if given.shape not in (target.shape, target.shape[1:]):
             raise FieldShapeError(
                 f"field '{name}' should have shape {target.shape} (this rank's points first) or "
@@ -239,26 +380,98 @@ class MaterialPoints:
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
         return Placement(self[x], self[half], self[volume], self["cell"])
 
-    def fault(self) -> ParameterError | None:
+    def __setattr__(self, name: str, value: Any) -> None:
+        # without this `points.density = 5000.0` would hide the field and change nothing
+        if name in self.__dict__.get("fields", ()):
+            self[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    # -- changes of the body --------------------------------------------------
+
+    def __add__(self, other: MaterialPoints) -> MaterialPoints:
+        """A body of the points of both, with all their fields. Collective.
+
+        Both stay as they are. Points of a body that lacks a field of the other get the
+        value that it had at first; numbers are given anew to the points of the second.
+
+        Raises:
+            ParameterError: The other is no set of points of this grid, or points of both are
+                in the same place.
+            FieldShapeError: A field has another shape in the other body.
+        """
+        return joining.joined(self, other)
+
+    def add(self, other: MaterialPoints) -> PointChange:
+        """Take the points of another body in, between steps. Collective.
+
+        Problems that hold these points go on with all of them. The new points get what a
+        law keeps at its points as it is at first, and numbers that follow those of these.
+
+        Args:
+            other: Points on the same grid; it stays as it is.
+
+        Returns:
+            How many points came, and their mass, over all ranks.
+
+        Raises:
+            ParameterError, FieldShapeError: As for `a + b`; no point is added then.
+        """
+        return joining.add(self, other)
+
+    def remove(
+        self,
+        where: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
+        *,
+        tag: int | None = None,
+    ) -> PointChange:
+        """Take points away, between steps. Collective.
+
+        Problems that hold these points go on with those that are left.
+
+        Args:
+            where: Which: a function of present positions (m) in DOLFINx's layout, shape
+                (gdim, n), that returns n booleans, or n booleans for the points of this rank.
+            tag: Which, instead: those of this tag.
+
+        Returns:
+            How many points went, and their mass, over all ranks.
+
+        Raises:
+            ParameterError: Neither or both are given, `where` does not give booleans, or no
+                point would be left.
+            FieldShapeError: Their number is not that of the points.
+        """
+        return joining.remove(self, where, tag)
+
+    def fault(self) -> DolfinMPMError | None:
         """What is impossible in the fields of this rank's points, or None."""
-        x, F = self["x"], self["F"]
-        error = _not_positive("density", "kg/m^d", self["density"], x)
-        error = error or _not_positive("volume", "m^d", self["V"], x)
-        if error is None and not (np.isfinite(x).all() and np.isfinite(F).all()):
-            bad = ~(np.isfinite(x).all(axis=1) & np.isfinite(F).all(axis=(1, 2)))
-            p = int(np.flatnonzero(bad)[0])
-            error = ParameterError(
-                f"point {self['id'][p]} has the position {x[p]} m and F = {F[p].tolist()}; both "
-                "must be finite: was a field set wrongly?"
-            )
-        return error
+        return fault(self)
+
+    def locate(self) -> int:
+        """Find cells and ranks of points whose x was changed by hand. Collective.
+
+        Returns:
+            How many points changed rank, over all ranks.
+
+        Raises:
+            PointsOutsideGridError: Points are outside the grid.
+        """
+        to = destinations(self.grid, self["x"], self["cell"])
+        raise_together(self.comm, sources.outside(self["x"], self["id"], to))
+        return self.migrate(to)
 
     def migrate(self, to: Destinations) -> int:
         """Hand points to the ranks that own their cells; returns how many moved. Collective."""
-        return migrate(self, to)
+        moved = migrate(self, to)
+        self.revision += moved > 0
+        return moved
 
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
-        """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere. Collective."""
+        """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
+
+        Collective: called on rank 0 alone it waits for the others for ever.
+        """
         pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
         if pieces is None:
             return None
@@ -266,14 +479,3 @@ class MaterialPoints:
         return tuple(
             np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
         )
-
-
-def _not_positive(what, unit, values, x) -> ParameterError | None:
-    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
-    if bad.size == 0:
-        return None
-    p = bad[0]
-    return ParameterError(
-        f"{what} = {values[p]} {unit} of the point at {x[p]} m must be positive and finite "
-        f"({bad.size} such points on this rank)"
-    )

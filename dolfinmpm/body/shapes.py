@@ -22,7 +22,14 @@ class Shape:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
         low: Lower corner (m) of a box around the shape, or None if unknown.
         high: Upper corner (m), likewise.
+
+    Attributes:
+        volume: Its volume (m^d), or None if unknown, as that of a combination is; it may be set.
+        centroid: Its centroid (m), shape (gdim,), likewise.
     """
+
+    volume: float | None = None
+    centroid: Array | None = None
 
     def __init__(
         self,
@@ -40,9 +47,27 @@ class Shape:
             raise ParameterError(
                 f"{type(self).__name__} has {len(self.low)} coordinates, the grid has {x.shape[1]}"
             )
-        return np.asarray(self._contains(x), dtype=bool)
+        inside = np.asarray(self._contains(x))
+        if inside.shape != (len(x),) or inside.dtype != bool:
+            raise ParameterError(
+                f"{type(self).__name__} should tell of {len(x)} positions whether they are inside, "
+                f"as an array of {len(x)} booleans; it returned {inside.dtype} of shape "
+                f"{inside.shape}"
+            )
+        return inside
+
+    def _joins(self, other: object) -> Shape:
+        if not isinstance(other, Shape):
+            raise ParameterError(f"shapes combine with shapes only, got a {type(other).__name__}")
+        sizes = [len(s.low) for s in (self, other) if s.low is not None]
+        if len(set(sizes)) > 1:
+            raise ParameterError(
+                f"a shape of {sizes[0]} coordinates cannot be combined with one of {sizes[1]}"
+            )
+        return other
 
     def __or__(self, other: Shape) -> Shape:
+        other = self._joins(other)
         low = high = None
         if self.low is not None and other.low is not None:
             low = np.minimum(self.low, other.low)
@@ -50,6 +75,7 @@ class Shape:
         return Shape(lambda x: self.contains(x) | other.contains(x), low, high)
 
     def __and__(self, other: Shape) -> Shape:
+        other = self._joins(other)
         lows = [s.low for s in (self, other) if s.low is not None]
         highs = [s.high for s in (self, other) if s.high is not None]
         low = np.max(lows, axis=0) if lows else None
@@ -57,6 +83,7 @@ class Shape:
         return Shape(lambda x: self.contains(x) & other.contains(x), low, high)
 
     def __sub__(self, other: Shape) -> Shape:
+        other = self._joins(other)
         return Shape(lambda x: self.contains(x) & ~other.contains(x), self.low, self.high)
 
 
@@ -80,6 +107,7 @@ class Box(Shape):
                 "each coordinate of the second must be larger"
             )
         super().__init__(lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper)
+        self.volume, self.centroid = float(np.prod(upper - lower)), 0.5 * (lower + upper)
 
 
 class TurnedBox(Shape):
@@ -114,6 +142,7 @@ class TurnedBox(Shape):
             self.middle - reach,
             self.middle + reach,
         )
+        self.volume, self.centroid = self.box.volume, self.middle
 
     def turn(self, x: Array) -> Array:
         """Positions (m) of points of the box, shape (n, gdim), after it is turned."""
@@ -128,18 +157,23 @@ class Ball(Shape):
         radius: Its radius (m).
 
     Raises:
-        ParameterError: The radius is not positive.
+        ParameterError: The radius is not positive, or the centre not finite.
     """
 
-    def __init__(self, centre: Sequence[float], radius: float):
+    def __init__(self, centre: float | Sequence[float], radius: float):
         if not (math.isfinite(radius) and radius > 0):
             raise ParameterError(f"radius = {radius} m must be positive")
-        middle = np.array(centre, float)
+        middle = np.atleast_1d(np.array(centre, float))
+        if middle.ndim != 1 or middle.size > 3 or not np.isfinite(middle).all():
+            raise ParameterError(f"centre = {centre} m must be one to three finite coordinates")
         super().__init__(
             lambda x: np.sum((x - middle) ** 2, axis=1) <= radius**2,
             middle - radius,
             middle + radius,
         )
+        d = middle.size
+        self.volume = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * radius**d
+        self.centroid = middle
 
 
 Disc = Ball
@@ -149,10 +183,11 @@ class Polygon(Shape):
     """A polygon in 2D, convex or not.
 
     Args:
-        vertices: Its corners (m) in order, shape (n, 2), n ≥ 3.
+        vertices: Its corners (m) in order, shape (n, 2), n ≥ 3; the last is joined to the first.
 
     Raises:
-        ParameterError: The corners are not of that shape.
+        ParameterError: The corners are not of that shape or not finite, a corner occurs
+            twice, two edges cross or touch, or there is no area.
     """
 
     def __init__(self, vertices: Sequence[Sequence[float]]):
@@ -161,6 +196,8 @@ class Polygon(Shape):
             raise ParameterError(
                 f"Polygon needs corners of shape (n, 2) with n >= 3, got {corners.shape}"
             )
+
+        _check_simple(corners)
 
         def contains(x: Array) -> npt.NDArray[np.bool_]:
             inside = np.zeros(len(x), bool)
@@ -171,6 +208,55 @@ class Polygon(Shape):
             return inside
 
         super().__init__(contains, corners.min(axis=0), corners.max(axis=0))
+        # from the first corner, for far from the origin the products would cancel
+        a = corners - corners[0]
+        b = np.roll(a, -1, axis=0)
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        self.volume = 0.5 * abs(float(cross.sum()))
+        self.centroid = corners[0] + cross @ (a + b) / (3 * cross.sum())
+
+
+def _check_simple(corners: Array) -> None:
+    """Raise if the polygon is not simple; see `Polygon`."""
+    if not np.isfinite(corners).all():
+        k = int(np.flatnonzero(~np.isfinite(corners).all(axis=1))[0])
+        raise ParameterError(f"corner {k} of the polygon at {corners[k]} m must be finite")
+    n, ends = len(corners), np.roll(corners, -1, axis=0)
+    size = float(np.ptp(corners, axis=0).max())
+    for k, corner in enumerate(corners):
+        same = np.flatnonzero(np.abs(corners[k + 1 :] - corner).max(axis=1) <= 1e-12 * size)
+        if same.size:
+            raise ParameterError(
+                f"corners {k} and {k + 1 + same[0]} of the polygon are the same, {corner} m; leave "
+                "one out (the last corner is joined to the first by itself)"
+            )
+
+    def side(a: Array, b: Array, p: Array) -> Array:
+        area = (b - a)[..., 0] * (p - a)[..., 1] - (b - a)[..., 1] * (p - a)[..., 0]
+        return np.where(np.abs(area) <= 1e-12 * size**2, 0.0, np.sign(area))
+
+    def within(a: Array, b: Array, p: Array) -> npt.NDArray[np.bool_]:
+        slack = 1e-12 * size
+        return np.all((p >= np.minimum(a, b) - slack) & (p <= np.maximum(a, b) + slack), axis=-1)
+
+    for k in range(n):
+        a, b = corners[k], ends[k]
+        others = np.arange(k + 1, n)
+        c, d = corners[others], ends[others]
+        sides = side(a, b, c), side(a, b, d), side(c, d, a[None]), side(c, d, b[None])
+        meet = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
+        # an end of one edge on the other; edges that follow each other have one in common
+        following, preceding = others == k + 1, (others + 1) % n == k
+        for which, (start, end, p) in enumerate(((a, b, c), (a, b, d), (c, d, a), (c, d, b))):
+            shared = following if which in (0, 3) else preceding
+            meet |= (sides[which] == 0) & within(start, end, p) & ~shared
+        if meet.any():
+            j = int(others[np.argmax(meet)])
+            raise ParameterError(
+                f"edge {k} of the polygon, from {a} to {b} m, meets edge {j}, from {corners[j]} to "
+                f"{ends[j]} m: which side is inside is not known; put the corners in order, or "
+                "combine polygons with | and -"
+            )
 
 
 class Where(Shape):

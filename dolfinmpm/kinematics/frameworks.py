@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +50,12 @@ def parameters_at(law: Law, points: MaterialPoints) -> Array:
     return law.parameter_array(points["x0"])
 
 
+def _first_internal(law: Law, k: int, x: Array) -> Array:
+    """The k-th internal variable of points at x, shape (gdim, n), that have not yielded."""
+    first = law.first_internal(law.parameter_array(x.T))[:, k]
+    return np.broadcast_to(first, x.shape[1:])
+
+
 class Framework:
     """A law under one measure of strain, as an operator of the increment's gradient.
 
@@ -86,16 +93,15 @@ class Framework:
         self.points = points
         points.add_field(self.state, (6,), "", self.rest)
         parameters = call_together(points.comm, lambda: law.parameter_array(points["x0"]))
-        first = law.first_internal(parameters)
         for k, (name, (unit, _)) in enumerate(law.internal.items()):
-            if name not in points.fields:
-                points.add_field(name, (), unit)
-                points[name] = first[:, k] if len(first) == len(points) else first[0, k]
+            points.add_field(name, (), unit, partial(_first_internal, law, k))
         self._parameters: Array | None = parameters
         if law.varies:
             # parameters of a point go with it from rank to rank
             self._field = _field_of(law)
-            points.add_field(self._field, (parameters.shape[1],))
+            points.add_field(
+                self._field, (parameters.shape[1],), "", lambda x: law.parameter_array(x.T)
+            )
             points[self._field] = parameters
             self._parameters = None
         self._kernel = type(self).kernel(points.gdim)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import failures, fbar, loads, plasticity, remedies, tables, transport
+from . import bodies, failures, fbar, loads, plasticity, remedies, tables, transport
 
 __all__ = ["CASES"]
 
@@ -35,6 +35,10 @@ CASES = {
         fbar.fbar_tangent,
         plasticity.plastic,
         plasticity.law_in_ufl,
+        bodies.points_from_data,
+        bodies.numbers_of_points,
+        bodies.staged,
+        bodies.errors_of_bodies,
         failures.errors_on_all_ranks,
         tables.tables,
     )

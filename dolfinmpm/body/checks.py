@@ -1,0 +1,224 @@
+"""What cannot be: grids that points cannot lie in, and impossible values in their fields."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from dolfinmpm._platform.compat import geometry_degree
+from dolfinmpm._platform.errors import (
+    DolfinMPMError,
+    FieldShapeError,
+    ParameterError,
+    PointsOutsideGridError,
+    UnsupportedGridError,
+)
+from dolfinmpm.body.location import bounds, outside_cells
+
+__all__ = ["checked", "checked_rows", "checked_tag", "fault", "require_grid"]
+
+# what it is called, its unit, and whether it may be zero: a point without a domain is a mere point
+_SIZES = {
+    "density": ("density", "kg/m^d", False),
+    "V": ("volume", "m^d", False),
+    "V0": ("first volume", "m^d", False),
+    "l": ("half-lengths", "m", True),
+    "l0": ("first half-lengths", "m", True),
+}
+
+
+def require_grid(grid: Any) -> None:
+    """Raise unless material points can lie in a grid.
+
+    Raises:
+        ParameterError: It is no DOLFINx mesh.
+        UnsupportedGridError: Its cells are curved or of fewer dimensions than space, or
+            its coordinates are of single precision.
+    """
+    if not isinstance(grid, Mesh):
+        raise ParameterError(f"grid should be a dolfinx.mesh.Mesh, got a {type(grid).__name__}")
+    if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
+        raise UnsupportedGridError(
+            "the background grid must have straight-sided cells of the dimension of space, got "
+            f"degree {geometry_degree(grid)}, cells of dimension {grid.topology.dim} in "
+            f"{grid.geometry.dim}D"
+        )
+    if grid.geometry.x.dtype != np.float64:
+        raise UnsupportedGridError(
+            f"the background grid has coordinates of kind {grid.geometry.x.dtype}; make it in "
+            "double precision, with dtype=np.float64"
+        )
+
+
+def checked(what: str, values: Any, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Values as floats of a shape; a single number, or one value for all points, is repeated.
+
+    Raises:
+        FieldShapeError: They are no numbers, or of another shape.
+    """
+    try:
+        given = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise FieldShapeError(
+            f"{what} should be numbers of shape {shape}, got {values!r}"
+        ) from None
+    if given.shape not in ((), shape) and (len(shape) == 1 or given.shape != shape[1:]):
+        raise FieldShapeError(
+            f"{what} should have shape {shape} (this rank's points first), got {given.shape}"
+        )
+    return np.broadcast_to(given, shape).copy()
+
+
+def checked_tag(tag: Any, n: int) -> npt.NDArray[np.int32]:
+    """Tags of n points.
+
+    Raises:
+        FieldShapeError: Their number is not that of the points.
+        ParameterError: A tag is not a whole number of at least 0.
+    """
+    given = np.asarray(tag)
+    if given.size == 0 and n == 0:
+        return np.empty(0, np.int32)
+    whole = np.issubdtype(given.dtype, np.integer)
+    if not whole or given.min() < 0 or given.max() > np.iinfo(np.int32).max:
+        raise ParameterError(f"tag = {tag!r} must be a whole number of at least 0")
+    if given.shape not in ((), (n,)):
+        raise FieldShapeError(f"tag should have shape {(n,)} or be one number, got {given.shape}")
+    return np.broadcast_to(given.astype(np.int32), (n,)).copy()
+
+
+def checked_rows(
+    grid: Mesh, x, cell, volume, half_length, density, tag, id
+) -> dict[str, npt.NDArray[Any]]:
+    """Arguments of `MaterialPoints` as arrays of this rank's points, by the names of the fields.
+
+    Raises:
+        FieldShapeError: An array has the wrong shape.
+        ParameterError: A number is not whole that must be, or a cell not one of this rank.
+    """
+    n, d = len(x), grid.geometry.dim
+    if np.shape(x) != (n, d):
+        raise FieldShapeError(
+            f"positions should have shape (n, {d}) on this grid of {d}D, got {np.shape(x)}"
+        )
+    values = {
+        "id": _whole("id", np.arange(n) if id is None else id, n, np.int64),
+        "cell": _whole("cell", cell, n, np.int32),
+        "tag": checked_tag(tag, n),
+        "x": checked("x", x, (n, d)),
+        "V": checked("volume", volume, (n,)),
+        "density": checked("density", density, (n,)),
+        "l": checked("half_length", half_length, (n, d)),
+    }
+    owned = grid.topology.index_map(d).size_local
+    strange = np.flatnonzero((values["cell"] < 0) | (values["cell"] >= owned))
+    if strange.size:
+        p = strange[0]
+        raise ParameterError(
+            f"cell = {values['cell'][p]} of the point at {values['x'][p]} m is not one of the "
+            f"{owned} cells that this rank owns; MaterialPoints.from_arrays finds the cells"
+        )
+    return values
+
+
+def _whole(what: str, values: Any, n: int, kind: type[np.signedinteger]) -> npt.NDArray[Any]:
+    given = np.asarray(values)
+    if given.shape != (n,):
+        raise FieldShapeError(f"{what} should have shape {(n,)}, got {given.shape}")
+    if n and not np.issubdtype(given.dtype, np.integer):
+        raise ParameterError(f"{what} should be whole numbers, got {given.dtype}")
+    return given.astype(kind)
+
+
+def fault(points) -> DolfinMPMError | None:
+    """What is impossible in the fields of this rank's points, or None.
+
+    All ranks must have asked for the `bounds` of the grid before.
+    """
+    grid, fields = points.grid, points.fields
+    if not len(fields["x"]):
+        return None
+    # sums and extremes take no memory; which point is wrong is looked for only if one is
+    finite = all(np.isfinite(fields[name].sum()) for name in ("x", "x0", "F"))
+    possible = all(
+        (fields[k].min() >= 0 if zero else fields[k].min() > 0) and fields[k].max() < np.inf
+        for k, (_, _, zero) in _SIZES.items()
+    )
+    if not (finite and possible):
+        error = _not_finite(fields) or _impossible_size(fields)
+        if error is not None:
+            return error
+    inverted = np.flatnonzero(~(_determinant(fields["F"]) > 0))
+    if inverted.size:
+        p = inverted[0]
+        return ParameterError(
+            f"{_place(fields, p)} has F = {fields['F'][p].tolist()}, whose determinant must be "
+            "positive: was a field set wrongly?"
+        )
+    extent = bounds(grid)[1] - bounds(grid)[0]
+    for name in ("l", "l0"):
+        if np.any(2 * fields[name].max(axis=0) > extent * (1 + 1e-9)):
+            p = np.flatnonzero(np.any(2 * fields[name] > extent * (1 + 1e-9), axis=1))[0]
+            return ParameterError(
+                f"{name} = {fields[name][p]} m of {_place(fields, p)}: a domain twice as long and "
+                f"wide does not fit into the grid of {extent} m; half-lengths are about half the "
+                "distance of the points"
+            )
+    astray = outside_cells(grid, fields["x"], fields["cell"])
+    if astray.size:
+        p = astray[0]
+        return PointsOutsideGridError(
+            f"{_place(fields, p)} is not in the cell {fields['cell'][p]} of this rank that it is "
+            f"said to be in ({astray.size} such points here); after changing x by hand call "
+            "points.locate()"
+        )
+    return None
+
+
+def _place(fields: dict, p: int) -> str:
+    return f"point {fields['id'][p]} at {fields['x'][p]} m"
+
+
+def _determinant(F: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    # ten times as fast as LAPACK one by one
+    if F.shape[1] == 1:
+        return F[:, 0, 0]
+    if F.shape[1] == 2:
+        return F[:, 0, 0] * F[:, 1, 1] - F[:, 0, 1] * F[:, 1, 0]
+    a, b, c = (F[:, i] for i in range(3))
+    return (
+        a[:, 0] * (b[:, 1] * c[:, 2] - b[:, 2] * c[:, 1])
+        + a[:, 1] * (b[:, 2] * c[:, 0] - b[:, 0] * c[:, 2])
+        + a[:, 2] * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
+    )
+
+
+def _not_finite(fields: dict) -> ParameterError | None:
+    x, F = fields["x"], fields["F"]
+    good = np.isfinite(x).all(axis=1) & np.isfinite(fields["x0"]).all(axis=1)
+    bad = np.flatnonzero(~(good & np.isfinite(F).all(axis=(1, 2))))
+    if bad.size == 0:
+        return None
+    p = bad[0]
+    return ParameterError(
+        f"point {fields['id'][p]} has the position {x[p]} m, at first {fields['x0'][p]} m, and "
+        f"F = {F[p].tolist()}; all must be finite: was a field set wrongly?"
+    )
+
+
+def _impossible_size(fields: dict) -> ParameterError | None:
+    for name, (what, unit, zero) in _SIZES.items():
+        values = fields[name].reshape(len(fields["x"]), -1)
+        good = (values >= 0 if zero else values > 0) & np.isfinite(values)
+        bad = np.flatnonzero(~good.all(axis=1))
+        if bad.size:
+            p = bad[0]
+            rule = "finite and not negative" if zero else "positive and finite"
+            return ParameterError(
+                f"{what} = {fields[name][p]} {unit} of the point at {fields['x'][p]} m must be "
+                f"{rule} ({bad.size} such points on this rank)"
+            )
+    return None

@@ -1,0 +1,79 @@
+"""Fields of the material points, as a weak form contains them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import basix.ufl
+import numpy as np
+import numpy.typing as npt
+import ufl
+
+from dolfinmpm._platform.errors import FieldShapeError
+
+if TYPE_CHECKING:
+    from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["PointField"]
+
+
+class PointField(ufl.Coefficient):
+    """A field of the material points, usable in UFL under the points' own measures.
+
+    Attributes:
+        name: Its name among the points' fields.
+        unit: Its unit.
+        points: The material points that carry it.
+        first: Value that points have that come without one: one for all, or a function of
+            first positions (m), shape (gdim, n), to shape (n, *shape of the field).
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        name: str,
+        shape: tuple[int, ...],
+        unit: str,
+        first: Any = 0.0,
+    ):
+        cell = points.grid.topology.cell_name()
+        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
+        element = basix.ufl.element("DG", cell, 1, shape=shape)
+        super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
+        self.points = points
+        self.name = name
+        self.unit: str = unit
+        self.first: Any = first
+
+    @property
+    def array(self) -> npt.NDArray:
+        """The values on this rank, shape (points, *shape of the field)."""
+        return self.points.fields[self.name]
+
+    def first_values(self, x0: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Values of points that come without one, shape (n, *shape of the field).
+
+        Args:
+            x0: Their first positions (m), shape (n, gdim).
+
+        Raises:
+            FieldShapeError: The first value has another shape than the field.
+        """
+        shape = self.ufl_shape
+        values = np.empty((len(x0), *shape))
+        # a function is not asked about no points: many cannot answer
+        if callable(self.first):
+            given = self.first(np.ascontiguousarray(x0.T)) if len(x0) else values
+            allowed: tuple[tuple[int, ...], ...] = ((), shape, values.shape)
+        else:
+            given, allowed = self.first, ((), shape)
+        if np.shape(given) not in allowed:
+            raise FieldShapeError(
+                f"field '{self.name}' has shape {shape} at a point, its first value "
+                f"{np.shape(given)}"
+            )
+        values[:] = given
+        return values
+
+    def __str__(self) -> str:
+        return f"points.{self.name}"

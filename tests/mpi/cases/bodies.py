@@ -1,0 +1,192 @@
+"""Bodies from data, joined, cut and filled up: the same on any number of ranks."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import meshio
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+from dolfinmpm._platform import errors
+
+from .common import COMM, hencky, sums
+
+from_arrays = mpm.MaterialPoints.from_arrays
+
+
+def square(n=6, kind="quadrilateral"):
+    """A grid of [0, 1]²."""
+    return mesh.create_unit_square(COMM, n, n, mesh.CellType[kind])
+
+
+def numbered(points, *names):
+    """Sums over all points that tell whether each has the number that it should."""
+    weight = np.sin(1.0 + points["id"])
+    return {
+        name: list(np.ravel(COMM.allreduce(np.tensordot(weight, points[name], 1))))
+        for name in ("x", "V0", "density", "tag", *names)
+    } | {"count": points.total, "ids": COMM.allreduce(int(points["id"].sum()))}
+
+
+def points_from_data():
+    """Arrays however they are spread, tables and meshes."""
+    rng = np.random.default_rng(5)
+    x, volume = rng.uniform(0, 1, (60, 2)), rng.uniform(1e-3, 2e-3, 60)
+    # some on the facets between cells, and so between ranks
+    x[:20] = np.round(6 * x[:20]) / 6 + 1e-3 * np.arange(20)[:, None] * (0, 1)
+    x = np.clip(x, 0, 1)
+    everything = np.arange(60)
+    spreads = {
+        "everywhere": everything,
+        "on the first": everything[: 60 if COMM.rank == 0 else 0],
+        "on the last": everything[: 60 if COMM.rank == COMM.size - 1 else 0],
+        "scattered": everything[COMM.rank :: COMM.size],
+        "overlapping": everything[10 * COMM.rank : 60 - 10 * (COMM.size - 1 - COMM.rank)],
+    }
+    figures = {}
+    for kind in ("quadrilateral", "triangle"):
+        grid = square(kind=kind)
+        for spread, rows in spreads.items():
+            points = from_arrays(
+                grid, x[rows], volume[rows], lambda x: 1 + x[0], tag=rows % 3,
+                fields={"load": 3 * x[rows]},
+            )  # fmt: skip
+            assert np.array_equal(points["load"], 3 * points["x"])
+            figures[f"{kind} {spread}"] = numbered(points, "load")
+        assert all(
+            np.allclose(figures[f"{kind} {spread}"][name], figures[f"{kind} everywhere"][name])
+            for spread in spreads
+            for name in ("x", "V0", "density", "tag", "count", "ids", "load")
+        )
+    folder = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None)
+    path = Path(folder) / "points.csv"
+    if COMM.rank == 0:
+        rows = [f"{a},{b},{c},{k % 2}" for k, ((a, b), c) in enumerate(zip(x, volume))]
+        path.write_text("\n".join(["x,y,volume,tag", *rows]), encoding="utf-8")
+    COMM.barrier()
+    figures["table"] = numbered(mpm.MaterialPoints.from_csv(square(), path, 2.0))
+    nodes = np.array([[0.1, 0.1], [0.6, 0.15], [0.7, 0.8], [0.1, 0.7], [0.9, 0.2]])
+    cells = [("quad", [[0, 1, 2, 3]]), ("triangle", [[1, 4, 2]])]
+    soils = meshio.Mesh(nodes, cells, cell_data={"gmsh:physical": [[1], [2]]})
+    body = mpm.MaterialPoints.from_mesh(square(), soils, {1: 5.0, 2: 6.0}, degree=4)
+    figures["mesh"] = numbered(body)
+    return figures
+
+
+def numbers_of_points():
+    """Points are numbered alike; their number is known without a call on all ranks."""
+    figures = {}
+    shape = mpm.Disc((0.45, 0.5), 0.31)
+    for kind in ("quadrilateral", "triangle"):
+        for exact in (False, True):
+            points = mpm.fill(square(kind=kind), shape, 2, 3.0, exact=exact)
+            figures[f"{kind} {exact}"] = numbered(points, "l0")
+            figures[f"{kind} {exact} error"] = points.volume_error + 1
+    solid = mesh.create_unit_cube(COMM, 3, 3, 3, mesh.CellType.tetrahedron)
+    ball = mpm.Ball((0.5,) * 3, 0.4)
+    figures["tetrahedra"] = numbered(mpm.fill(solid, ball, 1, 1.0, exact=True), "l0")
+    box = mpm.Box((0.05, 0.1), (0.9, 0.7))
+    figures["aligned"] = numbered(mpm.fill(square(), box, 2, 1.0, aligned="body"))
+    if COMM.rank == 0:
+        figures["total"] = points.total
+    return figures
+
+
+def staged():
+    """A body of two parts that is dug out and filled up while it moves across rank borders."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (8, 8)], (8, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((1, 0), (5, 2)), 2, 2.0, tag=1)
+    points = points + mpm.fill(grid, mpm.Box((1, 2), (5, 4)), 2, 3.0, tag=2)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = hencky(points, V) - ufl.inner(points.density * g, V.test) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    changes, moved = [], 0
+
+    def steps(*loads):
+        nonlocal moved
+        for load in loads:
+            g.value[:] = load
+            moved += problem.step().migrated
+
+    steps((20.0, -20.0), (40.0, -40.0), (60.0, -60.0), (80.0, -80.0))
+    changes.append(points.remove(lambda x: (x[1] > 2.5) & (x[0] > 4)))
+    steps((80.0, -80.0), (70.0, -80.0))
+    corner = mpm.fill(grid, mpm.Box((6, 4), (7, 6)), 2, 1.0, tag=3)
+    corner.add_field("water", (), "Pa", 2.0)
+    changes.append(points.add(corner))
+    assert points.add_field("water", ()).array.min(initial=2.0) == 2.0
+    changes.append(points.remove(tag=3))
+    steps((60.0, -70.0))
+    assert points.fault() is None
+    ids = np.concatenate(COMM.allgather(points["id"]))
+    assert np.unique(ids).size == points.total == COMM.allreduce(len(points))
+    return {
+        "changes": [[change.count, change.mass] for change in changes],
+        "moved": moved > 0 if COMM.size > 1 else None,
+        **numbered(points, "F", "stress"),
+        **sums(points, "x", "l", "V"),
+    }
+
+
+def errors_of_bodies():
+    """What is wrong with a body on one rank is raised on all."""
+
+    def expect(kind, call):
+        try:
+            call()
+        except kind as error:
+            return str(error)
+        raise AssertionError(f"rank {COMM.rank} saw no {kind.__name__}")
+
+    grid, last = square(), COMM.rank == COMM.size - 1
+    x = np.array([[0.1, 0.1], [0.9, 0.8]])
+    bad = np.array([[0.1, 0.1], [0.1, 0.1]])
+    expect(errors.ParameterError, lambda: from_arrays(grid, bad if last else x, 1e-3, 1.0))
+    message = expect(
+        errors.PointsOutsideGridError, lambda: from_arrays(grid, 7 * x if last else [], 1e-3, 1.0)
+    )
+    if COMM.size > 1:
+        volume = 2e-3 if last else 1e-3
+        message = expect(errors.ParameterError, lambda: from_arrays(grid, x, volume, 1.0))
+        assert "with different values of volume: " in message
+        fields = {"load": [1.0, 2.0]} if last else {}
+        message = expect(
+            errors.FieldShapeError, lambda: from_arrays(grid, x, 1e-3, 1.0, fields=fields)
+        )
+        assert "load" in message
+    missing = Path("/nowhere/points.csv")
+    expect(OSError, lambda: mpm.MaterialPoints.from_csv(grid, missing, 1.0))
+    expect(OSError, lambda: mpm.MaterialPoints.from_mesh(grid, missing, 1.0))
+    expect(errors.EmptyShapeError, lambda: from_arrays(grid, [], 1e-3, 1.0))
+
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    other = mpm.fill(grid, mpm.Box((0, 0.4), (0.1, 0.6)), 2, 1.0)
+    expect(errors.ParameterError, lambda: points + other)
+    expect(errors.ParameterError, lambda: points.add(other))
+    short = np.zeros(len(points) + last, bool)
+    expect(errors.FieldShapeError, lambda: points.remove(short))
+
+    def raises(x):
+        raise ValueError("no answer here")
+
+    expect(ValueError, lambda: points.remove(raises))
+    expect(errors.ParameterError, lambda: points.remove(points["x"][:, 0] > -1))
+
+    V = mpm.Space(grid, "gimp")
+    F = hencky(points, V, ghost=False)
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    first = COMM.allgather(len(points))
+    chosen = next(rank for rank, n in enumerate(first) if n)
+    for name in ("V0", "V", "l", "l0", "density", "x", "F"):
+        before = points[name].copy()
+        if COMM.rank == chosen:
+            points[name][0] = -1.0
+        expect((errors.ParameterError, errors.PointsOutsideGridError), problem.step)
+        points[name] = before
+    problem.step()
+    return {"total": points.total}
