@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.errors import FieldShapeError
+from dolfinmpm._platform.errors import FieldShapeError, FormError
 from dolfinmpm.assembly.cellmeans import CellCouplings
 from dolfinmpm.assembly.points import Pattern, add_stiffness, add_vector
 from dolfinmpm.basis import Stencils
@@ -19,6 +20,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.declarations import Tags, rows_within
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
@@ -93,9 +95,16 @@ class PointEvaluator:
         self._value = np.zeros((n, nc))
         self._gradient = np.zeros((n, nc, d))
         self._data.clear()
+        given = {
+            c.name
+            for declaration in self._terms.declarations
+            for expression in declaration.given.values()
+            for c in extract_coefficients(expression)
+        }
         for name, values in points.fields.items():
             if values.dtype == np.float64:
-                self._data["field", name] = values
+                # parameters are not numbers at points of other laws, where nobody asks for them
+                self._data["field", name] = np.nan_to_num(values) if name in given else values
         for k, (first, last) in enumerate(zip(self._starts[:-1], self._starts[1:])):
             whole = last - first == nc
             self._data["value", k] = self._value if whole else np.empty((n, last - first))
@@ -104,6 +113,11 @@ class PointEvaluator:
             )
         for k, (function, gradient) in enumerate(self._terms.functions):
             self._data["function", k] = _function_values(function, gradient, points)
+        for program in (self._terms.external, self._terms.internal):
+            for kind, tags in (key for key in (program.inputs if program else ())):
+                if kind == "tagged":
+                    self._data[kind, tags] = np.isin(points["tag"], tags).astype(float)
+        self._rows = [rows_within(points, operator.tags) for operator in self._terms.operators]
         self.update_constants()
 
     def update_constants(self) -> None:
@@ -187,11 +201,10 @@ class PointEvaluator:
                 operand = whole[k].take(rows, axis=0)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
+                by_mean = None
                 if slope is not None and k in self._terms.by_mean:
                     data["operator by mean", k] = by_mean = np.empty_like(value)
-                    bad = self._averaging(k).evaluate(operand, value, slope, rows, by_mean)
-                else:
-                    bad = operator.law.evaluate(operand, value, slope, rows)
+                bad = self._ask(k, operand, value, slope, rows, by_mean)
                 if bad >= 0:
                     self.failed_point = int(rows[bad])
                     self._failed = self.failed_point, operator, operand[bad]
@@ -203,6 +216,26 @@ class PointEvaluator:
             for program, values in zip(programs, out):
                 program.run(data, values)
             yield first, last, out
+
+    def _ask(self, k: int, operand, value, slope, rows, by_mean) -> int:
+        """The k-th operator at some points; zero at those that are not its own."""
+        operator = self._terms.operators[k]
+        if operator.tags is None:
+            if by_mean is None:
+                return operator.law.evaluate(operand, value, slope, rows)
+            return self._averaging(k).evaluate(operand, value, slope, rows, by_mean)
+        mine = np.flatnonzero(np.isin(rows, self._rows[k], assume_unique=True))
+        whole = [a for a in (value, slope, by_mean) if a is not None]
+        part = [np.empty((mine.size, *a.shape[1:])) for a in whole]
+        here = operand[mine], part[0], part[1] if slope is not None else None, rows[mine]
+        if by_mean is None:
+            bad = operator.law.evaluate(*here)
+        else:
+            bad = self._averaging(k).evaluate(*here, part[2])
+        for a, values in zip(whole, part):
+            a[:] = 0.0
+            a[mine] = values
+        return int(mine[bad]) if bad >= 0 else -1
 
     def failure(self) -> str:
         """Why a law found no stress at `failed_point`, in the law's own words; may be empty."""
@@ -272,15 +305,23 @@ class PointEvaluator:
         """What the laws' fields are at the end of the step; not numbers from `failed_point` on."""
         new: dict[str, Array] = {}
         self.failed_point, self._failed = -1, None
-        for k, operator in enumerate(self._terms.operators):
-            operand = self.operand(k)
-            fields = operator.law.commit(operand)
-            new |= fields
-            for values in fields.values():
+
+        def write(name: str, rows, values) -> None:
+            if name not in new:
+                new[name] = self._points[name].copy()
+            new[name][rows] = values
+
+        for operator, rows, k in zip(self._terms.operators, self._rows, itertools.count()):
+            operand = self.operand(k).take(rows, axis=0)
+            for name, values in operator.law.commit(operand, rows).items():
+                write(name, rows, values)
                 if self.failed_point < 0 and not np.isfinite(values).all():
                     finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-                    self.failed_point = int(np.argmin(finite))
-                    self._failed = self.failed_point, operator, operand[self.failed_point]
+                    bad = int(np.argmin(finite))
+                    self.failed_point = int(rows[bad])
+                    self._failed = self.failed_point, operator, operand[bad]
+        for declaration in self._terms.declarations:
+            write("moved_under", declaration.rows, declaration.mark)
         return new
 
     def data_for(self, slots: Slots) -> dict[tuple, Array]:
@@ -290,6 +331,14 @@ class PointEvaluator:
             data["constant", k] = np.array(constant.value, float).reshape(1, -1)
         for k, (function, gradient) in enumerate(slots.functions):
             data["function", k] = _function_values(function, gradient, self._points)
+        every = np.arange(len(self._points), dtype=np.int32)
+        for k, operator in enumerate(slots.operators):
+            own = self._terms.operators.index(operator)
+            operand = self.operand(own)
+            value = np.empty((every.size, int(np.prod(operator.ufl_shape))))
+            if self._ask(own, operand, value, None, every, None) >= 0:
+                value[:] = np.nan
+            data["operator", k] = value
         return data
 
 
@@ -297,7 +346,8 @@ class PointUpdates:
     """Fields that a converged step sets to UFL expressions of state and increment.
 
     Args:
-        updates: Field name → expression.
+        updates: Field name → expression, at all points.
+        terms: Terms of the problem; the updates of their laws go before, at the laws' points.
         spaces: Spaces of the increments.
         points: Material points.
 
@@ -306,11 +356,19 @@ class PointUpdates:
         FormError: An expression cannot be evaluated at the points.
     """
 
-    def __init__(self, updates: dict[str, Expr], spaces: Sequence[Space], points: MaterialPoints):
+    def __init__(
+        self,
+        updates: dict[str, Expr],
+        terms: PointTerms,
+        spaces: Sequence[Space],
+        points: MaterialPoints,
+    ):
         self._slots = Slots(spaces, points)
-        self._programs: dict[str, Program] = {}
+        self._programs: list[tuple[str, Tags, Program]] = []
         self._points = points
-        for name, expression in updates.items():
+        wanted = [(*one, d.tags) for d in terms.declarations for one in d.updates.items()]
+        wanted += [(*one, None) for one in updates.items()]
+        for name, expression, tags in wanted:
             shape = points[name].shape[1:]
             if expression.ufl_shape != shape:
                 raise FieldShapeError(
@@ -319,15 +377,25 @@ class PointUpdates:
                 )
             mapped = self._slots.map(expand_derivatives(expression))
             parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
-            self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
+            program = compile_program(points.grid, parts, self._slots.sources)
+            self._programs.append((name, tags, program))
+        for operator in self._slots.operators:
+            if operator not in terms.operators:
+                raise FormError(
+                    f"the updates name the stress of '{operator}', which is not in the form; give "
+                    "mpm.stress the same law, strain, fbar and tag as mpm.momentum"
+                )
 
-    def run(self, evaluator: PointEvaluator) -> dict[str, Array]:
-        """The fields' new values."""
+    def run(self, evaluator: PointEvaluator, new: dict[str, Array]) -> None:
+        """Write the fields' new values into those of the laws."""
         if not self._programs:
-            return {}
+            return
         data = evaluator.data_for(self._slots)
-        new = {}
-        for name, program in self._programs.items():
-            new[name] = np.empty_like(self._points[name])
-            program.run(data, new[name].reshape(len(self._points), program.size))
-        return new
+        for name, tags, program in self._programs:
+            values = np.empty_like(self._points[name])
+            program.run(data, values.reshape(len(self._points), program.size))
+            if tags is None:
+                new[name] = values
+                continue
+            rows = rows_within(self._points, tags)
+            new.setdefault(name, self._points[name].copy())[rows] = values[rows]

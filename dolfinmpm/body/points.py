@@ -11,7 +11,6 @@ import numpy.typing as npt
 import ufl
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
     FieldShapeError,
@@ -76,6 +75,7 @@ class MaterialPoints:
     id           (n,)        -        number of the point, unique, constant
     cell         (n,)        -        local index of its cell
     tag          (n,)        -        which part of the body it belongs to, a whole number
+    moved_under  (n,)        -        measure of strain that it has moved under, a number; 0: none
     x, x0        (n, d)      m        position, now and at first
     V, V0        (n,)        m^d      volume, now and at first
     density      (n,)        kg/m^d   mass per initial volume
@@ -115,10 +115,10 @@ class MaterialPoints:
         self.gdim = d
         self.fields: dict[str, npt.NDArray[Any]] = {}
         self._ufl: dict[str, PointField] = {}
-        # fields that a converged step sets to the value of a UFL expression
-        self.updates: dict[str, Expr] = {}
-        # laws at work on the points, each with its measure of strain
-        self.frameworks: list[Any] = []
+        # what laws in forms need of the points, by the number in the metadata of their measures
+        self.declarations: dict[int, Any] = {}
+        # laws whose parameters vary from point to point, each with a field of its own
+        self.laws: list[Any] = []
         rho = call_together(
             self.comm, lambda: np.broadcast_to(np.asarray(density, float), (n,)).copy()
         )
@@ -128,6 +128,8 @@ class MaterialPoints:
         self.fields["id"] = first + np.arange(n, dtype=np.int64)
         self.fields["cell"] = np.asarray(cell, np.int32)
         self.fields["tag"] = np.broadcast_to(np.asarray(tag, np.int32), (n,)).copy()
+        # measure of strain of the last step, see kinematics.history
+        self.fields["moved_under"] = np.zeros(n, np.int8)
         for name, values, unit in (
             ("x", x, "m"),
             ("x0", x, "m"),

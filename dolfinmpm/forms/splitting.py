@@ -19,7 +19,6 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import (
     Coefficient,
-    CoefficientDerivative,
     Curl,
     Div,
     Grad,
@@ -31,12 +30,14 @@ from ufl.classes import (
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.forms.declarations import Declaration, as_tags, declared
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
+from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
@@ -80,6 +81,7 @@ class PointTerms:
         constants: DOLFINx constants in the integrand.
         by_mean: For every operator whose law averages over cells, the derivative of the
             internal flux by that mean at the point, of the flux's shape.
+        declarations: What the laws in the form keep at the points.
     """
 
     external: Program | None
@@ -91,6 +93,7 @@ class PointTerms:
     functions: list[tuple[fem.Function, bool]]
     constants: list[fem.Constant]
     by_mean: dict[int, Program]
+    declarations: list[Declaration]
 
 
 @dataclass(frozen=True)
@@ -126,24 +129,14 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                             f"'{_short(node)}' differentiates '{c}', which has values at the "
                             "points only and no gradient"
                         )
-            if isinstance(node, CoefficientDerivative):
-                inside = [c for c in extract_coefficients(node) if isinstance(c, PointOperator)]
-                if inside:
-                    raise FormError(
-                        f"ufl.derivative cannot see through the law '{inside[0]}'; add its term "
-                        "to the form itself, the solver derives the tangent"
-                    )
-    form = expand_derivatives(form)
+    declarations = declared(form, points)
+    for declaration in declarations:
+        declaration.bind()
+    form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     ordinary: list[Any] = []
     for integral in form.integrals():
         if integral.integral_type() == "custom":
-            if integral.subdomain_id() != "everywhere":
-                raise FormError(
-                    f"the term '{_short(integral.integrand())}' restricts a measure of points to "
-                    f"subdomain {integral.subdomain_id()}; multiply with a field of the points "
-                    "that is 0 or 1 instead"
-                )
             if "points" not in integral.metadata():
                 raise FormError(
                     f"the term '{_short(integral.integrand())}' gives a measure of points metadata "
@@ -160,7 +153,9 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             ordinary.append(integral)
     _check_tags(ordinary)
     return SplitForm(
-        _point_terms(at_points, spaces, points), _ordinary_terms(ordinary, spaces), bool(ordinary)
+        _point_terms(at_points, spaces, points, declarations),
+        _ordinary_terms(ordinary, spaces),
+        bool(ordinary),
     )
 
 
@@ -224,12 +219,27 @@ def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
             raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
 
 
-def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
+def _tags_of(integral) -> tuple[int, ...] | None:
+    where = integral.subdomain_id()
+    try:
+        return None if where == "everywhere" else as_tags(where)
+    except ParameterError as error:
+        raise FormError(
+            f"the term '{_short(integral.integrand())}' restricts a measure of points: {error}"
+        ) from None
+
+
+def _point_terms(
+    integrals, spaces, points: MaterialPoints, declarations: list[Declaration]
+) -> PointTerms:
     slots = Slots(spaces, points)
     increments = [space.increment for space in spaces]
     parts: dict[bool, list[Expr]] = {False: [], True: []}
     for integral in integrals:
         volume = slots.slot(("field", integral.metadata()["volume"]), ())
+        tags = _tags_of(integral)
+        if tags is not None:
+            volume = volume * slots.slot(("tagged", tags), ())
         for term in _summands(integral.integrand()):
             arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
             if len(arguments) != 1:
@@ -256,6 +266,10 @@ def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
                 )
         return _flux_program(fluxes, slots), fluxes
 
+    for declaration in declarations:
+        # what a law keeps is written even where only a slope of it stands in the form
+        if declaration.operator is not None:
+            slots.map(declaration.operator)
     external, _ = program(parts[False])
     internal, fluxes = program(parts[True])
     operands: list[Program | tuple] = []
@@ -285,7 +299,7 @@ def _point_terms(integrals, spaces, points: MaterialPoints) -> PointTerms:
             by_mean[k] = _flux_program(_by_mean(fluxes, slots, k), slots)
     return PointTerms(
         external, internal, tangent, gradient_only, slots.operators, operands, slots.functions,
-        slots.constants, by_mean,
+        slots.constants, by_mean, declarations,
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
@@ -22,7 +21,6 @@ from dolfinmpm._platform.errors import (
     FormError,
     ParameterError,
     PointsOutsideGridError,
-    call_together,
     raise_together,
 )
 from dolfinmpm.assembly.evaluation import PointUpdates
@@ -31,10 +29,10 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.declarations import LawConstant, declared
 from dolfinmpm.forms.splitting import split
 from dolfinmpm.grid.lattice import cell_size
-from dolfinmpm.kinematics import parameters_at, update_domains
-from dolfinmpm.materials.base import Law
+from dolfinmpm.kinematics import update_domains
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
 
@@ -158,8 +156,8 @@ class QuasiStatic:
             tangent_terms, options_prefix, petsc_options or {},
         )  # fmt: skip
         self._tolerance = tolerance
-        self._updates = PointUpdates({**points.updates, **(updates or {})}, spaces, points)
-        loads: list[Any] = list(parts.points.constants)
+        self._updates = PointUpdates(updates or {}, parts.points, spaces, points)
+        loads: list[Any] = [c for c in parts.points.constants if not isinstance(c, LawConstant)]
         loads += [function for function, _ in parts.points.functions]
         if self.system.ordinary:
             loads += self.system.ordinary.constants() + self.system.ordinary.functions()
@@ -241,7 +239,7 @@ class QuasiStatic:
         """Write the converged state and move the points; returns why not, the state untouched."""
         points, evaluator, d = self.points, self.system.evaluator, self.points.gdim
         new = evaluator.commit()
-        new |= self._updates.run(evaluator)
+        self._updates.run(evaluator, new)
         bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
         if self._moves:
             dF = evaluator.gradient[:, :d] + np.eye(d)
@@ -314,7 +312,7 @@ def _with_modulus(
 ) -> Stabilisation:
     """The remedy with the moduli of the form's law where it names none. Collective.
 
-    Of moduli that vary from point to point it takes the largest: too stiff a penalty
+    Of several laws, and of moduli that vary, it takes the largest: too stiff a penalty
     costs less than one that leaves the stiffest cells ill-conditioned.
     """
     remedy = Stabilisation(stabilisation) if isinstance(stabilisation, str) else stabilisation
@@ -322,25 +320,18 @@ def _with_modulus(
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     if not remedy.needs_modulus or remedy.E is not None:
         return remedy
-    integrands = [integral.integrand() for integral in form.integrals()]
-    for coefficient in (c for i in integrands for c in extract_coefficients(i)):
-        law = getattr(getattr(coefficient, "law", None), "law", None)
-        if law is not None and "E" in law.values:
-            E, nu = _largest(law, points, "E"), _largest(law, points, "nu")
-            return replace(remedy, E=E, nu=nu)
+    moduli = []
+    for declaration in declared(form, points):
+        if "E" in declaration.law.values:
+            declaration.bind()
+            moduli.append((declaration.largest("E"), declaration.largest("nu")))
+    if moduli:
+        E, nu = max(moduli)
+        return replace(remedy, E=E, nu=nu)
     raise ParameterError(
         f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
         f'mpm.Stabilisation("{remedy.kind}", E=...)'
     )
-
-
-def _largest(law: Law, points: MaterialPoints, name: str) -> float:
-    """Largest value of a parameter over the points of all ranks; 0 if it has none. Collective."""
-    if name not in law.values:
-        return 0.0
-    column = list(law.parameters).index(name)
-    values = call_together(points.comm, lambda: parameters_at(law, points)[:, column])
-    return float(points.comm.allreduce(values.max(initial=-math.inf), op=MPI.MAX))
 
 
 def _space_of(increment: fem.Function) -> Space:

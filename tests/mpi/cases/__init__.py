@@ -35,6 +35,7 @@ CASES = {
         fbar.fbar_tangent,
         plasticity.plastic,
         plasticity.law_in_ufl,
+        plasticity.layers,
         failures.errors_on_all_ranks,
         tables.tables,
     )
