@@ -15,7 +15,7 @@ from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
-from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress
+from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress, stress
 from dolfinmpm.solve import ArcLength, QuasiStatic
 
 __version__ = "0.1.0"
@@ -54,5 +54,6 @@ __all__ = [
     "set_stress",
     "soft",
     "steps",
+    "stress",
     "study",
 ]

@@ -169,7 +169,7 @@ class Evaluation:
         """A program of state and increments at some points, shape (len(rows), size).
 
         Args:
-            slots: What the program is made of; no operators.
+            slots: What the program is made of; a law is zero at points that are not its own.
             program: The program.
             rows: Which points.
         """
@@ -181,11 +181,22 @@ class Evaluation:
                 function, gradient = slots.functions[key[1]]
                 values = _function_values(function, gradient, self._points)
                 data[key] = values.take(rows, axis=0)
+            elif key[0] == "operator":
+                data[key] = self._asked(slots.operators[key[1]], rows)
             else:
                 data[key] = self._shared[key].take(rows, axis=0)
         values = np.empty((len(rows), program.size))
         program.run(data, values)
         return values
+
+    def _asked(self, operator: PointOperator, rows: npt.NDArray[np.integer]) -> Array:
+        """Value of an operator at some points; not numbers where it has none."""
+        size = int(np.prod(operator.ufl_shape))
+        everywhere = np.zeros((len(self._points), size))
+        for region in self.regions:
+            if operator in region.terms.operators:
+                region.ask(region.terms.operators.index(operator), everywhere)
+        return everywhere[rows]
 
 
 class _Region:
@@ -208,6 +219,9 @@ class _Region:
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.slots.functions):
             self._data["function", k] = _function_values(function, gradient, points)
+        for key in terms.slots.sources.values():
+            if key[0] == "tagged":
+                self._data[key] = np.isin(points["tag"], key[1]).astype(float)
         self.update_constants()
 
     def update_constants(self) -> None:
@@ -274,11 +288,10 @@ class _Region:
                 operator, operand = terms.operators[k], self.operand(k, rows)
                 value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
                 slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
+                by_mean = None
                 if slope is not None and k in terms.by_mean:
                     data["operator by mean", k] = by_mean = np.empty_like(value)
-                    bad = self.averaging(k).evaluate(operand, value, slope, rows, by_mean)
-                else:
-                    bad = operator.law.evaluate(operand, value, slope, rows)
+                bad = self._ask(k, operand, value, slope, rows, by_mean)
                 if bad >= 0:
                     self._fail(operator, int(rows[bad]), operand[bad])
                     return
@@ -289,6 +302,30 @@ class _Region:
             for program, values in zip(programs, out):
                 program.run(data, values)
             yield first, last, out
+
+    def _ask(self, k: int, operand, value, slope, rows, by_mean) -> int:
+        """The k-th operator at some points, zero at those of other laws; the first that fails."""
+        operator = self.terms.operators[k]
+
+        def evaluate(operand, outs, rows) -> int:
+            tangent = outs[1] if slope is not None else None
+            if by_mean is None:
+                return operator.law.evaluate(operand, outs[0], tangent, rows)
+            return self.averaging(k).evaluate(operand, outs[0], tangent, rows, outs[2])
+
+        whole = [a for a in (value, slope, by_mean) if a is not None]
+        own = None
+        if operator.tags is not None:
+            own = np.isin(self._points["tag"][rows], operator.tags)
+        if own is None or own.all():
+            return evaluate(operand, whole, rows)
+        mine = np.flatnonzero(own)
+        part = [np.empty((mine.size, *a.shape[1:])) for a in whole]
+        bad = evaluate(operand[mine], part, rows[mine])
+        for a, values in zip(whole, part):
+            a[:] = 0.0
+            a[mine] = values
+        return int(mine[bad]) if bad >= 0 else -1
 
     def _fail(self, operator: PointOperator, point: int, operand: Array) -> None:
         describe = getattr(operator.law, "describe", None)
@@ -351,11 +388,21 @@ class _Region:
         coupling.add_forces(0, s.groups.size - 1, flux.reshape(len(flux), -1), 0, out)
         return out
 
+    def ask(self, k: int, out: Array) -> None:
+        """Write the value of the k-th operator at the region's points."""
+        rows = self._rows
+        value = np.empty((rows.size, out.shape[1]))
+        if self._ask(k, self.operand(k, rows), value, None, rows, None) >= 0:
+            value[:] = np.nan
+        out[rows] = value
+
     def commit(self, new: dict[str, Array]) -> None:
         """Write what the laws' fields are at the end of the step into new arrays."""
         self.failure = None
-        rows = self._rows
         for k, operator in enumerate(self.terms.operators):
+            rows = self._rows
+            if operator.tags is not None:
+                rows = rows[np.isin(self._points["tag"][rows], operator.tags)]
             operand = self.operand(k, rows)
             for name, values in operator.law.commit(operand, rows).items():
                 if name not in new:

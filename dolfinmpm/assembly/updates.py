@@ -9,12 +9,14 @@ import numpy.typing as npt
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.errors import FieldShapeError
+from dolfinmpm._platform.errors import FieldShapeError, FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.declarations import Tags, rows_within
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
+from dolfinmpm.forms.splitting import PointTerms
 
 __all__ = ["PointUpdates"]
 
@@ -26,21 +28,24 @@ class PointUpdates:
 
     Args:
         updates: Field name → expression.
+        regions: Terms of the problem.
         spaces: Spaces of the increments.
         points: Material points.
         tags: Tags of the points that are meant, or None for all.
 
     Raises:
         FieldShapeError: An expression has another shape than its field.
-        FormError: An expression cannot be evaluated at the points.
+        FormError: An expression cannot be evaluated at the points, or has the stress of a law
+            that is not in the form.
     """
 
     def __init__(
         self,
         updates: Mapping[str, Expr],
+        regions: Sequence[PointTerms],
         spaces: Sequence[Space],
         points: MaterialPoints,
-        tags: tuple[int, ...] | None = None,
+        tags: Tags = None,
     ):
         self._slots = Slots(spaces, points)
         self._programs: dict[str, Program] = {}
@@ -55,15 +60,20 @@ class PointUpdates:
             mapped = self._slots.map(expand_derivatives(expression))
             parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
             self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
+        known = [operator for region in regions for operator in region.operators]
+        for operator in self._slots.operators:
+            if operator not in known:
+                raise FormError(
+                    f"the updates name the stress of '{operator}', which is not in the form; give "
+                    "mpm.stress the same law, strain, fbar and tag as mpm.momentum"
+                )
 
     def run(self, evaluation: Evaluation, new: dict[str, Array]) -> None:
         """Write the fields' new values into new arrays."""
         if not self._programs:
             return
         points = self._points
-        rows: npt.NDArray[np.integer] = np.arange(len(points))
-        if self._tags is not None:
-            rows = np.flatnonzero(np.isin(points["tag"], self._tags))
+        rows = rows_within(points, self._tags)
         for name, program in self._programs.items():
             if name not in new:
                 new[name] = points[name].copy()

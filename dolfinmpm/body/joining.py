@@ -137,6 +137,9 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
         if name in body.fields:
             return body[name]
         other = b if body is a else a
+        if name not in other._ufl:
+            # a mark of laws, of what they have not done yet at these points
+            return np.zeros((len(body), *other[name].shape[1:]), other[name].dtype)
         return other._ufl[name].first_values(body["x0"])
 
     def concatenated() -> dict[str, Array]:

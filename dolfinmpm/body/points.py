@@ -12,7 +12,6 @@ import numpy.typing as npt
 import ufl
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
@@ -49,7 +48,7 @@ _BUILT_IN = {
     "l0": "m",
     "stress": "Pa",
 }
-_RESERVED = ("id", "cell", "tag", *_BUILT_IN)
+_RESERVED = ("id", "cell", "tag", "moved_under", *_BUILT_IN)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -72,6 +71,7 @@ class MaterialPoints:
     id           (n,)        -        number of the point, unique, constant
     cell         (n,)        -        local index of its cell
     tag          (n,)        -        which part of the body it belongs to, a whole number
+    moved_under  (n,)        -        measure of strain that it has moved under, a number; 0: none
     x, x0        (n, d)      m        position, now and at first
     V, V0        (n,)        m^d      volume, now and at first
     density      (n,)        kg/m^d   mass per initial volume
@@ -128,14 +128,12 @@ class MaterialPoints:
         self.gdim = d = grid.geometry.dim
         self.fields: dict[str, npt.NDArray[Any]] = {}
         self._ufl: dict[str, PointField] = {}
-        # fields that a converged step sets to the value of a UFL expression
-        self.updates: dict[str, Expr] = {}
         # which positions their ranks and cells are those of; see `settle`
         self.configuration = "updated"
-        # what laws of forms declare, by number; see `momentum`
+        # what laws in forms need of the points, by the number in the metadata of their measures
         self.declarations: dict[int, Any] = {}
-        # laws at work on the points, each with its measure of strain
-        self.frameworks: list[Any] = []
+        # laws whose parameters vary from point to point, each with a field of its own
+        self.laws: list[Any] = []
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.revision = 0
@@ -152,6 +150,8 @@ class MaterialPoints:
         values |= {"F": np.broadcast_to(np.eye(d), (n, d, d)), "stress": np.zeros((n, 3, 3))}
         for name in ("id", "cell", "tag"):
             self.fields[name] = values[name]
+        # measure of strain of the last step, see kinematics.history
+        self.fields["moved_under"] = np.zeros(n, np.int8)
         for name, unit in _BUILT_IN.items():
             self._ufl[name] = PointField(self, name, values[name].shape[1:], unit)
             self.fields[name] = values[name].copy()

@@ -21,7 +21,6 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.classes import (
     Coefficient,
-    CoefficientDerivative,
     Curl,
     Div,
     Grad,
@@ -30,15 +29,18 @@ from ufl.classes import (
     Sum,
     Zero,
 )
+from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.forms.declarations import Declaration, Tags, as_tags, declared
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
+from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
@@ -133,12 +135,15 @@ class PointTerms:
     (points, c, 1 + d): c stacked components of all fields, first what goes with
     the test function's value, then what goes with its gradient.
 
+    Without tags the terms of tagged measures are zero at points that do not have them.
+
     Args:
         integrals: Integrals over these points.
         spaces: Spaces of the increments.
         points: Material points.
         tags: Tags of the points, or None for all of them.
         but: Whether the points are those that have none of the tags instead.
+        declarations: What the laws in the form keep at the points.
 
     Attributes:
         slots: What the terms are made of: operators, functions and constants.
@@ -151,13 +156,17 @@ class PointTerms:
         points: MaterialPoints,
         tags: frozenset[int] | None = None,
         but: bool = False,
+        declarations: Sequence[Declaration] = (),
     ):
         self._tags, self._but = tags, but
         self.slots = slots = Slots(spaces, points)
         increments = [space.increment for space in spaces]
         self._parts: dict[bool, list[Expr]] = {False: [], True: []}
         for integral in integrals:
-            volume = slots.slot(("field", integral.metadata()["volume"]), ())
+            volume: Expr = slots.slot(("field", integral.metadata()["volume"]), ())
+            where = _tags_of(integral)
+            if tags is None and where is not None:
+                volume = volume * slots.slot(("tagged", where), ())
             for term in _summands(integral.integrand()):
                 arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
                 if len(arguments) != 1:
@@ -165,7 +174,14 @@ class PointTerms:
                         f"the term '{_short(term)}' must be linear in one test function, it has "
                         f"{len(arguments)}; an energy needs ufl.derivative(energy, u, v)"
                     )
-                self._parts[_varies(term, increments)].append(volume * slots.map(term))
+                strange = [o for o in _operators(term) if not self._has(o.tags)]
+                own = ufl.replace(term, {o: zero(o.ufl_shape) for o in strange})
+                if not isinstance(own, Zero):
+                    self._parts[_varies(own, increments)].append(volume * slots.map(own))
+        for declaration in declarations:
+            # what a law keeps is written even where only a slope of it stands in the form
+            if declaration.operator is not None and self._has(declaration.tags):
+                slots.map(declaration.operator)
         self._fluxes = {varies: self._flux(terms) for varies, terms in self._parts.items()}
         self._operands = [slots.map(expand_derivatives(o.operand)) for o in slots.operators]
         for k, operator in enumerate(slots.operators):
@@ -174,6 +190,12 @@ class PointTerms:
                     f"'{operator}' averages over cells and takes the gradient of an increment, not "
                     f"'{_short(operator.operand)}'"
                 )
+
+    def _has(self, tags: Tags) -> bool:
+        """Whether a law for points of these tags is asked at these points; it is zero at others."""
+        if tags is None or self._tags is None:
+            return True
+        return not self._but and self._tags <= set(tags)
 
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
         """Which points integrate the terms, or None if all do.
@@ -329,12 +351,12 @@ class SplitForm:
         regions: Terms of the points, one entry for every part of the body with terms of
             its own.
         grid: Terms over the grid.
-        declared: Numbers of the laws that the form declares; see `MaterialPoints.declarations`.
+        declarations: What the laws in the form keep at the points.
     """
 
     regions: list[PointTerms]
     grid: GridTerms
-    declared: list[int]
+    declarations: list[Declaration]
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -361,14 +383,10 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                             f"'{_short(node)}' differentiates '{c}', which has values at the "
                             "points only and no gradient"
                         )
-            if isinstance(node, CoefficientDerivative):
-                inside = [c for c in extract_coefficients(node) if isinstance(c, PointOperator)]
-                if inside:
-                    raise FormError(
-                        f"ufl.derivative cannot see through the law '{inside[0]}'; add its term "
-                        "to the form itself, the solver derives the tangent"
-                    )
-    form = expand_derivatives(form)
+    declarations = declared(form, points)
+    for declaration in declarations:
+        declaration.bind()
+    form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     ordinary: list[Any] = []
     for integral in form.integrals():
@@ -388,9 +406,10 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             _check_ordinary(integral, spaces)
             ordinary.append(integral)
     _check_tags(ordinary)
-    declared = dict.fromkeys(i.metadata()["law"] for i in at_points if "law" in i.metadata())
     return SplitForm(
-        _regions(at_points, spaces, points), GridTerms(ordinary, spaces), list(declared)
+        _regions(at_points, spaces, points, declarations),
+        GridTerms(ordinary, spaces),
+        declarations,
     )
 
 
@@ -454,30 +473,49 @@ def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
             raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
 
 
-def _regions(integrals, spaces: Sequence[Space], points: MaterialPoints) -> list[PointTerms]:
-    """The points' terms, for each set of tags that has terms of its own. Collective."""
+def _operators(term: Expr) -> list[PointOperator]:
+    return [c for c in extract_coefficients(term) if isinstance(c, PointOperator)]
 
-    def tags_of(integral) -> tuple[int, ...] | None:
-        given = integral.subdomain_id()
-        if given == "everywhere":
-            return None
-        return tuple(given) if isinstance(given, tuple) else (given,)
 
-    mentioned = sorted({tag for i in integrals for tag in tags_of(i) or ()})
-    if not mentioned:
-        return [PointTerms(integrals, spaces, points)] if integrals else []
-    terms: dict[tuple[int, ...], set[int]] = {}
+def _tags_of(integral) -> Tags:
+    where = integral.subdomain_id()
+    try:
+        return None if where == "everywhere" else as_tags(where)
+    except ParameterError as error:
+        raise FormError(
+            f"the term '{_short(integral.integrand())}' restricts a measure of points: {error}"
+        ) from None
+
+
+def _regions(
+    integrals, spaces: Sequence[Space], points: MaterialPoints, declarations: list[Declaration]
+) -> list[PointTerms]:
+    """The points' terms, for each set of tags that has terms and laws of its own. Collective."""
+    where = [_tags_of(i) for i in integrals]
+    laws = sorted(
+        {o.tags for i in integrals for o in _operators(i.integrand()) if o.tags is not None}
+    )
+    mentioned = sorted({tag for tags in (*where, *laws) for tag in tags or ()})
+    # points of several laws in one cell share its mean: they must be seen together
+    means = any(
+        isinstance(o.law, AveragingLaw) for i in integrals for o in _operators(i.integrand())
+    )
+    if not mentioned or means:
+        return [PointTerms(integrals, spaces, points, declarations=declarations)]
+    alike: dict[tuple, set[int]] = {}
     for tag in mentioned:
-        here = tuple(k for k, i in enumerate(integrals) if tag in (tags_of(i) or (tag,)))
-        terms.setdefault(here, set()).add(tag)
+        here = tuple(k for k, tags in enumerate(where) if tags is None or tag in tags)
+        alike.setdefault((here, tuple(tag in tags for tags in laws)), set()).add(tag)
     regions = [
-        PointTerms([integrals[k] for k in here], spaces, points, frozenset(tags))
-        for here, tags in terms.items()
+        PointTerms(
+            [integrals[k] for k in here], spaces, points, frozenset(tags), False, declarations
+        )
+        for (here, _), tags in alike.items()
     ]
-    everywhere = [i for i in integrals if tags_of(i) is None]
-    if everywhere:
-        regions.append(PointTerms(everywhere, spaces, points, frozenset(mentioned), but=True))
-    return regions
+    rest = [i for i, tags in zip(integrals, where) if tags is None]
+    return [
+        *regions, PointTerms(rest, spaces, points, frozenset(mentioned), True, declarations)
+    ]  # fmt: skip
 
 
 def _flux_program(fluxes, slots: Slots) -> Program:

@@ -38,7 +38,7 @@ class StrainFramework(Protocol):
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
         """See `PointwiseLaw`."""
 
-    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
+    def commit(self, operand: Array, rows) -> dict[str, Array]:
         """See `PointwiseLaw`."""
 
     def describe(self, operand: Array, row: int) -> str:
@@ -150,7 +150,7 @@ class FBar:
     Where strain is additive the framework is given H + (mean(tr H) − tr H)/d I, and
     its flux is taken as it is.
 
-    Adds to the points the field `J_bar`, the product J̄ of the means ΔJ̄ of all
+    Adds to the points, once bound, the field `J_bar`, the product J̄ of the means ΔJ̄ of all
     steps, if strain is multiplicative. F, V and x of the points are the true ones.
 
     Args:
@@ -162,10 +162,14 @@ class FBar:
         self.framework = framework
         self.points = points
         self._multiplicative = framework.multiplicative
-        if self._multiplicative:
-            points.add_field("J_bar", (), "", 1.0)
         self._measure: Array = np.empty(0)
         self._mean: Array = np.empty(0)
+
+    def bind(self) -> None:
+        """Add the field `J_bar`: of a body that moved without F-bar it is det F."""
+        if self._multiplicative and "J_bar" not in self.points.fields:
+            self.points.add_field("J_bar", (), "", 1.0)
+            self.points["J_bar"] = np.linalg.det(self.points["F"])
 
     @property
     def law(self) -> Any:
@@ -228,15 +232,17 @@ class FBar:
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
         return -1
 
-    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
+    def commit(self, operand: Array, rows) -> dict[str, Array]:
         """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
         points = self.points
         changed = np.empty_like(operand)
-        measure, mean = self._measure[rows], self._mean[rows]
-        _replace_volume(operand, measure, mean, points.gdim, self._multiplicative, changed)
+        _replace_volume(
+            operand, self._measure[rows], self._mean[rows], points.gdim, self._multiplicative,
+            changed,
+        )  # fmt: skip
         new = self.framework.commit(changed, rows)
         if self._multiplicative:
             # the framework took det ΔF̄ times the true det F before the step for its volume
             new["stress"] *= self._history(rows)[:, None, None]
-            new["J_bar"] = points["J_bar"][rows] * mean
+            new["J_bar"] = points["J_bar"][rows] * self._mean[rows]
         return new

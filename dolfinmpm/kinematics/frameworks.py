@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.errors import call_together
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.materials.base import Law
 
-__all__ = ["Framework", "parameters_at", "symmetric", "widened"]
+__all__ = ["Framework", "symmetric", "widened"]
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int32]
 
 
 def symmetric(components: Array) -> Array:
@@ -30,38 +31,13 @@ def widened(tensor: Array) -> Array:
     return wide
 
 
-def _field_of(law: Law) -> str:
-    return f"{type(law).__name__.lower()}_parameters"
-
-
-def parameters_at(law: Law, points: MaterialPoints) -> Array:
-    """A law's parameters at the points of this rank.
-
-    Returns:
-        Shape (1, parameters) if none varies, else (points, parameters).
-
-    Raises:
-        ParameterError: A value is outside its range, or their number is not that of
-            the points.
-    """
-    if law.varies and _field_of(law) in points.fields:
-        # given in the order that the points had at first: they may have migrated since
-        return points[_field_of(law)]
-    return law.parameter_array(points["x0"])
-
-
-def _first_internal(law: Law, k: int, x: Array) -> Array:
-    """The k-th internal variable of points at x, shape (gdim, n), that have not yielded."""
-    first = law.first_internal(law.parameter_array(x.T))[:, k]
-    return np.broadcast_to(first, x.shape[1:])
-
-
 class Framework:
     """A law under one measure of strain, as an operator of the increment's gradient.
 
-    Adds to the points the field `state`, six components of the elastic strain's tensor
-    (xx, yy, zz, xy, yz, zx); one field for each internal variable of the law, by its
-    name; and `<law>_parameters` if parameters vary from point to point.
+    Adds to the points, once bound, the field `state`, six components of the elastic strain's
+    tensor (xx, yy, zz, xy, yz, zx); one field for each internal variable of the law, by
+    its name; and those of `PointParameters`. Laws with other tags share the fields, each
+    with values at its own points only; the internal variables of others are 0 there.
 
     A subclass gives `kernel`, a compiled loop over the points for every dimension:
 
@@ -69,6 +45,7 @@ class Framework:
     state, internal, sigma) -> first point without a stress, or -1`.
 
     Attributes:
+        measure: Name of the measure of strain.
         multiplicative: Whether increments of deformation are multiplied and the law's
             stress is Kirchhoff's, rather than added and Cauchy's.
         state: Name of the field.
@@ -77,78 +54,85 @@ class Framework:
     Args:
         law: Constitutive law.
         points: Material points.
-
-    Raises:
-        ParameterError: A parameter that varies is outside its range somewhere.
+        tags: Tags of the points that the law is for; None means all.
     """
 
+    measure: str
     multiplicative: bool
     state: str
     rest: tuple[float, ...]
     kernel: Callable[[int], Callable]
     _takes_F = False
 
-    def __init__(self, law: Law, points: MaterialPoints):
+    def __init__(self, law: Law, points: MaterialPoints, tags: Tags = None):
         self.law = law
         self.points = points
-        points.add_field(self.state, (6,), "", self.rest)
-        parameters = call_together(points.comm, lambda: law.parameter_array(points["x0"]))
-        for k, (name, (unit, _)) in enumerate(law.internal.items()):
-            points.add_field(name, (), unit, partial(_first_internal, law, k))
-        self._parameters: Array | None = parameters
-        if law.varies:
-            # parameters of a point go with it from rank to rank
-            self._field = _field_of(law)
-            points.add_field(
-                self._field, (parameters.shape[1],), "", lambda x: law.parameter_array(x.T)
-            )
-            points[self._field] = parameters
-            self._parameters = None
+        self.tags = tags
+        self._parameters = PointParameters(law, points, tags)
         self._kernel = type(self).kernel(points.gdim)
 
     @property
-    def parameters(self) -> Array:
-        """The law's parameters, shape (1, parameters) or, if any varies, (points, parameters)."""
-        return self.points[self._field] if self._parameters is None else self._parameters
+    def rows(self) -> Rows:
+        """The law's points on this rank."""
+        return rows_within(self.points, self.tags)
 
-    @property
-    def internal(self) -> Array:
-        """The law's internal variables at the points, shape (points, variables)."""
-        old = np.empty((len(self.points), len(self.law.internal)))
-        for k, name in enumerate(self.law.internal):
-            old[:, k] = self.points[name]
-        return old
+    def bind(self) -> None:
+        """Add the fields, with first values where points have none. Collective.
 
-    def _run(self, operand, S, A, want_tangent, here, new, internal, sigma) -> int:
+        Raises:
+            ParameterError: A parameter that varies is outside its range somewhere.
+        """
+        self._parameters.adopt()
+        points, rows = self.points, self.rows
+        points.add_field(self.state, (6,), "", self.rest)
+        parameters = self.parameters(rows)
+        first = np.broadcast_to(
+            self.law.first_internal(parameters), (len(rows), len(self.law.internal))
+        )
+        for k, (name, (unit, _)) in enumerate(self.law.internal.items()):
+            # which points have a value: another law may give them another first one
+            known = f"has_{name}"
+            if known not in points.fields:
+                given = name in points.fields
+                points.fields[known] = np.full(len(points), given, np.int8)
+                points.add_field(name, (), unit)
+            new = points[known][rows] == 0
+            points[name][rows[new]] = first[new, k]
+            points[known][rows] = 1
+
+    def parameters(self, rows: Rows | slice) -> Array:
+        """The law's parameters, shape (1, parameters) or, if any varies, (rows, parameters)."""
+        return self._parameters.at(rows)
+
+    def internal(self, rows: Rows | slice) -> Array:
+        """The law's internal variables at some points, shape (rows, variables)."""
+        columns = [self.points[name][rows] for name in self.law.internal]
+        n = len(self.points[self.state][rows])
+        return np.stack(columns, axis=1) if columns else np.empty((n, 0))
+
+    def _run(self, operand, S, A, want_tangent, rows, new, internal, sigma) -> int:
         points = self.points
-        old = np.empty((len(operand), len(self.law.internal)))
-        for k, name in enumerate(self.law.internal):
-            old[:, k] = points[name][here]
-        parameters = self._parameters
-        if parameters is None:
-            parameters = points[self._field][here]
-        state, F = points[self.state], points["F"]
-        if not isinstance(here, slice):
-            state = state.take(here, axis=0)
-            F = F.take(here, axis=0) if self._takes_F else F
+        F = points["F"].take(rows, axis=0) if self._takes_F or len(sigma) else points["F"]
         return self._kernel(
-            self.law.address, parameters, operand, F, state, old,
+            self.law.address, self.parameters(rows), operand, F,
+            points[self.state].take(rows, axis=0), self.internal(rows),
             S, A, want_tangent, len(sigma) > 0, new, internal, sigma,
         )  # fmt: skip
 
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows) -> int:
+    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
         """Flux S and its derivative by ∇ũ; see `PointwiseLaw`."""
         nothing = np.empty((0, 6)), np.empty((0, 0)), np.empty((0, 3, 3))
         A = np.empty((0, 1, 1)) if tangent is None else tangent
         return self._run(operand, value, A, tangent is not None, rows, *nothing)
 
-    def commit(self, operand: Array, rows: npt.NDArray[np.integer]) -> dict[str, Array]:
+    def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
         n = len(rows)
         new = {self.state: np.empty((n, 6)), "stress": np.empty((n, 3, 3))}
         internal = np.empty((n, len(self.law.internal)))
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
+            operand = np.ascontiguousarray(operand)
             bad = self._run(operand, *none, False, rows, new[self.state], internal, new["stress"])
             if bad >= 0:
                 for values in new.values():
@@ -181,8 +165,7 @@ class Framework:
         trial = self.trial_strain(H, np.array([row], np.int32))[0]
         if not np.isfinite(trial).all():
             return f"det ΔF = {det:.4g} of the increment turns the point inside out"
-        parameters = self.parameters
-        at = row if len(parameters) > 1 else 0
+        here = slice(row, row + 1)
         number = int(self.points["id"][row])
         strain = np.linalg.eigvalsh(trial)
-        return self.law.describe(number, strain, self.internal[row], parameters[at : at + 1])
+        return self.law.describe(number, strain, self.internal(here)[0], self.parameters(here))

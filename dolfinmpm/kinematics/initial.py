@@ -25,17 +25,20 @@ _ROUNDING = 1e-12
 
 
 def _given(framework: Framework, stress: StressField) -> Array:
-    """The stress at the points of this rank, symmetric and admissible in this dimension."""
-    points = framework.points
-    n, d = len(points), points.gdim
-    value = stress(np.ascontiguousarray(points["x"].T)) if callable(stress) else stress
+    """The stress at the law's points of this rank, symmetric and admissible in this dimension."""
+    points, rows = framework.points, framework.rows
+    d, called = points.gdim, callable(stress)
+    value = stress(np.ascontiguousarray(points["x"][rows].T)) if callable(stress) else stress
     given = np.asarray(value, float)
+    n = len(rows) if called else len(points)
     if given.shape not in ((3, 3), (n, 3, 3)):
+        whose = "the law's points" if called else "all points"
         raise FieldShapeError(
-            f"stress has the shape {given.shape}, expected (3, 3), or {(n, 3, 3)} for the points "
+            f"stress has the shape {given.shape}, expected (3, 3), or {(n, 3, 3)} for {whose} "
             "of this rank; across the plane too, in Pa, tension positive"
         )
     sigma = np.broadcast_to(given, (n, 3, 3))
+    sigma = sigma if called else sigma[rows]
     size = np.abs(sigma).max(axis=(1, 2), initial=0.0)
     skew = np.abs(sigma - np.swapaxes(sigma, 1, 2)).max(axis=(1, 2), initial=0.0)
     across = np.abs(sigma[:, d:] * (1 - np.eye(3)[d:])).max(axis=(1, 2), initial=0.0)
@@ -45,9 +48,10 @@ def _given(framework: Framework, stress: StressField) -> Array:
         (across > _ROUNDING * size, f"must have no shear out of the {d} dimensions of the points"),
     ):
         if bad.any():
-            p = int(np.argmax(bad))
+            k = int(np.argmax(bad))
+            p = rows[k]
             raise ParameterError(
-                f"the initial stress {sigma[p].tolist()} Pa of point {points['id'][p]} at "
+                f"the initial stress {sigma[k].tolist()} Pa of point {points['id'][p]} at "
                 f"{points['x'][p]} m {rule} ({int(bad.sum())} such points on this rank)"
             )
     return 0.5 * (sigma + np.swapaxes(sigma, 1, 2))
@@ -55,14 +59,14 @@ def _given(framework: Framework, stress: StressField) -> Array:
 
 def _state(framework: Framework, sigma: Array) -> Array:
     """Six components of the framework's state under Cauchy stresses of shape (n, 3, 3)."""
-    points, law = framework.points, framework.law
-    n, d = len(points), points.gdim
-    ratio = np.linalg.det(points["F"]) if framework.multiplicative else np.ones(n)
+    points, law, rows = framework.points, framework.law, framework.rows
+    n, d = len(rows), points.gdim
+    ratio = np.linalg.det(points["F"][rows]) if framework.multiplicative else np.ones(n)
     principal = np.diagonal(sigma, axis1=1, axis2=2).copy()
     Q = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
     principal[:, :d], Q[:, :d, :d] = np.linalg.eigh(sigma[:, :d, :d])
     principal *= ratio[:, None]
-    parameters, internal = framework.parameters, framework.internal
+    parameters, internal = framework.parameters(rows), framework.internal(rows)
     strain, good, reached = elastic_strain(law, principal, internal, parameters)
     if not good.all():
         p = int(np.argmin(good))
@@ -78,7 +82,7 @@ def _state(framework: Framework, sigma: Array) -> Array:
         values = ", ".join(f"{k} = {v:g}" for k, v in zip(law.parameters, used[0]))
         raise StateError(
             f"{type(law).__name__}: the principal {kind} stresses {principal[p].tolist()} Pa of "
-            f"point {points['id'][p]} at {points['x'][p]} m {cause}; "
+            f"point {points['id'][rows[p]]} at {points['x'][rows[p]]} m {cause}; "
             f"{variables or 'no internal variables'}; {values} "
             f"({int((~good).sum())} such points on this rank). Give a stress within the law's "
             "strength, or other parameters"
@@ -90,11 +94,11 @@ def _state(framework: Framework, sigma: Array) -> Array:
 
 def write_stress(framework: Framework, stress: StressField) -> None:
     """Set the elastic state and the field `stress`; see `dolfinmpm.set_stress`. Collective."""
-    points = framework.points
+    points, rows = framework.points, framework.rows
     sigma = call_together(points.comm, lambda: _given(framework, stress))
     state = call_together(points.comm, lambda: _state(framework, sigma))
-    points[framework.state] = state
-    points["stress"] = sigma
+    points[framework.state][rows] = state
+    points["stress"][rows] = sigma
 
 
 def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):

@@ -33,6 +33,7 @@ class Jaumann(Framework):
     The state is the field `elastic_strain`; see `Framework`.
     """
 
+    measure = "jaumann"
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6

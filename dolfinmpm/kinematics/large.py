@@ -142,6 +142,7 @@ class LargeStrain(Framework):
     The state is the field `be`, the elastic left Cauchy–Green tensor; see `Framework`.
     """
 
+    measure = "large"
     multiplicative = True
     state = "be"
     rest = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)

@@ -24,6 +24,7 @@ class SmallStrain(Framework):
     The state is the field `elastic_strain`; see `Framework`.
     """
 
+    measure = "small"
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numba
@@ -21,7 +22,7 @@ from numba.extending import intrinsic
 
 from dolfinmpm._platform.errors import ParameterError, StateError
 
-__all__ = ["Law", "Parameter", "Response", "Value", "call_law", "law_kernel"]
+__all__ = ["Law", "Parameter", "Parametrised", "Response", "Value", "call_law", "law_kernel"]
 
 Array = npt.NDArray[np.float64]
 # A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
@@ -137,26 +138,27 @@ class Response:
     tangent: Array
 
 
-class Law:
-    """Base of the laws whose stress comes from a kernel.
+class Parametrised:
+    """What laws have in common: parameters by name, each checked, and fixed once given.
 
-    A subclass declares `parameters` (name → Parameter, in the order in which the
-    kernel reads them), `internal` (name → (unit, first value), where the first value
-    is a number or the name of a parameter) and `kernel`; and `admissible` if
-    parameters bound each other.
+    A subclass declares `parameters` (name → Parameter), and `admissible` if they bound
+    each other. The values are attributes too, `law.E`, to be read only: a law is a value,
+    and problems that use it would not learn of another number.
+
+    Attributes:
+        values: Name → number, array or function, as given; to be read only.
 
     Args:
-        values: Every parameter: a number, an array with one value for each point of
-            this rank, or a function of the points' first positions in DOLFINx's
+        values: Every parameter: a number, an array with one value for each of the law's
+            points of this rank, or a function of their first positions in DOLFINx's
             layout, shape (gdim, n), that returns n values.
 
     Raises:
-        ParameterError: A parameter is missing, unknown or outside its range.
+        ParameterError: A parameter is missing, unknown or outside its range; or, later, one is
+            assigned to.
     """
 
     parameters: dict[str, Parameter] = {}
-    internal: dict[str, tuple[str, float | str]] = {}
-    kernel: _Kernel
 
     def __init__(self, **values: Value):
         missing = set(self.parameters) ^ set(values)
@@ -165,16 +167,38 @@ class Law:
                 f"{type(self).__name__} takes the parameters {', '.join(self.parameters)}; "
                 f"missing or unknown: {', '.join(sorted(missing))}"
             )
-        self.values: dict[str, Value] = {}
+        given: dict[str, Value] = {}
         for name in self.parameters:
             value = values[name]
             if not callable(value):
                 array = np.asarray(value, float)
                 self.parameters[name].check(type(self).__name__, name, array)
-                value = float(array) if array.ndim == 0 else array
-            self.values[name] = value
+                # a copy: to change the caller's array must not change the law
+                value = float(array) if array.ndim == 0 else array.copy()
+                if isinstance(value, np.ndarray):
+                    value.flags.writeable = False
+            given[name] = value
+        self.values: Mapping[str, Value] = MappingProxyType(given)
         if not self.varies:
             self.parameter_array()
+
+    def __getattr__(self, name: str) -> Any:
+        values = self.__dict__.get("values", {})
+        if name in values:
+            return values[name]
+        raise AttributeError(
+            f"'{type(self).__name__}' has no attribute '{name}'"
+            + (f"; its parameters are {', '.join(values)}" if values else "")
+        )
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.parameters:
+            raise ParameterError(
+                f"{name} = {value!r}: {self!r} is a value, and a problem that uses it would not "
+                f"learn of another {name}; make a new law and a new problem with it, which "
+                "compiles nothing anew"
+            )
+        super().__setattr__(name, value)
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where parameters contradict each other.
@@ -182,28 +206,6 @@ class Law:
         Args:
             values: Name → values, all of one shape.
         """
-
-    def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
-        """Raise ParameterError where a strength falls too fast for one stress by strain.
-
-        Args:
-            what: The strength, in words.
-            fall: By how much it falls by plastic strain (Pa), shape (n,).
-            limit: What this must be less than (Pa), shape (n,).
-            symbol: The limit in symbols, for the message.
-        """
-        if (fall >= limit).any():
-            worst = np.argmax(fall - limit)
-            bound = f"{symbol} = {limit[worst]:g}" if symbol else f"{limit[worst]:g}"
-            raise ParameterError(
-                f"{type(self).__name__}: {what} falls by {fall[worst]:g} Pa per plastic strain, "
-                f"must be less than {bound} Pa"
-            )
-
-    @property
-    def address(self) -> int:
-        """Address of the compiled kernel."""
-        return self.kernel.address
 
     @property
     def varies(self) -> bool:
@@ -242,6 +244,48 @@ class Law:
             result[:, k] = given
         self.admissible(dict(zip(self.parameters, result.T)))
         return result
+
+    def __repr__(self) -> str:
+        inside = ", ".join(
+            f"{name}={value:g}" if isinstance(value, float) else f"{name}=varying"
+            for name, value in self.__dict__.get("values", {}).items()
+        )
+        return f"{type(self).__name__}({inside})"
+
+
+class Law(Parametrised):
+    """Base of the laws whose stress comes from a kernel.
+
+    A subclass declares `parameters` (name → Parameter, in the order in which the
+    kernel reads them), `internal` (name → (unit, first value), where the first value
+    is a number or the name of a parameter) and `kernel`; and `admissible` if
+    parameters bound each other. See `Parametrised` for how values are given.
+    """
+
+    internal: dict[str, tuple[str, float | str]] = {}
+    kernel: _Kernel
+
+    def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
+        """Raise ParameterError where a strength falls too fast for one stress by strain.
+
+        Args:
+            what: The strength, in words.
+            fall: By how much it falls by plastic strain (Pa), shape (n,).
+            limit: What this must be less than (Pa), shape (n,).
+            symbol: The limit in symbols, for the message.
+        """
+        if (fall >= limit).any():
+            worst = np.argmax(fall - limit)
+            bound = f"{symbol} = {limit[worst]:g}" if symbol else f"{limit[worst]:g}"
+            raise ParameterError(
+                f"{type(self).__name__}: {what} falls by {fall[worst]:g} Pa per plastic strain, "
+                f"must be less than {bound} Pa"
+            )
+
+    @property
+    def address(self) -> int:
+        """Address of the compiled kernel."""
+        return self.kernel.address
 
     def first_internal(self, parameters: Array) -> Array:
         """Internal variables of a point that has not yielded, shape (n, variables)."""
@@ -309,16 +353,9 @@ class Law:
             "Take smaller steps, or soften less"
         )
 
-    def __repr__(self) -> str:
-        inside = ", ".join(
-            f"{name}={value:g}" if isinstance(value, float) else f"{name}=varying"
-            for name, value in self.values.items()
-        )
-        return f"{type(self).__name__}({inside})"
 
-
-def lame(E: float, nu: float) -> tuple[float, float]:
-    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio."""
+def lame(E: Any, nu: Any) -> tuple[Any, Any]:
+    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio; UFL's too."""
     return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 

@@ -2,48 +2,65 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm.materials.base import ELASTIC, lame
+from dolfinmpm.materials.base import ELASTIC, Parametrised, Value, lame
 
 __all__ = ["NeoHookean"]
 
 
-class NeoHookean:
+class NeoHookean(Parametrised):
     """Compressible neo-Hookean law: ψ = ½μ (tr FᵀF − d) − μ ln J + ½λ (ln J)².
 
     d is the dimension of space; in plane strain the direction across carries no
     strain. (Bonet & Wood 2008, Nonlinear Continuum Mechanics, eq. 6.27.)
 
     Args:
-        E: Young's modulus (Pa), positive.
-        nu: Poisson's ratio, -1 < ν < 0.5.
+        E: Young's modulus (Pa), positive; a number, or as for any `Law` one for each point.
+        nu: Poisson's ratio, -1 < ν < 0.5, likewise.
 
     Raises:
         ParameterError: A parameter is outside its range.
     """
 
-    def __init__(self, E: float, nu: float):
-        for name, value in (("E", E), ("nu", nu)):
-            ELASTIC[name].check("NeoHookean", name, float(value))
-        self.lmbda, self.mu = lame(E, nu)
+    parameters = ELASTIC
 
-    def energy(self, F: Expr) -> Expr:
-        """Energy per initial volume (J/m^d) of a deformation gradient, shape (d, d)."""
+    def __init__(self, E: Value, nu: Value):
+        super().__init__(E=E, nu=nu)
+
+    def energy(self, F: Expr, E: Any = None, nu: Any = None) -> Expr:
+        """Energy per initial volume (J/m^d).
+
+        Args:
+            F: Deformation gradient, shape (d, d).
+            E: Young's modulus in UFL (Pa), such as a constant; the law's number by default.
+            nu: Poisson's ratio, likewise.
+        """
+        lmbda, mu = self._lame(E, nu)
         log_J = ufl.ln(ufl.det(F))
         stretch = ufl.inner(F, F) - F.ufl_shape[0]
-        return 0.5 * self.mu * stretch - self.mu * log_J + 0.5 * self.lmbda * log_J**2
+        return 0.5 * mu * stretch - mu * log_J + 0.5 * lmbda * log_J**2
 
-    def cauchy_stress(self, F: Expr) -> Expr:
-        """Cauchy stress (Pa), shape (3, 3), plane strain in fewer dimensions."""
+    def cauchy_stress(self, F: Expr, E: Any = None, nu: Any = None) -> Expr:
+        """Cauchy stress (Pa), shape (3, 3), plane strain in fewer dimensions.
+
+        Args:
+            F, E, nu: See `energy`.
+        """
+        lmbda, mu = self._lame(E, nu)
         d = F.ufl_shape[0]
         J = ufl.det(F)
-        inside = self.mu * (F * F.T - ufl.Identity(d)) + self.lmbda * ufl.ln(J) * ufl.Identity(d)
-        across = self.lmbda * ufl.ln(J)
+        inside = mu * (F * F.T - ufl.Identity(d)) + lmbda * ufl.ln(J) * ufl.Identity(d)
+        across = lmbda * ufl.ln(J)
         rows = [
             [inside[i, j] / J if i < d and j < d else (across / J if i == j else 0.0 * J)
              for j in range(3)]
             for i in range(3)
         ]  # fmt: skip
         return ufl.as_tensor(rows)
+
+    def _lame(self, E: Any, nu: Any) -> tuple[Any, Any]:
+        return lame(self.E if E is None else E, self.nu if nu is None else nu)

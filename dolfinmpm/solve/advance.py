@@ -61,6 +61,9 @@ def advance(
     points, comm = operator.form.points, operator.form.points.comm
     d, evaluation = points.gdim, operator.points
     new = evaluation.commit()
+    for declaration in operator.form.parts.declarations:
+        marks = new.setdefault("moved_under", points["moved_under"].copy())
+        marks[declaration.rows] = declaration.mark
     for update in updates:
         update.run(evaluation, new)
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)

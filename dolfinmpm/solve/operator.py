@@ -20,6 +20,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.forms.declarations import LawConstant
 from dolfinmpm.forms.splitting import SplitForm, split
 from dolfinmpm.solve.unsoftened import Unsoftened
 
@@ -60,12 +61,20 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.also: set[int] = set()
+        self._revision = points.revision
         self.softening: GridAssembler | None = None
         if softening is not None:
             self.softening = GridAssembler(split(softening, spaces, points).grid, spaces)
         for region in self.regions:
             # what cannot be compiled is to be told now; tangents wait until a solver asks
             region.external, region.internal, region.operands  # noqa: B018
+
+    def bind(self) -> None:
+        """Let laws give points that came since what they keep at first. Collective."""
+        if self._revision != self.points.revision:
+            for declaration in self.parts.declarations:
+                declaration.bind()
+            self._revision = self.points.revision
 
     @property
     def regions(self):
@@ -83,7 +92,8 @@ class WeakForm:
         """DOLFINx constants and functions in the form."""
         found: list[Any] = []
         for region in self.regions:
-            found += region.slots.constants
+            # numbers of laws are no loads
+            found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
             found += [function for function, _ in region.slots.functions]
         return found + self.grid.loads
 

@@ -215,6 +215,7 @@ class QuasiStatic:
             step: The step; all of it by default.
         """
         share = 1.0 if step is None else step.share
+        self.form.bind()
         self.here = activate(self.points, self.fields, self._held, self.form, share, self.here)
         return self.here
 

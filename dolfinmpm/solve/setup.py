@@ -9,19 +9,16 @@ from typing import Any
 
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
-from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.errors import FormError, ParameterError, call_together
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field
 from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.kinematics import parameters_at
-from dolfinmpm.materials.base import Law
+from dolfinmpm.forms.declarations import declared
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["check_arguments", "remedies_of", "space_of", "updates_of", "with_remedies"]
@@ -76,7 +73,7 @@ def remedies_of(
 ) -> list[Stabilisation]:
     """One remedy for every field, with the moduli of the form's law where it names none.
 
-    One for all fields is that of each of them. Of moduli that vary from point to point it
+    One for all fields is that of each of them. Of several laws, and of moduli that vary, it
     takes the largest: too stiff a penalty costs less than one that leaves the stiffest
     cells ill-conditioned. Collective.
 
@@ -109,29 +106,18 @@ def remedies_of(
 
 
 def _with_modulus(remedy: Stabilisation, form: ufl.Form, points: MaterialPoints) -> Stabilisation:
-    integrands = [integral.integrand() for integral in form.integrals()]
-    laws: list[Law] = []
-    for coefficient in (c for i in integrands for c in extract_coefficients(i)):
-        law = getattr(getattr(coefficient, "law", None), "law", None)
-        if law is not None and "E" in law.values and law not in laws:
-            laws.append(law)
-    if not laws:
+    moduli = []
+    for declaration in declared(form, points):
+        if "E" in declaration.law.values:
+            declaration.bind()
+            moduli.append((declaration.largest("E"), declaration.largest("nu")))
+    if not moduli:
         raise ParameterError(
             f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
             f'mpm.Stabilisation("{remedy.kind}", E=...)'
         )
-    E = max(_largest(law, points, "E") for law in laws)
-    nu = max(_largest(law, points, "nu") for law in laws)
+    E, nu = max(moduli)
     return replace(remedy, E=E, nu=nu)
-
-
-def _largest(law: Law, points: MaterialPoints, name: str) -> float:
-    """Largest value of a parameter over the points of all ranks; 0 if it has none. Collective."""
-    if name not in law.values:
-        return 0.0
-    column = list(law.parameters).index(name)
-    values = call_together(points.comm, lambda: parameters_at(law, points)[:, column])
-    return float(points.comm.allreduce(values.max(initial=-math.inf), op=MPI.MAX))
 
 
 def with_remedies(
@@ -151,10 +137,11 @@ def with_remedies(
 
 def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
     """Fields that a converged step sets: those of the form's laws, and those given. Collective."""
-    points, spaces = form.points, form.spaces
-    made = [PointUpdates(given, spaces, points)] if given else []
-    for number in form.parts.declared:
-        declaration = points.declarations[number]
-        if declaration.updates:
-            made.append(PointUpdates(declaration.updates, spaces, points, declaration.tags))
+    made = [
+        PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
+        for declaration in form.parts.declarations
+        if declaration.updates
+    ]
+    if given:
+        made.append(PointUpdates(given, form.regions, form.spaces, form.points))
     return made

@@ -139,7 +139,7 @@ def test_a_law_of_another_operand():
                     tangent[:, i, i] = 3 * operand[:, i] ** 2
             return -1
 
-        def commit(self, operand):
+        def commit(self, operand, rows):
             return {}
 
     grid = unit_grid("quadrilateral")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import mesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -141,7 +142,10 @@ def test_remedies_by_name_take_the_modulus_of_the_law():
     F = mpm.momentum(mpm.materials.Hencky(E=7.0, nu=0.2), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
     assert (problem.stabilisation.E, problem.stabilisation.nu) == (7.0, 0.2)
-    own = mpm.momentum(mpm.materials.NeoHookean(E=7.0, nu=0.2), points, V.increment, V.test)
+    energy = mpm.momentum(mpm.materials.NeoHookean(E=8.0, nu=0.1), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(energy, V.increment, points, stabilisation="ghost")
+    assert (problem.stabilisation.E, problem.stabilisation.nu) == (8.0, 0.1)
+    own = 7.0 * ufl.inner(ufl.grad(V.increment), ufl.grad(V.test)) * points.dX
     with pytest.raises(ParameterError, match="needs a modulus"):
         mpm.QuasiStatic(own, V.increment, points, stabilisation="ghost")
     with pytest.raises(ParameterError, match="'glue' must be one of"):

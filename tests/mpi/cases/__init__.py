@@ -39,6 +39,7 @@ CASES = {
         bodies.numbers_of_points,
         bodies.staged,
         bodies.errors_of_bodies,
+        plasticity.layers,
         failures.errors_on_all_ranks,
         tables.tables,
     )

@@ -85,3 +85,31 @@ def law_in_ufl():
     lmbda, mu = 0.3e6 / (1.3 * 0.4), 0.5e6 / 1.3
     law = mpm.materials.EnergyWithYield(energy, lmbda=lmbda, mu=mu, yield_stress=_strength)
     return _plastic(law)
+
+
+def layers():
+    """A slope of two laws by tags, with an energy on top, whose points change rank."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (8, 6)], (16, 12), mesh.CellType.quadrilateral)
+    ground = mpm.Polygon([(0, 0), (6, 0), (3, 4), (0, 4)])
+    points = mpm.fill(grid, ground, 2, 1800.0)
+    y = points["x"][:, 1]
+    points["tag"] = np.digitize(y, [2.0, 3.2])
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, 0.0))
+    soil = mpm.materials.VonMises(lambda x: 1e6 + 2e4 * x[1], 0.3, 1.5e4, 1e6)
+    F = mpm.momentum(soil, points, u, v, tag=0)
+    F += mpm.momentum(mpm.materials.VonMises(2e6, 0.3, _strength, 1e6), points, u, v, tag=1)
+    crust = mpm.materials.NeoHookean(lambda x: 5e5 + 1e4 * x[0], 0.3)
+    F += mpm.momentum(crust, points, u, v, tag=2)
+    # a term with the stress by itself, and a load on one part
+    F += 0.1 * ufl.inner(mpm.stress(soil, points, u, tag=0), ufl.grad(v)) * points.dX(0)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    F -= 500 * v[0] * points.dX((1, 2))
+    loads = [(0.4 * k, -2.0 * k) for k in range(1, 6)]
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+    _, figures = run(points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12)
+    yielded = COMM.allreduce(points["plastic_strain"][points["tag"] == 0].max(initial=0.0), MPI.MAX)
+    assert yielded > 1e-4
+    assert not points["plastic_strain"][points["tag"] == 2].any()
+    return figures | sums(points, "plastic_strain", "be", "moved_under")

@@ -1,0 +1,64 @@
+"""Which measure of strain the points have moved under, and the refusal of another."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.errors import StateError, raise_together
+from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["ENERGY", "MARKS", "check_history"]
+
+ENERGY = "energy"
+# what stands in the points' field `moved_under`; 0 if they have not moved
+MARKS = {"large": 1, "small": 2, "jaumann": 3, ENERGY: 4}
+_STATE = {
+    "large": "the elastic strain in `be`",
+    "small": "the elastic strain in `elastic_strain`",
+    "jaumann": "the elastic strain in `elastic_strain`",
+    ENERGY: "the deformation gradient `F`",
+}
+
+
+def _named(measure: str) -> str:
+    return "an energy in UFL" if measure == ENERGY else f'strain="{measure}"'
+
+
+def check_history(
+    points: MaterialPoints, rows: npt.NDArray[np.int32], measure: str, law: str
+) -> None:
+    """Refuse points that have moved under another measure of strain. Collective.
+
+    Their stress would come from a state that nobody has kept: a body in equilibrium
+    would settle a second time.
+
+    Args:
+        points: Material points.
+        rows: Those of this rank that a law is for.
+        measure: Its measure, a key of `MARKS`.
+        law: The law and its tags, for the message.
+
+    Raises:
+        StateError: Some have; the message tells how many, and how to go on.
+    """
+    counts = np.bincount(points["moved_under"][rows], minlength=1 + max(MARKS.values()))
+    counts = points.comm.allreduce(counts)
+    others = [name for name, mark in MARKS.items() if counts[mark] and name != measure]
+    if not others:
+        return
+    done = " and ".join(f"{counts[MARKS[name]]} under {_named(name)}" for name in others)
+    remedy = (
+        "set the state that gives the present stress first, "
+        f'mpm.set_stress(points, law, points["stress"], strain="{measure}")'
+        if measure != ENERGY else
+        "no stress can be set there: go on with a law that has a kernel, such as Hencky, or begin "
+        "with new points"
+    )  # fmt: skip
+    raise_together(
+        points.comm,
+        StateError(
+            f"{law}: of its {counts.sum()} points have moved {done}; they cannot go on under "
+            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {remedy}"
+        ),
+    )

@@ -1,0 +1,292 @@
+"""Terms of a weak form that a law makes: internal forces, and stress by itself.
+
+Nothing here changes the points: a term declares what its law needs, and the problem
+that is made of the form binds it; see `dolfinmpm.forms.declarations`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.declarations import (
+    Declaration,
+    LawConstant,
+    LawField,
+    Tags,
+    as_tags,
+    rows_within,
+)
+from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
+from dolfinmpm.kinematics.fbar import FBar
+from dolfinmpm.kinematics.frameworks import Framework
+from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history
+from dolfinmpm.kinematics.initial import StressField, write_stress
+from dolfinmpm.kinematics.jaumann import Jaumann
+from dolfinmpm.kinematics.large import LargeStrain
+from dolfinmpm.kinematics.parameters import PointParameters
+from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.neohookean import NeoHookean
+
+__all__ = ["framework", "momentum", "set_stress", "stress"]
+
+_FRAMEWORKS: dict[str, type[Framework]] = {
+    "large": LargeStrain,
+    "small": SmallStrain,
+    "jaumann": Jaumann,
+}
+
+
+def framework(
+    law: Law | NeoHookean,
+    points: MaterialPoints,
+    strain: str = "large",
+    tag: int | tuple[int, ...] | None = None,
+) -> Framework:
+    """The law at the points under a measure of strain; nothing is added to them before `bind`.
+
+    Args:
+        law: Constitutive law with a kernel.
+        points: Material points.
+        strain: "large", "small" or "jaumann"; see `momentum`.
+        tag: Tags of the points that the law is for; None means all.
+
+    Raises:
+        ParameterError: The measure is not known, or the law has no kernel.
+    """
+    _check_strain(strain)
+    if not isinstance(law, Law):
+        raise ParameterError(
+            f"{type(law).__name__} has no kernel of principal strains; use a law such as Hencky"
+        )
+    return _FRAMEWORKS[strain](law, points, as_tags(tag))
+
+
+def _check_strain(strain: str) -> None:
+    if strain not in _FRAMEWORKS:
+        known = ", ".join(f'"{name}"' for name in _FRAMEWORKS)
+        raise ParameterError(f"strain = {strain!r} must be one of {known}")
+
+
+def _end(points: MaterialPoints, u) -> Expr:
+    """Deformation gradient at the end of the step."""
+    return (ufl.Identity(points.gdim) + ufl.grad(u)) * points.F
+
+
+def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> int:
+    """Number of the law's declaration: for the same arguments the same, with one operator."""
+    _check_strain(strain)
+    tags, fbar = as_tags(tag), bool(fbar)
+    for number, known in points.declarations.items():
+        same = known.law is law and (known.strain, known.fbar, known.tags) == (strain, fbar, tags)
+        if same and known.u == u:
+            return number
+    if isinstance(law, NeoHookean):
+        if fbar:
+            raise ParameterError(
+                f"fbar = True needs a law with a kernel, {type(law).__name__} is an energy in UFL; "
+                "use mpm.materials.Hencky"
+            )
+        if strain != "large":
+            raise ParameterError(
+                f"strain = {strain!r}: NeoHookean is an energy of large strain and takes "
+                'strain="large" only; use a law such as Hencky'
+            )
+        declaration = _declare_energy(law, points, u, tags)
+    else:
+        declaration = _declare_kernel(law, points, u, strain, fbar, tags)
+    number = len(points.declarations)
+    points.declarations[number] = declaration
+    return number
+
+
+def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Declaration:
+    inner = framework(law, points, strain, tags)
+    outer: PointwiseLaw = FBar(inner, points) if fbar else inner
+    operand = ufl.grad(u)
+    operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
+
+    def bind() -> None:
+        check_history(points, inner.rows, strain, str(declaration))
+        inner.bind()
+        if isinstance(outer, FBar):
+            outer.bind()
+
+    declaration = Declaration(
+        points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
+        operator=operator, updates={}, mark=MARKS[strain], bind=bind,
+        parameters=lambda: inner.parameters(inner.rows),
+    )  # fmt: skip
+    operator.declaration = declaration
+    return declaration
+
+
+def _declare_energy(law, points, u, tags: Tags) -> Declaration:
+    parameters = PointParameters(law, points, tags)
+    holders: list[LawConstant | LawField]
+    if parameters.field:
+        name, size = parameters.field, len(law.parameters)
+        holders = [LawField(points, name, (size,), "")]
+        given = {key: holders[0][k] for k, key in enumerate(law.parameters)}
+    else:
+        holders = [LawConstant(points.grid, law.values[key]) for key in law.parameters]
+        given = dict(zip(law.parameters, holders))
+
+    def bind() -> None:
+        check_history(points, rows_within(points, tags), ENERGY, str(declaration))
+        parameters.adopt()
+
+    declaration = Declaration(
+        points=points, law=law, u=u, strain="large", fbar=False, tags=tags, given=given,
+        operator=None, updates={"stress": law.cauchy_stress(_end(points, u), **given)},
+        mark=MARKS[ENERGY], bind=bind,
+        parameters=lambda: parameters.at(rows_within(points, tags)),
+    )  # fmt: skip
+    for holder in holders:
+        holder.declaration = declaration
+    return declaration
+
+
+def momentum(
+    law: Law | NeoHookean,
+    points: MaterialPoints,
+    u: fem.Function,
+    v: Any,
+    strain: str = "large",
+    fbar: bool = False,
+    tag: int | tuple[int, ...] | None = None,
+) -> ufl.Form:
+    """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
+
+    The measures of strain, ∇ũ being the increment's gradient on the grid at the
+    start of the step:
+
+    - "large": logarithmic strain ½ ln(ΔF b_n ΔFᵀ), Kirchhoff stress τ, S = τ ΔF⁻ᵀ; for strains
+      and rotations of any size;
+    - "small": strain ε_n + sym ∇ũ, S = σ; the linear theory, in which nothing turns;
+    - "jaumann": the old strain turned by the increment's spin, plus its rate of
+      deformation, Cauchy stress σ, S = J σ ΔF⁻ᵀ; for moderate strains and any rotation, see
+      `Jaumann` for its limits.
+
+    Each keeps the elastic strain in its own field (`be` under large strain, else
+    `elastic_strain`): a body that has moved under one cannot go on under another, nor
+    under an energy, unless `set_stress` gives it the state that belongs to its stress. Another
+    law under the same measure takes over the elastic strain; its own internal variables
+    start at their first values.
+
+    Nothing is changed until a problem is made of the form: it adds the law's fields to the
+    points.
+
+    Args:
+        law: Constitutive law: one with a kernel, or one that is an energy in UFL.
+        points: Material points.
+        u: Increment of the step, `Space.increment`.
+        v: Test function, `Space.test`.
+        strain: "large", "small" or "jaumann"; an energy in UFL takes "large" only.
+        fbar: Whether the points in a cell share its mean change of volume, against
+            locking of nearly incompressible bodies; see `FBar`.
+        tag: Tags of the points that the law is for, one or several; None means all. Laws of
+            one form must be for different points.
+
+    Returns:
+        A form over the points, to which loads and further terms are added.
+
+    Raises:
+        ParameterError: The measure of strain is not known or not one of the law's, a tag is
+            no whole number, or F-bar is asked for with a law that is an energy.
+    """
+    number = _declare(law, points, u, strain, fbar, tag)
+    declaration = points.declarations[number]
+    tags = declaration.tags
+    where = "everywhere" if tags is None else (tags if len(tags) > 1 else tags[0])
+    dX = points.dX(where, metadata={**points.dX.metadata(), "law": number})
+    if declaration.operator is None:
+        energy = law.energy(_end(points, u), **declaration.given)
+        return ufl.derivative(energy * dX, u, v)
+    return ufl.inner(declaration.operator, ufl.grad(v)) * dX
+
+
+def stress(
+    law: Law | NeoHookean,
+    points: MaterialPoints,
+    u: fem.Function,
+    strain: str = "large",
+    fbar: bool = False,
+    tag: int | tuple[int, ...] | None = None,
+) -> Expr:
+    """Cauchy stress at the end of the step (Pa), in UFL, for any term over the points.
+
+    The solver derives its tangent, and `ufl.derivative` of it by the increment, as in
+    Nitsche's method, is the law's consistent tangent. The derivative of that, which Newton's
+    method needs then, is a central difference of the tangent: the law is asked twice more for
+    each component of ∇ũ.
+
+    A problem needs the law's `momentum` too, or another term that keeps the stress in balance.
+    With the same arguments as there both share one evaluation of the law.
+
+    Args:
+        law, points, u, strain, fbar: As for `momentum`.
+        tag: Likewise; at other points the stress of a law with a kernel is 0. Restrict the
+            term to the same tags, `points.dX(tag)`.
+
+    Returns:
+        An expression of shape (gdim, gdim).
+
+    Raises:
+        ParameterError: As for `momentum`.
+    """
+    declaration = points.declarations[_declare(law, points, u, strain, fbar, tag)]
+    d, S = points.gdim, declaration.operator
+    if S is None:
+        sigma = law.cauchy_stress(_end(points, u), **declaration.given)
+        return ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
+    if strain == "small":
+        return S
+    # with F-bar the flux holds J/J̄, so that σ = τ/J̄
+    dF = ufl.Identity(d) + ufl.grad(u)
+    return S * dF.T / ufl.det(dF * points.F)
+
+
+def set_stress(
+    points: MaterialPoints,
+    law: Law | NeoHookean,
+    stress: StressField,
+    strain: str = "large",
+    tag: int | tuple[int, ...] | None = None,
+) -> None:
+    """Give the points an initial stress, and the elastic strain that goes with it. Collective.
+
+    Sets the state of the measure of strain named (`be` or `elastic_strain`), so that the
+    law returns the stress as long as nothing moves, and the field `stress`. Deformation
+    gradients, positions and internal variables stay: what the points went through before
+    counts as no deformation, under whatever law or measure it was. Call it before or after
+    the problem is made, with the same law, measure and tag; the internal variables, such
+    as a preconsolidation pressure, must admit the stress by then.
+
+    Args:
+        points: Material points.
+        law: The law that the problem uses.
+        stress: Cauchy stress (Pa), tension positive: shape (3, 3), (n, 3, 3) for all points
+            of this rank, or a function of the present positions of the law's points, shape
+            (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.
+        strain: Measure of strain of the problem; see `momentum`.
+        tag: Tags of the points that get it, those of the law; None means all.
+
+    Raises:
+        FieldShapeError: The array has the wrong shape.
+        ParameterError: A stress is not finite, not symmetric, or has shear out of the
+            dimensions of the points; or the law or measure is not known.
+        StateError: A stress lies outside the yield surface or cannot be reached by elastic
+            strain; the message has the point, its stress and its parameters. No point
+            is changed then.
+    """
+    one = framework(law, points, strain, tag)
+    one.bind()
+    write_stress(one, stress)
+    points["moved_under"][one.rows] = MARKS[strain]
