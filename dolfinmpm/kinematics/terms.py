@@ -239,7 +239,7 @@ def stress(
         An expression of shape (gdim, gdim).
 
     Raises:
-        ParameterError: As for `momentum`.
+        ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
     """
     declaration = points.declarations[_declare(law, points, u, strain, fbar, tag)]
     d, S = points.gdim, declaration.operator
@@ -248,6 +248,11 @@ def stress(
         return ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
     if strain == "small":
         return S
+    if strain == "jaumann" and fbar:
+        raise ParameterError(
+            "mpm.stress: there is no stress of fbar=True under Jaumann's rate, whose flux belongs "
+            'to the mean volume; use strain="large" or fbar=False'
+        )
     # with F-bar the flux holds J/J̄, so that σ = τ/J̄
     dF = ufl.Identity(d) + ufl.grad(u)
     return S * dF.T / ufl.det(dF * points.F)

@@ -111,6 +111,13 @@ def errors_on_all_ranks():
             ),
         )
     F = mpm.momentum(soft, points, V.increment, V.test, strain="small")
+    # one corner has moved under another measure
+    here = (points["x"] > 0.9).all(axis=1)
+    points["moved_under"][here] = 1
+    message = expect(errors.StateError, lambda: mpm.QuasiStatic(F, V.increment, points))
+    assert f"have moved {COMM.allreduce(int(here.sum()))} under" in message
+    assert len(set(COMM.allgather(message))) == 1
+    points["moved_under"] = 0
     push = [
         c for i in (0, 1)
         for c in mpm.prescribed(

@@ -106,7 +106,7 @@ def layers():
     F += 0.1 * ufl.inner(mpm.stress(soil, points, u, tag=0), ufl.grad(v)) * points.dX(0)
     F -= ufl.inner(points.density * g, v) * points.dX
     F -= 500 * v[0] * points.dX((1, 2))
-    loads = [(0.4 * k, -2.0 * k) for k in range(1, 6)]
+    loads = [(1.2 * k, -3.0 * k) for k in range(1, 9)]
     bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
     _, figures = run(points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12)
     yielded = COMM.allreduce(points["plastic_strain"][points["tag"] == 0].max(initial=0.0), MPI.MAX)
