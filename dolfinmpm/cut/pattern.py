@@ -192,8 +192,9 @@ def _one_after_the_other(lists):
     """Several lists of lists as one."""
     if len(lists) == 1:
         return lists[0]
-    node_start = [np.zeros(1, np.int64)]
+    node_start, total = [np.zeros(1, np.int64)], 0
     for start, _ in lists:
-        node_start.append(node_start[-1][-1] + start[1:].astype(np.int64))
+        node_start.append(total + start[1:].astype(np.int64))
+        total += int(start[-1])
     nodes = [nodes for _, nodes in lists]
     return np.concatenate(node_start), np.concatenate([np.empty(0, np.int32), *nodes])
