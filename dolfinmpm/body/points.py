@@ -151,8 +151,6 @@ class MaterialPoints:
         for name, unit in _BUILT_IN.items():
             self._ufl[name] = PointField(self, name, values[name].shape[1:], unit)
             self.fields[name] = values[name].copy()
-        # what points that come later without them have
-        self._ufl["F"].first = np.eye(d)
         self._located = math.nan
         raise_together(self.comm, self.fault())
         self._next_id: int = 0
