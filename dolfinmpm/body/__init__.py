@@ -1,1 +1,1 @@
-"""The body: material points, shapes and filling, location, migration, domains, surfaces."""
+"""The body: material points and where they come from, shapes, location, migration, surfaces."""

@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.location import bounds, outside_cells
 
-__all__ = ["checked", "checked_rows", "checked_tag", "fault", "require_grid"]
+__all__ = ["astray", "checked", "checked_rows", "checked_tag", "fault", "require_grid"]
 
 # what it is called, its unit, and whether it may be zero: a point without a domain is a mere point
 _SIZES = {
@@ -160,14 +160,22 @@ def fault(points) -> DolfinMPMError | None:
         )
     extent = bounds(grid)[1] - bounds(grid)[0]
     for name in ("l", "l0"):
-        if np.any(2 * fields[name].max(axis=0) > extent * (1 + 1e-9)):
+        # extremes along an axis of two or three take ten times as long
+        small = 2 * fields[name].max() <= extent.min() * (1 + 1e-9)
+        if not small and np.any(2 * fields[name] > extent * (1 + 1e-9)):
             p = np.flatnonzero(np.any(2 * fields[name] > extent * (1 + 1e-9), axis=1))[0]
             return ParameterError(
                 f"{name} = {fields[name][p]} m of {_place(fields, p)}: a domain twice as long and "
                 f"wide does not fit into the grid of {extent} m; half-lengths are about half the "
                 "distance of the points"
             )
-    astray = outside_cells(grid, fields["x"], fields["cell"])
+    return None
+
+
+def astray(points) -> PointsOutsideGridError | None:
+    """An error if points of this rank are not in the cells that they are said to be in."""
+    fields = points.fields
+    astray = outside_cells(points.grid, fields["x"], fields["cell"])
     if astray.size:
         p = astray[0]
         return PointsOutsideGridError(

@@ -28,20 +28,16 @@ def from_csv(grid: Mesh, path, density, tag: int, delimiter: str) -> dict[str, A
 
     def read() -> dict[str, Any]:
         if grid.comm.rank != 0:
-            return _nothing(len(axes), density)
+            return _nothing(len(axes))
         names, values, lines = _table(Path(path), delimiter)
         return _arguments(path, axes, dict(zip(names, values.T)), lines, density, tag)
 
     return call_together(grid.comm, read)
 
 
-def _nothing(gdim: int, density) -> dict[str, Any]:
-    return {
-        "x": np.empty((0, gdim)),
-        "volume": np.empty(0),
-        "density": 0.0 if density is None else density,
-        "id": np.empty(0, np.int64),
-    }
+def _nothing(gdim: int) -> dict[str, Any]:
+    none = np.empty(0)
+    return {"x": np.empty((0, gdim)), "volume": none, "density": none, "id": none.astype(np.int64)}
 
 
 def _table(path: Path, delimiter: str) -> tuple[list[str], Array, list[int]]:
@@ -140,13 +136,12 @@ def from_mesh(grid: Mesh, mesh, density, points: str, degree: int, tag) -> dict[
         raise ParameterError(f"degree = {degree!r} must be a whole number of at least 1")
 
     def read() -> dict[str, Any]:
-        by_tag = isinstance(density, Mapping)
         if grid.comm.rank != 0:
-            return _nothing(gdim, None if by_tag else density)
+            return _nothing(gdim)
         x, volume, tags = _points_of(mesh, gdim, points, degree)
         tags = tags if tag is None else np.full(len(x), tag)
         rho = density
-        if by_tag:
+        if isinstance(density, Mapping):
             missing = np.setdiff1d(tags, list(density))
             if missing.size:
                 raise ParameterError(

@@ -55,8 +55,9 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
     points = type(a)(a.grid, *(rows[name] for name in names))
     for body in (a, b):
         for name, field in body._ufl.items():
-            points.add_field(name, field.ufl_shape, field.unit)
-            points._ufl[name].first = field.first
+            if name not in points._ufl:
+                # values come below; a function would be asked again for those
+                points.add_field(name, field.ufl_shape, field.unit).first = field.first
     points.fields.update(rows)
     points.recount()
     shapes = [(body.shape_volume, body.volume_error or 0.0) for body in (a, b)]

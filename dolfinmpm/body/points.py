@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
-from dolfinmpm.body.checks import checked_rows, fault, require_grid
+from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
@@ -155,9 +156,8 @@ class MaterialPoints:
         for name, unit in _BUILT_IN.items():
             self._ufl[name] = PointField(self, name, values[name].shape[1:], unit)
             self.fields[name] = values[name].copy()
-        # what points that come later without them have
-        self._ufl["F"].first = np.eye(d)
-        raise_together(self.comm, fault(self))
+        self._located = math.nan
+        raise_together(self.comm, self.fault())
         self._next_id: int = 0
         self.recount()
         domain = grid.ufl_domain()
@@ -446,7 +446,12 @@ class MaterialPoints:
 
     def fault(self) -> DolfinMPMError | None:
         """What is impossible in the fields of this rank's points, or None."""
-        return fault(self)
+        error = fault(self)
+        if error is None and self._located != (place := self.fields["x"].sum()):
+            # steps find the cells of what they move: x was changed by hand
+            error = astray(self)
+            self._located = place if error is None else math.nan
+        return error
 
     def locate(self) -> int:
         """Find cells and ranks of points whose x was changed by hand. Collective.
@@ -464,6 +469,7 @@ class MaterialPoints:
     def migrate(self, to: Destinations) -> int:
         """Hand points to the ranks that own their cells; returns how many moved. Collective."""
         moved = migrate(self, to)
+        self._located = self.fields["x"].sum()
         self.revision += moved > 0
         return moved
 

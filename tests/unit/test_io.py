@@ -61,6 +61,17 @@ def array(data, name):
     return vtk_to_numpy(data.GetArray(name))
 
 
+def test_points_that_come_and_go_between_files(tmp_path):
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, density=1.0)
+    with ParaView(tmp_path / "slope.pvd", points) as out:
+        for k in range(3):
+            out.write(k)
+            points.remove(lambda x: x[0] < 0.25 * (k + 1))  # noqa: B023
+    numbers = [read(file).GetNumberOfPoints() for file in listed(tmp_path / "slope.pvd")[1]]
+    assert numbers == [20, 15, 10]
+
+
 def listed(path):
     """Times and files of a series, each of which must exist."""
     sets = ElementTree.parse(path).getroot().findall("./Collection/DataSet")

@@ -264,6 +264,20 @@ def test_new_points_have_the_first_state_of_the_law():
     assert np.abs(lower["stress"][new]).max() > 1
 
 
+def test_new_points_have_the_first_internal_variables_of_the_law():
+    lower, upper = lower_and_upper()
+    law = mpm.materials.CamClay(
+        swelling=0.01, compression=0.1, M=1.0, mu0=1e3, alpha=0.0, reference_pressure=10.0,
+        preconsolidation=lambda x: 50 + x[1],
+    )  # fmt: skip
+    V = mpm.Space(lower.grid, "gimp")
+    mpm.momentum(law, lower, V.increment, V.test)
+    lower["preconsolidation_pressure"] = 77.0
+    lower.add(upper)
+    expected = np.where(lower["tag"] == 1, 77.0, 50 + lower["x0"][:, 1])
+    np.testing.assert_array_equal(lower["preconsolidation_pressure"], expected)
+
+
 def test_removing_by_place_and_by_mask():
     points, _ = lower_and_upper()
     assert points.remove(lambda x: x[0] > 5) == mpm.PointChange(0, 0.0)
