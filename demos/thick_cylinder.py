@@ -14,7 +14,6 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.body.location import destinations
 
 a, b, E, nu, strength = 0.1, 0.2, 210e9, 0.3, 0.24e9  # m, m, Pa, -, Pa
 Y = 2 * strength / np.sqrt(3)
@@ -22,18 +21,14 @@ corners = [(0, 0), (0.225, 0.225)]
 grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, (18, 18), mesh.CellType.quadrilateral)
 
 # Points in 16 rings, each the centroid of a part of a quarter of the tube and exactly as large, so
-# that no volume is lost at the circles. Every rank makes all and keeps those in its own cells.
+# that no volume is lost at the circles. Every rank makes all of them; each counts once.
 radii, step = np.linspace(a, b, 17), np.pi / 2 / 40
 low, high, angle = radii[:-1, None], radii[1:, None], (np.arange(40) + 0.5) * step
 chord = np.sin(step / 2) / (step / 2)  # the centroid of an arc of angle `step` lies inside it
 r = 2 / 3 * (high**3 - low**3) / (high**2 - low**2) * chord + 0 * angle
 x = np.column_stack([(r * np.cos(angle)).ravel(), (r * np.sin(angle)).ravel()])
 area = ((high**2 - low**2) / 2 * step + 0 * angle).ravel()
-to = destinations(grid, x)
-mine = to.rank == grid.comm.rank
-cell = to.cell[mine] - grid.topology.index_map(2).local_range[0]
-half = np.repeat(np.sqrt(area[mine, None]) / 2, 2, axis=1)
-points = mpm.MaterialPoints(grid, x[mine], cell, area[mine], half, density=7850.0)
+points = mpm.MaterialPoints.from_arrays(grid, x, volume=area, density=7850.0)
 
 
 def face(ring, radius, sign):

@@ -201,6 +201,9 @@ ROWS = (
     Row("slope", PLASTIC, "slope failure, 9 runs each: finished with ghost penalty, aggregation, "
         "no remedy (where rounding decides)", each("slope_failure", "--table"), finished,
         "{:.0f}, {:.0f}, {:.0f}", "Coombs (2023): all with ghost stabilisation, some without"),
+    Row("safety", PLASTIC, "factor of safety of a slope of two to one, φ = 20°, c/γH = 0.05, GIMP, "
+        "F-bar, h = 1 m", each("factor_of_safety", ""), keys("factor"), "{:.3f}",
+        "Griffiths & Lane (1999): 1.4"),
     Row("cylinder", PLASTIC, "thick cylinder on a grid that does not fit it: largest error of the "
         "pressure, error of the limit load; GIMP, quadratic splines, linear functions",
         each("thick_cylinder", "--basis gimp", "--basis bspline2", "--basis linear"),
