@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import cpp, fem, jit, la
+from dolfinx import fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
 from petsc4py import PETSc
@@ -74,18 +74,6 @@ def integration_domains(kind, subdomain_data, ids):
 def create_matrix(form: fem.Form) -> la.MatrixCSR:
     """Matrix of a bilinear form with the sparsity of its own entities."""
     return fem.create_matrix(form)
-
-
-def element_tensors(form: fem.Form, insert) -> None:
-    """Hand the element matrices of a bilinear form to a function, entity by entity.
-
-    Args:
-        form: The form.
-        insert: Function of the rows and the columns, both nodes, and the values between all
-            their components, row by row; returns 0. DOLFINx calls it for the entities
-            of an integral in their order, and uses the room again afterwards.
-    """
-    cpp.fem.assemble_matrix(insert, form._cpp_object, [])
 
 
 @functools.cache

@@ -142,7 +142,9 @@ class OrdinaryAssembler:
 
         count = range(len(spaces))
         self._external = [block(terms.external[i], i) for i in count]
-        self._internal = [block(terms.internal[i], i) for i in count]
+        # what is linear in the increments acts through its Jacobian alone
+        internal = [None] * len(spaces) if terms.linear else terms.internal
+        self._internal = [block(internal[i], i) for i in count]
         self._jacobian = [[bilinear(terms.jacobian[i][j], i, j) for j in count] for i in count]
         self.linear = terms.linear
         self._all = [

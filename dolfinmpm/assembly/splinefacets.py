@@ -1,8 +1,8 @@
 """Terms over ghost facets of B-splines: one element tensor for all facets that are alike.
 
 On a rectangular grid the splines around a facet are the same, but for where they
-are, wherever the cells around it have the same sizes. DOLFINx integrates over one
-facet of each such class; its tensor between splines is then added for all others.
+are, wherever the cells around it have the same sizes. The tensor between splines is made
+for one facet of each such class, and added for all others.
 """
 
 from __future__ import annotations
@@ -12,13 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem import IntegralType
-from ufl.classes import Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex
-from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.compat import compile_form, create_form, element_tensors
+from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors, readable
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.space import Space, splines_at
+from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.body.points import GHOST_FACETS
 
@@ -27,8 +24,6 @@ __all__ = ["FacetBlock", "are_alike"]
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# what has the same value, on each side, on all facets of a class
-_ALIKE = (Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex, fem.Constant)
 # relative difference of sizes of cells that is rounding
 _SAME = 1e-12
 
@@ -74,12 +69,9 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
-        for node in unique_pre_traversal(integral.integrand()):
-            if node._ufl_is_terminal_ and not isinstance(node, _ALIKE):
-                return False
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
-    return all(k.max() < 8 * basis.degree for k in kinds)
+    return all(k.max() < 8 * basis.degree for k in kinds) and readable(form)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -146,7 +138,7 @@ def _add(kind, direction, start, facet, position, slot, tensors, begin, slots, s
 
 
 class FacetBlock:
-    """A bilinear form over ghost facets, between splines. Collective in what it compiles.
+    """A bilinear form over ghost facets, between splines.
 
     Args:
         form: The form, of which `are_alike` holds.
@@ -162,7 +154,7 @@ class FacetBlock:
         assert isinstance(space.basis, LatticeBasis)
         self._space = space
         self._basis = basis = space.basis
-        self._compiled = compile_form(space.grid.comm, form)
+        self._tensor_of = FacetTensors(form, basis.degree, space.components)
         self.constants: list[fem.Constant] = form.constants()
         self.coefficients: list[fem.Function] = []
         self.moving = {GHOST_FACETS}
@@ -181,7 +173,7 @@ class FacetBlock:
         self._values: Array | None = None
 
     def attach(self, entities: dict[int, Ints]) -> None:
-        """Integrate over these ghost facets from now on. Collective.
+        """Integrate over these ghost facets from now on.
 
         Args:
             entities: Under GHOST_FACETS rows (cell, local facet, cell, local facet)
@@ -200,14 +192,11 @@ class FacetBlock:
             code = code * (1 + max(cells.max(), pairs.max(initial=0))) + kind
         self._codes, chosen, kind = np.unique(code, return_index=True, return_inverse=True)
         self._kind = kind.ravel().astype(np.int32)
-        self._chosen, self._low = facets[chosen], low[chosen]
-        self._direction_of = self._direction[chosen]
-        # tensors of a class stay; all ranks make the form, for that may be collective
-        spaces, entity = [self._space.function_space] * 2, IntegralType.interior_facet
-        domains = {entity: [(GHOST_FACETS, np.ascontiguousarray(self._chosen).ravel())]}
-        self._form = create_form(
-            self._compiled, spaces, self._space.grid, domains, [], self.constants
-        )
+        lines, swapped = self._basis.lattice.lines, np.any(first > second, axis=1)
+        self._chosen = [
+            FacetPlace(lines, tuple(low[f].tolist()), int(self._direction[f]), bool(swapped[f]))
+            for f in chosen
+        ]
         nodes = np.empty((len(facets), self._macro.shape[1]), np.int32)
         count = np.zeros(self._basis.nodes.size, np.int64)
         shape = np.array(halo.node_table.shape, np.int64)
@@ -235,9 +224,9 @@ class FacetBlock:
         if self._values is None or not np.array_equal(values, self._values):
             self._tensors = {}
             self._values = values
-        missing = [k for k, code in enumerate(self._codes) if code not in self._tensors]
-        if missing:
-            self._integrate(missing)
+        for code, place in zip(self._codes, self._chosen):
+            if code not in self._tensors:
+                self._tensors[code] = self._tensor_of(place)
         c, m = self._space.components, self._macro.shape[1]
         tensors = [self._tensors[code] for code in self._codes]
         single = all(t.shape[2] == 1 for t in tensors)
@@ -249,49 +238,3 @@ class FacetBlock:
         near = self._kind, self._direction, *self._near
         _add(*near, stacked, self._begin, self._slot_of, sums, out)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
-
-    def _integrate(self, missing: list[int]) -> None:
-        """Tensors of the classes whose numbers are given, by DOLFINx on their chosen facets."""
-        components, number = self._space.components, len(self._codes)
-        extraction: dict[int, Array] = dict(zip(missing, self._extraction(missing)))
-        sums: dict[int, Array] = {}
-        calls = 0
-
-        def insert(rows, columns, values) -> int:
-            nonlocal calls
-            # one facet after the other, and once more for every further integral
-            k = calls % number
-            calls += 1
-            if k in extraction:
-                sums[k] = sums.get(k, 0.0) + np.array(values)
-            return 0
-
-        element_tensors(self._form, insert)
-        for k, E in extraction.items():
-            whole = sums[k].reshape(len(E), components, len(E), components)
-            K: Array = np.ascontiguousarray(whole.transpose(1, 3, 0, 2))
-            if np.array_equal(K, np.eye(components)[:, :, None, None] * K[0, 0]):
-                # components do not mix, as in a ghost penalty: one number for all
-                K = K[:1, :1]
-            T = (E.T @ K @ E).transpose(2, 3, 0, 1)
-            self._tensors[self._codes[k]] = T.reshape(*T.shape[:2], -1)
-
-    def _extraction(self, classes: list[int]) -> Array:
-        """Splines around the chosen facets at the Lagrange nodes of their two cells.
-
-        Returns:
-            Values, shape (classes, Lagrange nodes of the first and the second cell, splines).
-        """
-        basis, V = self._basis, self._space.function_space
-        cells = self._chosen[classes][:, [0, 2]]
-        dofs = V.dofmap.list[cells]
-        x = V.tabulate_dof_coordinates()[dofs.ravel(), : self._macro.shape[2]]
-        nodes, N = splines_at(basis, x, np.repeat(cells.ravel(), dofs.shape[2]))
-        shape = len(classes), 2 * dofs.shape[2], -1
-        nodes, N = nodes.reshape(shape), N.reshape(shape)
-        E = np.zeros((*N.shape[:2], self._macro.shape[1]))
-        for k, one in enumerate(classes):
-            apart = np.moveaxis(basis.halo.node_ijk[nodes[k]] - self._low[one], -1, 0)
-            at = np.ravel_multi_index(tuple(apart), self._shapes[self._direction_of[one]])
-            np.put_along_axis(E[k], at, N[k], axis=1)
-        return E

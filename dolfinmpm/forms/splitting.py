@@ -17,6 +17,7 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.classes import (
     Coefficient,
     CoefficientDerivative,
@@ -29,6 +30,7 @@ from ufl.classes import (
     Zero,
 )
 from ufl.core.expr import Expr
+from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
@@ -372,6 +374,23 @@ def _without_zeros(form: ufl.Form) -> ufl.Form | None:
     return ufl.Form(kept) if kept else None
 
 
+class _AtRest(MultiFunction):
+    """An expression where all increments are zero."""
+
+    def __init__(self, increments: Sequence[Any]):
+        super().__init__()
+        self._increments = increments
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def coefficient(self, o):
+        return Zero(o.ufl_shape) if any(o is u for u in self._increments) else o
+
+    def restricted(self, o, inner):
+        # UFL keeps zeros of either side
+        return inner if isinstance(inner, Zero) else self.reuse_if_untouched(o, inner)
+
+
 def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
     increments = [space.increment for space in spaces]
     parts: dict[bool, list[Any]] = {False: [], True: []}
@@ -410,4 +429,12 @@ def _ordinary_terms(integrals, spaces: Sequence[Space]) -> OrdinaryTerms:
         if form is not None
         for c in form.coefficients()
     )
-    return OrdinaryTerms(by_field(parts[False]), internal, jacobian, linear)
+    external = by_field(parts[False])
+    if linear:
+        # the Jacobian does not know what is there without increments, as c is in (u + c)·v
+        rest = _AtRest(increments)
+        for k, one in enumerate(internal):
+            constant = None if one is None else _without_zeros(map_integrand_dags(rest, one))
+            if constant is not None:
+                external[k] = constant if external[k] is None else external[k] + constant
+    return OrdinaryTerms(external, internal, jacobian, linear)
