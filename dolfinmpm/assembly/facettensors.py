@@ -94,11 +94,15 @@ def _restricted(form: ufl.Form) -> ufl.Form:
     return apply_restrictions(apply_default_restrictions(form))
 
 
-def readable(form: ufl.Form) -> bool:
+def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
     """Whether `FacetTensors` can read a form over ghost facets.
 
-    It must hold nothing that varies along a facet but arguments, and be integrated by
-    Gauss's rule of any degree.
+    It must hold nothing that varies in space but arguments and the size of cells, and be
+    integrated by Gauss's rule of any degree.
+
+    Args:
+        form: The form.
+        size: The grid's `cell_size`.
     """
     if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
         return False
@@ -108,7 +112,7 @@ def readable(form: ufl.Form) -> bool:
         # without a side where one is needed: FFCx says so
         return False
     return all(
-        isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
+        node is size or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
         for integral in integrals
         for node in unique_pre_traversal(integral.integrand())
     )
@@ -186,6 +190,8 @@ class _Numbers(MultiFunction):
         if isinstance(terminal, fem.Constant):
             return float(terminal.value[index])
         sizes = place.sizes(side)
+        if isinstance(terminal, fem.Function):
+            return math.prod(sizes) ** (1 / len(sizes))
         if isinstance(terminal, FacetArea):
             sizes = tuple(h for d, h in enumerate(sizes) if d != place.direction)
         return math.prod(sizes)

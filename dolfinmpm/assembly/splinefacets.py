@@ -18,6 +18,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.grid.lattice import cell_size
 
 __all__ = ["FacetBlock", "are_alike"]
 
@@ -56,10 +57,10 @@ def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
 
 
 def are_alike(form: ufl.Form, space: Space) -> bool:
-    """Whether facets fall into few classes, in each of which the form has one element tensor.
+    """Whether facets fall into few classes, each with one element tensor of the form. Collective.
 
-    The same on all ranks. The form must be bilinear, over ghost facets alone, and hold
-    nothing that varies in space but arguments.
+    Or whether they are taken one by one all the same, for FFCx would take too long. The
+    same on all ranks. The form must be bilinear and over ghost facets alone; see `readable`.
     """
     basis = space.basis
     if not isinstance(basis, LatticeBasis) or basis.degree == 1:
@@ -69,9 +70,13 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
+    if not readable(form, cell_size(space.grid)):
+        return False
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
-    return all(k.max() < 8 * basis.degree for k in kinds) and readable(form)
+    few = all(k.max() < 8 * basis.degree for k in kinds)
+    # a tensor a facet costs less than minutes of compilation, as FFCx's of third derivatives
+    return few or basis.degree + len(kinds) > 4
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -67,6 +67,16 @@ def fill(
         EmptyShapeError: No point falls into the shape.
         UnsupportedGridError: The cells are curved, or `aligned="body"` is asked for
             on a grid that is not rectangular.
+
+    A box that ends in the middle of a row of cells is filled exactly:
+
+    >>> from dolfinx.mesh import CellType, create_unit_square
+    >>> from mpi4py import MPI
+    >>> from dolfinmpm import Box
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    >>> points = fill(grid, Box((0, 0), (1, 0.625)), per_cell=2, density=1000.0)
+    >>> len(points), float(points["V0"].sum())
+    (40, 0.625)
     """
     if not isinstance(per_cell, (int, np.integer)) or per_cell < 1:
         raise ParameterError(f"per_cell = {per_cell!r} must be a whole number of at least 1")

@@ -22,6 +22,12 @@ class Shape:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
         low: Lower corner (m) of a box around the shape, or None if unknown.
         high: Upper corner (m), likewise.
+
+    Shapes join with `|`, overlap with `&` and are cut with `-`:
+
+    >>> plate = Box((0, 0), (4, 2)) - Box((1, 0.5), (3, 1.5))
+    >>> plate.contains(np.array([[0.5, 1.0], [2.0, 1.0]])).tolist()
+    [True, False]
     """
 
     def __init__(

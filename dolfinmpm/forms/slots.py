@@ -21,6 +21,8 @@ from dolfinmpm.forms.operators import PointOperator
 
 __all__ = ["Slots"]
 
+_BEFORE_FIRST = 10**9
+
 
 @dataclass
 class Slots(MultiFunction):
@@ -43,19 +45,26 @@ class Slots(MultiFunction):
         self.domain = self.points.grid.ufl_domain()
         gdim = self.points.gdim
         self._kept: dict[tuple, ufl.Constant] = {}
+        self._count = _BEFORE_FIRST
         self.value, self.gradient, self.test_value, self.test_gradient = [], [], [], []
         for k, space in enumerate(self.spaces):
             shape = space.increment.ufl_shape
             self.value.append(ufl.variable(self.slot(("value", k), shape)))
             self.gradient.append(ufl.variable(self.slot(("gradient", k), (*shape, gdim))))
-            self.test_value.append(ufl.variable(ufl.Constant(self.domain, shape)))
-            self.test_gradient.append(ufl.variable(ufl.Constant(self.domain, (*shape, gdim))))
+            self.test_value.append(ufl.variable(self._new(shape)))
+            self.test_gradient.append(ufl.variable(self._new((*shape, gdim))))
         self.operator_value: list[Expr] = []
+
+    def _new(self, shape: tuple[int, ...]) -> ufl.Constant:
+        # UFL sorts constants by their numbers, written out: numbers of one width that begin
+        # anew make the same program of the same form, whatever was made before it
+        self._count += 1
+        return ufl.Constant(self.domain, shape=shape, count=self._count)
 
     def slot(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
         """The constant that stands for the data of that key."""
         if key not in self._kept:
-            self._kept[key] = ufl.Constant(self.domain, shape=shape)
+            self._kept[key] = self._new(shape)
             self.sources[self._kept[key]] = key
         return self._kept[key]
 
@@ -141,9 +150,9 @@ class Slots(MultiFunction):
             return o
         if not isinstance(o, fem.Constant):
             raise FormError(f"the constant '{o}' has no value; use dolfinx.fem.Constant")
-        self.constants.append(o)
-        self.sources[o] = ("constant", len(self.constants) - 1)
-        return o
+        if o not in self.constants:
+            self.constants.append(o)
+        return self.slot(("constant", self.constants.index(o)), o.ufl_shape)
 
     def spatial_coordinate(self, o):
         return self.slot(("field", "x"), o.ufl_shape)

@@ -318,7 +318,11 @@ class Law:
 
 
 def lame(E: float, nu: float) -> tuple[float, float]:
-    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio."""
+    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio.
+
+    >>> lame(2e6, 0.25)
+    (800000.0, 800000.0)
+    """
     return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 

@@ -30,7 +30,7 @@ mpm.fill(grid, mpm.Box((0, 0), (2, 1)), 2, 1.0)
 def test_an_error_on_one_rank_ends_all(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(ONE_RANK)
-    done = start(script, ranks=2, timeout=60)
+    done = start(script, ranks=2)
     assert done.returncode != 0
     assert "KeyError: 'on one rank'" in done.stderr
     assert "past the barrier" not in done.stdout
@@ -40,7 +40,7 @@ def test_an_error_on_one_rank_ends_all(tmp_path):
 def test_an_error_on_all_ranks_is_no_abort(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(ALL_RANKS)
-    done = start(script, ranks=2, timeout=60)
+    done = start(script, ranks=2)
     assert done.returncode != 0
     assert done.stderr.count("ShapeOutsideGridError: ") == 2
     assert "MPI_ABORT" not in done.stderr
