@@ -139,10 +139,13 @@ class GridAssembler:
         self.terms = terms
         self._spaces = list(spaces)
         self._external = self._linear_forms(terms.external)
-        self._internal = self._linear_forms(terms.internal)
+        # what is linear in the increments acts through its Jacobian alone
+        self._internal = {} if terms.linear else self._linear_forms(terms.internal)
         self._jacobian: dict[tuple[int, int], _Block | FacetBlock] | None = None
         self._attached: Sequence[Entities] | None = None
         self.moving = set().union(*(b.moving for b in self._vectors))
+        if terms.linear:
+            self.moving |= set().union(*(b.moving for b in self._blocks().values()))
 
     def _linear_forms(self, forms) -> dict[int, _Block]:
         return {
@@ -158,7 +161,8 @@ class GridAssembler:
     @property
     def loads(self) -> list[fem.Constant | fem.Function]:
         """DOLFINx constants and functions in the terms."""
-        return [c for b in self._vectors for c in (*b.constants, *b.coefficients)]
+        every = [*self._vectors, *(self._jacobian or {}).values()]
+        return [c for b in every for c in (*b.constants, *b.coefficients)]
 
     @property
     def splines(self) -> set[tuple[int, int]]:
@@ -182,7 +186,7 @@ class GridAssembler:
 
     def attach(self, fields: Sequence[ActiveField]) -> None:
         """Integrate over these fields' ghost facets and active cells from now on. Collective."""
-        if not self._vectors:
+        if not self.terms:
             return
         entities = [field.entities for field in fields]
         old = self._attached

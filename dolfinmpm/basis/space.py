@@ -136,6 +136,14 @@ class Space:
     Raises:
         ParameterError: The basis is not known.
         UnsupportedGridError: The basis cannot be built on this grid.
+
+    >>> from dolfinx.mesh import CellType, create_unit_square
+    >>> from mpi4py import MPI
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    >>> Space(grid, "bspline2").increment.ufl_shape
+    (2,)
+    >>> Space(grid, "linear", shape=()).increment.ufl_shape
+    ()
     """
 
     def __init__(

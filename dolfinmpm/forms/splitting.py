@@ -19,6 +19,7 @@ from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.map_integrands import map_integrand_dags
 from ufl.classes import (
     Coefficient,
     Curl,
@@ -31,6 +32,7 @@ from ufl.classes import (
 )
 from ufl.constantvalue import zero
 from ufl.core.expr import Expr
+from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError, ParameterError
@@ -45,6 +47,23 @@ from dolfinmpm.forms.throughlaws import through_laws
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 __all__ = ["GridTerms", "PointTerms", "SplitForm", "TangentBlock", "split"]
+
+
+class _AtRest(MultiFunction):
+    """An expression where all increments are zero."""
+
+    def __init__(self, increments: Sequence[Any]):
+        super().__init__()
+        self._increments = increments
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def coefficient(self, o):
+        return Zero(o.ufl_shape) if any(o is u for u in self._increments) else o
+
+    def restricted(self, o, inner):
+        # UFL keeps zeros of either side
+        return inner if isinstance(inner, Zero) else self.reuse_if_untouched(o, inner)
 
 
 class GridTerms:
@@ -69,6 +88,14 @@ class GridTerms:
                     parts[varies].append(integral.reconstruct(total))
         self.external = self._by_field(parts[False])
         self.internal = self._by_field(parts[True])
+        if self.linear:
+            # the Jacobian does not know what is there without increments, as c is in (u + c)·v
+            rest = _AtRest(increments)
+            for k, one in enumerate(self.internal):
+                constant = None if one is None else _without_zeros(map_integrand_dags(rest, one))
+                if constant is not None:
+                    here = self.external[k]
+                    self.external[k] = constant if here is None else here + constant
 
     def __bool__(self) -> bool:
         return any(form is not None for form in (*self.external, *self.internal))
