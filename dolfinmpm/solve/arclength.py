@@ -16,9 +16,16 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.solve.arguments import (
+    check_conditions,
+    check_form,
+    check_path,
+    check_updates,
+    increments_of,
+)
 from dolfinmpm.solve.bordered import BorderedSystem, Constraint, LoadFactor
 from dolfinmpm.solve.newton import NewtonSystem
-from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord, _space_of
+from dolfinmpm.solve.quasistatic import QuasiStatic, StepRecord
 
 __all__ = ["ArcLength", "ArcRecord"]
 
@@ -98,30 +105,13 @@ class ArcLength(QuasiStatic):
         max_length: float = math.inf,
         **options: Any,
     ):
-        u = increment[0] if isinstance(increment, Sequence) else increment
-        space = _space_of(u)
-        if u.ufl_shape != (points.gdim,):
-            raise ParameterError(
-                f"the first increment must be a displacement of {points.gdim} components, got "
-                f"shape {u.ufl_shape}"
-            )
-        for condition in bcs:
-            if isinstance(condition, Condition) and condition.changes:
-                raise ParameterError(
-                    f"the condition at '{condition.where}' prescribes an increment; under a load "
-                    "factor only zero ones may be: press by the load or by a RigidFooting"
-                )
-        lengths = [length] if length is not None else []
-        if not all(math.isfinite(s) and s != 0 for s in lengths) or not max_length > 0:
-            raise ParameterError(
-                f"length = {length} must be finite and not zero, max_length = {max_length} positive"
-            )
-        if first == 0 or not math.isfinite(first) or target_iterations < 1:
-            raise ParameterError(
-                f"first = {first} must be finite and not zero, target_iterations = "
-                f"{target_iterations} at least 1"
-            )
-        self._constraint = Constraint(control, u, space.test, points)
+        increments = increments_of(increment, points)
+        u, spaces = increments[0], [v._dolfinmpm_space for v in increments]
+        bcs = check_conditions(bcs, spaces)
+        check_form(form)
+        updates = check_updates(options.pop("updates", None), points)
+        check_path(points, u, bcs, length, first, factor, max_length, target_iterations)
+        self._constraint = Constraint(control, u, spaces[0].test, points)
         if self._constraint.linear and length is None:
             raise ParameterError("displacement control needs the length of its first step (m)")
         if not self._constraint.linear and length is not None and length < 0:
@@ -130,7 +120,7 @@ class ArcLength(QuasiStatic):
         self._factor = LoadFactor(form, points.grid, constants, factor)
         # what a point did last goes with it from grid to grid and from rank to rank
         self._trail = points.add_field("arc_increment", (points.gdim,), "m")
-        updates = {**(options.pop("updates", None) or {}), "arc_increment": u}
+        updates["arc_increment"] = u
         super().__init__(form, increment, points, bcs, updates=updates, **options)
         self._factor.set(factor)
         self._loads.release()
@@ -197,5 +187,5 @@ class ArcLength(QuasiStatic):
             f"step {len(self.history) + 1} of the path failed at the load factor {self.factor:.6g} "
             f"with a length of {self.system.length:.3g} m: {reason}; the relative out-of-balance "
             f"force is {last} (tolerance {self._tolerance:g}), the worst is {self._worst()}. The "
-            "state is that before the step: add stabilisation, or choose another control"
+            f"state is that before the step: choose another control, or {self._advice()}"
         )

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
+from dolfinmpm.solve.arguments import load_name
+
 __all__ = ["Loads"]
 
 
@@ -18,16 +20,19 @@ class Loads:
     The user sets them to what the next step is to reach. A part of a step takes
     them that part of the way.
 
+    Attributes:
+        items: The constants and functions.
+
     Args:
         items: Constants and functions; each is taken once.
         increments: Functions that are solved for and carry no load.
     """
 
     def __init__(self, items: Sequence[Any], increments: Sequence[fem.Function]):
-        self._items: list[Any] = []
+        self.items: list[Any] = []
         for item in items:
-            if not any(item is known for known in (*self._items, *increments)):
-                self._items.append(item)
+            if not any(item is known for known in (*self.items, *increments)):
+                self.items.append(item)
         self._start = self._read()
         self._target = self._start
 
@@ -36,7 +41,7 @@ class Loads:
         return item.x.array if isinstance(item, fem.Function) else item.value
 
     def _read(self) -> list[npt.NDArray[np.float64]]:
-        return [np.array(self._array(item), copy=True) for item in self._items]
+        return [np.array(self._array(item), copy=True) for item in self.items]
 
     def aim(self) -> None:
         """Take the present values as those to reach."""
@@ -44,7 +49,7 @@ class Loads:
 
     def set(self, share: float) -> None:
         """Set the values at that share of the way."""
-        for item, start, target in zip(self._items, self._start, self._target):
+        for item, start, target in zip(self.items, self._start, self._target):
             self._array(item)[...] = target if share >= 1 else start + share * (target - start)
 
     def release(self) -> None:
@@ -53,5 +58,9 @@ class Loads:
 
     def describe(self) -> str:
         """The constants' present values, for messages."""
-        values = [f"{item.value}" for item in self._items if isinstance(item, fem.Constant)]
+        values = [
+            f"{load_name(item)} = {item.value}"
+            for item in self.items
+            if isinstance(item, fem.Constant)
+        ]
         return "constants " + ", ".join(values) if values else "no constants"

@@ -222,6 +222,11 @@ class NewtonSystem:
         return self._cells
 
     @property
+    def active_nodes(self) -> npt.NDArray[np.int32]:
+        """Active nodes, those that follow others included. Collective."""
+        return active_nodes(self._cells, self._numbering)
+
+    @property
     def active_cells(self) -> int:
         """Number of active cells on all ranks. Collective."""
         flags = active_cells(self._cells, self.basis.cells)

@@ -17,16 +17,16 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import (
     ConvergenceError,
-    FormError,
     ParameterError,
     PointsOutsideGridError,
     call_together,
     raise_together,
 )
 from dolfinmpm.assembly.evaluation import PointUpdates
-from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
@@ -35,6 +35,20 @@ from dolfinmpm.forms.splitting import split
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.kinematics import parameters_at, update_domains
 from dolfinmpm.materials.base import Law
+from dolfinmpm.solve.arguments import (
+    advice,
+    agree,
+    check_conditions,
+    check_fields,
+    check_form,
+    check_limits,
+    check_loads,
+    check_petsc_options,
+    check_updates,
+    increments_of,
+    loads_of,
+    remedy_of,
+)
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
 
@@ -123,46 +137,46 @@ class QuasiStatic:
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
     ):
-        increments = list(increment) if isinstance(increment, Sequence) else [increment]
+        increments = increments_of(increment, points)
         spaces = [_space_of(u) for u in increments]
         if any(space.basis is not spaces[0].basis for space in spaces):
             raise ParameterError("all fields of a problem must have the same basis on one grid")
-        if spaces[0].grid is not points.grid:
-            raise ParameterError("the material points live on another grid than the increment")
-        if not (math.isfinite(tolerance) and 0 < tolerance < 1):
-            raise ParameterError(f"tolerance = {tolerance} must be between 0 and 1")
-        if max_iterations < 1 or max_halvings < 0:
-            raise ParameterError(
-                f"max_iterations = {max_iterations} must be at least 1, max_halvings = "
-                f"{max_halvings} at least 0"
-            )
-        for condition in bcs:
-            if not isinstance(condition, Condition):
-                raise ParameterError(
-                    f"bcs holds a {type(condition).__name__}; use mpm.fixed, mpm.rollers or "
-                    "mpm.prescribed"
-                )
+        check_form(form)
+        check_limits(tolerance, max_iterations, max_halvings)
+        bcs = check_conditions(bcs, spaces)
+        updates = check_updates(updates, points)
+        options = check_petsc_options(petsc_options, options_prefix, points.comm)
+        remedy = remedy_of(stabilisation)
+        if prolongation is not None and not callable(prolongation):
+            raise ParameterError(f"prolongation = {shown(prolongation)} must be a function")
+        agree(
+            points.comm, bcs=bcs, tolerance=tolerance, max_iterations=max_iterations,
+            max_halvings=max_halvings, stabilisation=remedy, petsc_options=options,
+        )  # fmt: skip
         self.points = points
         self.comm: MPI.Intracomm = points.comm
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
-        self.bcs = list(bcs)
-        self.stabilisation = remedy = _with_modulus(stabilisation, form, points)
+        self.bcs = bcs
+        self.stabilisation = remedy = _with_modulus(remedy, form, points)
+        self._form = form
         trial = increments[0], spaces[0].test
         extra = remedy.force_terms(points, *trial)
         parts = split(form if extra is None else form + extra, spaces, points)
+        check_fields(form, spaces)
         tangent = remedy.tangent_terms(points, *trial)
         tangent_terms = None if tangent is None else split(tangent, spaces, points).ordinary
         self.system = self._system_of(
             parts, spaces, points, bcs, tolerance, max_iterations, prolongation, remedy,
-            tangent_terms, options_prefix, petsc_options or {},
+            tangent_terms, options_prefix, options,
         )  # fmt: skip
         self._tolerance = tolerance
-        self._updates = PointUpdates({**points.updates, **(updates or {})}, spaces, points)
+        self._updates = PointUpdates({**points.updates, **updates}, spaces, points)
         loads: list[Any] = list(parts.points.constants)
         loads += [function for function, _ in parts.points.functions]
         if self.system.ordinary:
             loads += self.system.ordinary.constants() + self.system.ordinary.functions()
+        loads = loads_of(loads)
         for condition in bcs:
             if any(condition.value is load for load in loads):
                 raise ParameterError(
@@ -170,6 +184,7 @@ class QuasiStatic:
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
         self._loads = Loads(loads, increments)
+        self._checked = False
         self._moves = increments[0].ufl_shape == (points.gdim,)
         h = cell_size(points.grid)
         sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
@@ -194,6 +209,7 @@ class QuasiStatic:
         """
         started = time.perf_counter()
         self._record = record = StepRecord()
+        check_loads(self._loads.items, self._form, self.bcs, self.comm)
         self._loads.aim()
         done, share = 0.0, self._share
         try:
@@ -231,6 +247,9 @@ class QuasiStatic:
         system = self.system
         raise_together(self.comm, self.points.fault())
         system.activate(share)
+        if not self._checked:
+            warn_idle(self.bcs, system.spaces, [system.active_nodes] * len(system.spaces))
+            self._checked = True
         reason = system.solve()
         self._record.iterations += system.iterations
         self._record.residuals = system.residuals
@@ -304,22 +323,22 @@ class QuasiStatic:
             f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
             f"({self._loads.describe()}) with parts of {share:.3g}: SNES says {reason}, the "
             f"relative out-of-balance force is {last} (tolerance {self._tolerance:g}); the worst "
-            f"is {self._worst()}. The state is that at {done:.4g} of the step: take smaller steps "
-            "or add stabilisation"
+            f"is {self._worst()}. The state is that at {done:.4g} of the step: {self._advice()}"
         )
 
+    def _advice(self) -> str:
+        """What to do about a step that failed. Collective."""
+        system = self.system
+        stabilised = self.stabilisation.kind != "none" or system.ghost_facets > 0
+        return advice(stabilised, self.bcs, system.spaces[0], system.active_nodes)
 
-def _with_modulus(
-    stabilisation: Stabilisation | str, form: ufl.Form, points: MaterialPoints
-) -> Stabilisation:
+
+def _with_modulus(remedy: Stabilisation, form: ufl.Form, points: MaterialPoints) -> Stabilisation:
     """The remedy with the moduli of the form's law where it names none. Collective.
 
     Of moduli that vary from point to point it takes the largest: too stiff a penalty
     costs less than one that leaves the stiffest cells ill-conditioned.
     """
-    remedy = Stabilisation(stabilisation) if isinstance(stabilisation, str) else stabilisation
-    if not isinstance(form, ufl.Form):
-        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     if not remedy.needs_modulus or remedy.E is not None:
         return remedy
     integrands = [integral.integrand() for integral in form.integrals()]
@@ -344,7 +363,4 @@ def _largest(law: Law, points: MaterialPoints, name: str) -> float:
 
 
 def _space_of(increment: fem.Function) -> Space:
-    space = getattr(increment, "_dolfinmpm_space", None)
-    if space is None:
-        raise FormError(f"'{increment}' is not the increment of a dolfinmpm.Space")
-    return space
+    return increment._dolfinmpm_space

@@ -1,0 +1,543 @@
+"""What a solver may be given: each check raises one named error, or returns what was meant.
+
+Nothing here is kept: functions of arguments alone, which every solver calls before it
+builds anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
+from ufl.algorithms.analysis import extract_constants
+from ufl.algorithms.apply_restrictions import apply_default_restrictions, apply_restrictions
+from ufl.classes import Division, Product, ScalarValue
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import check_kind, choice, number, shown, whole
+from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError, raise_together
+from dolfinmpm.basis.conditions import Condition, free_motions
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.remedies import KINDS, Stabilisation
+from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.grid.constants import is_own
+
+__all__ = [
+    "advice",
+    "agree",
+    "check_conditions",
+    "check_fields",
+    "check_form",
+    "check_limits",
+    "check_loads",
+    "check_path",
+    "check_petsc_options",
+    "check_points",
+    "check_signs",
+    "check_updates",
+    "increments_of",
+    "load_name",
+    "loads_of",
+    "remedy_of",
+]
+
+# What the solver itself sets at the end of a step, or may never be set
+_KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
+
+
+def check_points(points: Any) -> None:
+    """Raise ParameterError unless it is one set of material points."""
+    check_kind("points", points, MaterialPoints, "give one set, such as mpm.fill returns")
+
+
+def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:
+    """The functions that are solved for, of one or several.
+
+    Raises:
+        FormError: One is not the increment of a `Space`, or comes twice.
+        ParameterError: There is none, or one lives on another grid than the points.
+    """
+    check_points(points)
+    several = isinstance(increment, Sequence) and not isinstance(increment, str)
+    given = list(increment) if several else [increment]
+    if not given:
+        raise ParameterError("increment = [] names no function to solve for; give Space.increment")
+    for u in given:
+        if isinstance(u, Space):
+            raise FormError("increment is a Space; give its function, Space.increment")
+        if isinstance(u, ufl.Argument):
+            raise FormError(
+                f"increment is the test or trial function '{u}'; give the function that is solved "
+                "for, Space.increment"
+            )
+        space = getattr(u, "_dolfinmpm_space", None)
+        if space is None:
+            raise FormError(
+                f"increment = {shown(u)} is not the increment of a dolfinmpm.Space; a function of "
+                "DOLFINx's own has no basis for the points: give Space.increment"
+            )
+        if space.grid is not points.grid:
+            raise ParameterError(
+                "the material points live on another grid than the increment; make the Space on "
+                "points.grid"
+            )
+    for k, u in enumerate(given):
+        if any(u is other for other in given[:k]):
+            raise FormError(
+                f"increment {k + 1} of {len(given)} is there twice; each field needs a Space of "
+                "its own"
+            )
+    return given
+
+
+def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
+    """The essential conditions as a list.
+
+    Raises:
+        ParameterError: It is no list of conditions, or one is on a field that is not
+            solved for.
+    """
+    made = "make it with mpm.fixed, mpm.rollers and mpm.prescribed and join them with +"
+    if isinstance(bcs, (Condition, str)) or not isinstance(bcs, Iterable):
+        raise ParameterError(f"bcs = {shown(bcs)} must be a list of conditions: {made}")
+    given = list(bcs)
+    for condition in given:
+        if isinstance(condition, fem.DirichletBC):
+            raise ParameterError(
+                "bcs holds a dolfinx.fem.DirichletBC, which knows nothing of active nodes and "
+                "increments; use mpm.fixed, mpm.rollers or mpm.prescribed"
+            )
+        if not isinstance(condition, Condition):
+            raise ParameterError(f"bcs holds {shown(condition)}: {made}")
+        if not any(condition.space is space for space in spaces):
+            raise ParameterError(
+                f"the condition at '{condition.where}' is on a space that the problem does not "
+                "solve for; make it on the Space of the increment"
+            )
+    return given
+
+
+def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None:
+    """Raise ParameterError unless these are numbers that Newton's method can end with."""
+    number("tolerance", tolerance, 0.0, 1.0)
+    whole("max_iterations", max_iterations, 1)
+    whole("max_halvings", max_halvings, 0)
+
+
+def agree(comm: MPI.Comm, **arguments: Any) -> None:
+    """Raise on all ranks if an argument is not the same on them. Collective.
+
+    Conditions are compared by their places, components and kinds of values.
+
+    Args:
+        comm: The ranks.
+        arguments: Name → value; what it is compared by must be short.
+
+    Raises:
+        ParameterError: It differs; the message has the values of the first two ranks that do.
+    """
+    if comm.size == 1:
+        return
+    told = {name: _told(value) for name, value in arguments.items()}
+    ranks = comm.allgather(told)
+    for name, first in ranks[0].items():
+        for rank, other in enumerate(ranks):
+            if other[name] != first:
+                raise ParameterError(
+                    f"{name} differs between ranks: {first} on rank 0, {other[name]} on rank "
+                    f"{rank}; every rank must build the same problem"
+                )
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, Condition):
+        kind = "a constant" if isinstance(value.value, fem.Constant) else "numbers"
+        return f"component {value.component} at '{value.where}' by {kind}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_told(v) for v in value) + "]"
+    return repr(value)
+
+
+# -- the form -----------------------------------------------------------------
+
+
+def check_form(form: Any) -> None:
+    """Look for what is wrong with a weak form before it is split and compiled.
+
+    Raises:
+        FormError: It is no form, has no terms, has a trial function or an unrestricted
+            term on inner facets, or adds what acts on the body.
+    """
+    if not isinstance(form, ufl.Form):
+        raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
+    if form.empty():
+        raise FormError("the weak form has no terms; begin with mpm.momentum(law, points, u, v)")
+    arguments = [a for integral in form.integrals() for a in extract_arguments(integral)]
+    if any(a.number() > 0 for a in arguments):
+        raise FormError(
+            "the weak form contains a TrialFunction; write Space.increment in its place beside "
+            "Space.test, the solver derives the tangent itself"
+        )
+    check_signs(form)
+    for integral in form.integrals():
+        if integral.integral_type() == "interior_facet":
+            _check_restricted(integral)
+
+
+def check_fields(form: ufl.Form, spaces: Sequence[Space]) -> None:
+    """Raise FormError unless the form, whose terms are all in order, determines every field."""
+    increments = [space.increment for space in spaces]
+    coefficients = [c for integral in form.integrals() for c in extract_coefficients(integral)]
+    if not any(isinstance(c, PointOperator) or any(c is u for u in increments)
+               for c in coefficients):  # fmt: skip
+        raise FormError(
+            "no term of the weak form depends on what is solved for; add internal forces, such as "
+            "mpm.momentum(law, points, u, v)"
+        )
+    arguments = [a for integral in form.integrals() for a in extract_arguments(integral)]
+    for k, space in enumerate(spaces):
+        if not any(a == space.test for a in arguments):
+            raise FormError(
+                f"no term of the weak form contains the test function of field {k + 1} of "
+                f"{len(spaces)}; add its equation, with Space.test"
+            )
+
+
+def _not_a_form(form: Any) -> str:
+    if isinstance(form, ufl.equation.Equation):
+        return "an equation; give its left side, whose zero is sought"
+    if isinstance(form, fem.Form):
+        return "a compiled dolfinx.fem.Form; give the UFL form that it was made from"
+    if isinstance(form, Space):
+        return "a Space; the arguments are form, increment, points, bcs"
+    if isinstance(form, Expr):
+        return "an expression; integrate it, as in expression * points.dX"
+    return shown(form) if isinstance(form, (int, float)) else f"a {type(form).__name__}"
+
+
+def check_signs(form: ufl.Form) -> None:
+    """Raise FormError if a load or a contact was added: they are subtracted, all alike.
+
+    The forms of `Surface` and `RigidFooting` carry what they were made as; a sign that
+    was put before it since is a factor of it. Terms that were rewritten in between, as
+    by `ufl.replace`, cannot be told and pass.
+    """
+    for integral in form.integrals():
+        acting = integral.metadata().get("acting")
+        sign = None if acting is None else _factor(integral.integrand(), acting.integrand)
+        if sign is not None and sign > 0:
+            raise FormError(
+                f"{acting.name} is added to the weak form; what acts on the body is subtracted "
+                "from its internal forces: write F -= ..., and give a load that acts the other way "
+                "a negative value"
+            )
+
+
+def _factor(term: Expr, part: Expr) -> float | None:
+    """Sign of the numbers that multiply a part of a product, or None if it is no product of it."""
+    if term is part or term == part:
+        return 1.0
+    if isinstance(term, Division):
+        top, bottom = term.ufl_operands
+        return _times(_factor(top, part), bottom)
+    if isinstance(term, Product):
+        a, b = term.ufl_operands
+        first = _factor(a, part)
+        return _times(first, b) if first is not None else _times(_factor(b, part), a)
+    return None
+
+
+def _times(sign: float | None, factor: Expr) -> float | None:
+    # constants and fields are the user's loads, whose values have signs of their own
+    if sign is None or not isinstance(factor, ScalarValue):
+        return sign
+    return sign * math.copysign(1.0, float(factor))
+
+
+def _check_restricted(integral: Any) -> None:
+    try:
+        apply_restrictions(apply_default_restrictions(expand_derivatives(ufl.Form([integral]))))
+    except ValueError as error:
+        text = str(error)
+        if "restrict" not in text:
+            raise
+        term = str(integral.integrand())
+        raise FormError(
+            f"the term '{term if len(term) <= 200 else term[:197] + '...'}' on inner facets has "
+            "something that differs between the two sides of a facet, or is restricted twice "
+            f"({text.rstrip('.')}): write v('+'), ufl.jump(v) or ufl.avg(v) for v"
+        ) from None
+
+
+# -- options ------------------------------------------------------------------
+
+
+def remedy_of(stabilisation: Any) -> Stabilisation:
+    """The remedy that is meant by a word or a `Stabilisation`, with checked numbers.
+
+    Raises:
+        ParameterError: It is neither, or one of its numbers is not what it may be.
+    """
+    if isinstance(stabilisation, str):
+        return Stabilisation(choice("stabilisation", stabilisation, KINDS))
+    if stabilisation is None:
+        raise ParameterError('stabilisation = None must be a word; "none" is no stabilisation')
+    if isinstance(stabilisation, ufl.Form):
+        raise ParameterError(
+            "stabilisation is a form; add it to the weak form, or name a remedy as in "
+            'stabilisation="ghost"'
+        )
+    check_kind(
+        "stabilisation", stabilisation, Stabilisation,
+        'give a word such as "ghost", or mpm.Stabilisation("ghost", ...)',
+    )  # fmt: skip
+    remedy = stabilisation
+    if remedy.E is not None:
+        number("stabilisation's E", remedy.E, 0.0, unit="Pa")
+    if remedy.nu is not None:
+        number("stabilisation's nu", remedy.nu, -1.0, 0.5)
+    number("stabilisation's eta", remedy.eta, 0.0)
+    choice("stabilisation's scaling", remedy.scaling, ("scaled", "literal"))
+    return remedy
+
+
+def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:
+    """The expressions by which a step sets fields, by name.
+
+    Raises:
+        ParameterError: It is no dictionary, or a value is no UFL expression.
+        UnknownNameError: The points have no such field.
+        FormError: The field is one that the solver itself keeps, or the expression has a
+            test function.
+    """
+    if updates is None:
+        return {}
+    if not isinstance(updates, Mapping):
+        raise ParameterError(
+            f"updates = {shown(updates)} must be a dictionary, field name → UFL expression"
+        )
+    for name, expression in updates.items():
+        if not isinstance(name, str) or name not in points.fields:
+            raise UnknownNameError(
+                f"updates sets {shown(name)}, which is no field of the points; they have "
+                f"{', '.join(points.fields)}: add it with points.add_field"
+            )
+        if name in _KEPT:
+            raise FormError(
+                f"updates sets '{name}', which the solver itself keeps; choose another field, "
+                "added with points.add_field"
+            )
+        if not isinstance(expression, Expr):
+            raise ParameterError(
+                f"updates sets '{name}' to {shown(expression)}, which must be a UFL expression of "
+                "the points' fields and the increment; set numbers by points[name] = ..."
+            )
+        if extract_arguments(expression):
+            raise FormError(
+                f"updates sets '{name}' to an expression with the test function "
+                f"'{extract_arguments(expression)[0]}'; use Space.increment"
+            )
+    return dict(updates)
+
+
+def check_petsc_options(options: Any, prefix: Any, comm: MPI.Comm) -> dict[str, Any]:
+    """PETSc options without their prefix, tried out on a solver of their own. Collective.
+
+    Raises:
+        ParameterError: It is no dictionary of words and numbers, a name has a dash or the
+            prefix, or PETSc does not know a type.
+    """
+    if not isinstance(prefix, str):
+        raise ParameterError(f"options_prefix = {shown(prefix)} must be a word, such as 'mpm_'")
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ParameterError(
+            f"petsc_options = {shown(options)} must be a dictionary, such as "
+            '{"ksp_type": "cg", "pc_type": "gamg"}'
+        )
+    for name, value in options.items():
+        if not isinstance(name, str) or not name or name.startswith("-"):
+            raise ParameterError(
+                f"petsc_options names {shown(name)}; give names without a dash, such as 'ksp_type'"
+            )
+        if prefix and name.startswith(prefix):
+            raise ParameterError(
+                f"petsc_options names {name!r}; leave the prefix out: {name[len(prefix) :]!r}"
+            )
+        if value is not None and not isinstance(value, (str, bool, int, float, np.generic)):
+            raise ParameterError(
+                f"petsc_options gives {name} = {shown(value)}; values are words, numbers, truth "
+                "values, or None for a switch"
+            )
+        if name == "pc_factor_mat_solver_type" and not _has_package(str(value)):
+            raise ParameterError(
+                f"petsc_options gives {name} = {value!r}, which this PETSc was built without; "
+                '"mumps" and "petsc" are there'
+            )
+    if options and not _accepted(options, comm):
+        wrong = [(k, v) for k, v in options.items() if not _accepted({k: v}, comm)]
+        name, value = wrong[0] if wrong else next(iter(options.items()))
+        raise ParameterError(
+            f"petsc_options gives {name} = {value!r}, which PETSc does not accept; "
+            "its manual pages list the types"
+        )
+    return dict(options)
+
+
+def _has_package(name: str) -> bool:
+    return name in ("petsc", "bas") or PETSc.Sys.hasExternalPackage(name)
+
+
+def _accepted(options: Mapping[str, Any], comm: MPI.Comm) -> bool:
+    """Whether a solver can be set up from options, which leave the database again. Collective."""
+    database, prefix = PETSc.Options(), "dolfinmpm_try_"
+    for name, value in options.items():
+        database[prefix + name] = value
+    snes = PETSc.SNES().create(comm)
+    try:
+        snes.setOptionsPrefix(prefix)
+        snes.setFromOptions()
+    except PETSc.Error:
+        return False
+    finally:
+        for name in options:
+            database.delValue(prefix + name)
+        snes.destroy()
+    return True
+
+
+def check_path(
+    points: MaterialPoints,
+    u: fem.Function,
+    bcs: Sequence[Condition],
+    length: Any,
+    first: Any,
+    factor: Any,
+    max_length: Any,
+    target_iterations: Any,
+) -> None:
+    """Raise ParameterError unless these say how a path of equilibrium is followed."""
+    if u.ufl_shape != (points.gdim,):
+        raise ParameterError(
+            f"the first increment must be a displacement of {points.gdim} components, got "
+            f"shape {u.ufl_shape}"
+        )
+    for condition in bcs:
+        if condition.changes:
+            raise ParameterError(
+                f"the condition at '{condition.where}' prescribes an increment; under a load "
+                "factor only zero ones may be: press by the load or by a RigidFooting"
+            )
+    for name, value in (("length", length), ("first", first)):
+        if value is not None and number(name, value) == 0:
+            raise ParameterError(f"{name} = 0 must be finite and not zero")
+    number("factor", factor)
+    number("max_length", max_length, 0.0, math.inf, "m", closed=True)
+    if not max_length > 0:
+        raise ParameterError(f"max_length = {max_length} m must be above 0")
+    whole("target_iterations", target_iterations, 1)
+
+
+# -- loads --------------------------------------------------------------------
+
+
+def loads_of(items: Iterable[Any]) -> list[Any]:
+    """Constants and functions of a form without those that the library put there."""
+    return [item for item in items if not is_own(item)]
+
+
+def load_name(item: Any) -> str:
+    """What messages call a constant or a function: its `name`, if the user gave it one.
+
+    A constant of DOLFINx has none, but takes one: `gravity.name = "gravity"`.
+    """
+    return str(getattr(item, "name", None) or item)
+
+
+def check_loads(
+    items: Sequence[Any], form: ufl.Form, bcs: Sequence[Condition], comm: MPI.Comm
+) -> None:
+    """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
+
+    Args:
+        items: Constants and functions of the form.
+        form: The form; messages have the term that the load stands in.
+        bcs: Essential conditions.
+        comm: The ranks.
+
+    Raises:
+        ParameterError: One is not; the message has its name, its value and its term.
+    """
+    error: Exception | None = None
+    for item in items:
+        function = isinstance(item, fem.Function)
+        values = item.x.array if function else item.value
+        if error is None and not np.isfinite(values).all():
+            kind = "function" if function else "constant"
+            value = f" = {values}" if not function else ""
+            error = ParameterError(
+                f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
+                "the load that the step is to reach"
+            )
+    for condition in bcs:
+        if error is None and not np.isfinite(condition.increment).all():
+            error = ParameterError(
+                f"the increment prescribed at '{condition.where}' is {condition.increment} and "
+                "must be finite"
+            )
+    raise_together(comm, error)
+
+
+def _where(item: Any, form: ufl.Form) -> str:
+    """The first term that an item stands in, for messages."""
+    for integral in form.integrals():
+        integrand = integral.integrand()
+        terms = [integrand]
+        while isinstance(terms[0], ufl.classes.Sum):
+            terms = [*terms[0].ufl_operands, *terms[1:]]
+        for term in terms:
+            if any(item is c for c in (*extract_constants(term), *extract_coefficients(term))):
+                text = str(term)
+                return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
+    return ""
+
+
+def advice(
+    stabilised: bool,
+    bcs: Sequence[Condition],
+    space: Space,
+    active: npt.NDArray[np.int32],
+) -> str:
+    """What to do about a step that failed. Collective.
+
+    Args:
+        stabilised: Whether a remedy against small cuts is at work.
+        bcs: Essential conditions.
+        space: Space of the first field.
+        active: Its active nodes.
+    """
+    text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
+    if space.increment.ufl_shape != (space.grid.geometry.dim,):
+        return text
+    free = free_motions(bcs, space, active)
+    if not free:
+        return text
+    if not bcs:
+        return (
+            "no boundary conditions are given, rigid motions are free: hold the body with "
+            f"mpm.fixed or mpm.rollers unless a term of the form does, or {text}"
+        )
+    return (
+        f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
+        f"the form holds them, or {text}"
+    )
