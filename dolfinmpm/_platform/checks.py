@@ -18,14 +18,25 @@ from dolfinmpm._platform.errors import ParameterError
 __all__ = ["check_kind", "choice", "file_path", "number", "shown", "whole"]
 
 
+# words that a message lists
+_MOST = 12
+
+
 def shown(value: Any) -> str:
     """A value in a message: short, and never a page of an object's inside."""
-    text = " ".join(repr(value).split())
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        value = value.item()
+    if isinstance(value, (list, tuple)):
+        parts = [shown(part) for part in value[:4]] + ["..."] * (len(value) > 4)
+        brackets = "[]" if isinstance(value, list) else "()"
+        comma = "," * (isinstance(value, tuple) and len(value) == 1)
+        return f"{brackets[0]}{', '.join(parts)}{comma}{brackets[1]}"
     # the default texts of objects tell their address, those of UFL their whole construction
-    plain = isinstance(value, (str, bool, int, float, complex, type(None), list, tuple, np.generic))
-    if plain or (isinstance(value, np.ndarray) and value.size <= 9):
-        return text if len(text) <= 80 else text[:77] + "..."
-    return f"a {type(value).__name__}"
+    plain = isinstance(value, (str, bool, int, float, complex, type(None)))
+    if not plain and not (isinstance(value, np.ndarray) and value.size <= 9):
+        return f"a {type(value).__name__}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def check_kind(what: str, value: Any, kind: type, remedy: str) -> None:
@@ -111,7 +122,7 @@ def choice(what: str, value: Any, known: Iterable[str]) -> str:
         known: The words.
 
     Raises:
-        ParameterError: It is none of them; the message has all, and the nearest.
+        ParameterError: It is none of them; the message has the first dozen, and the nearest.
     """
     words = list(known)
     if isinstance(value, str):
@@ -120,7 +131,8 @@ def choice(what: str, value: Any, known: Iterable[str]) -> str:
                 return word
     near = difflib.get_close_matches(value, words, 1) if isinstance(value, str) else []
     hint = f'; did you mean "{near[0]}"?' if near else ""
-    listed = ", ".join(f'"{word}"' for word in words)
+    listed = ", ".join(f'"{word}"' for word in words[:_MOST])
+    listed += ", ..." if len(words) > _MOST else ""
     raise ParameterError(f"{what} = {shown(value)} must be one of {listed}{hint}")
 
 

@@ -74,6 +74,11 @@ class RigidFooting:
                 f"settlement = {settlement!r} must be a scalar dolfinx.fem.Constant (m), which "
                 "steps change"
             )
+        if settlement.ufl_domain() != points.grid.ufl_domain():
+            raise ParameterError(
+                "the settlement is a constant of another mesh; make it with "
+                "dolfinx.fem.Constant(points.grid, 0.0)"
+            )
         first = number("settlement", float(settlement.value), unit="m")
         if stiffness is None:
             if E is None:

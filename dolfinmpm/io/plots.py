@@ -172,8 +172,8 @@ def plot(
         missing = np.flatnonzero(~np.isfinite(scalars))
         if missing.size and limits is None:
             error = ParameterError(
-                f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, such as "
-                f"the one at {x[missing[0]]} m; give limits to leave such points blank"
+                f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, as at "
+                f"{x[missing[0]]} m; give limits to leave such points blank"
             )
         scale, prefix = _prefix(scalars, limits) if unit == "Pa" else (1.0, "")
         unit = prefix + unit.replace("^d", f"^{points.gdim}")
@@ -364,7 +364,7 @@ def _check_scene(points, colour, component, cut, view, derived) -> None:
 
 
 def _is_index(i: Any, n: int) -> bool:
-    return isinstance(i, (int, np.integer)) and not isinstance(i, bool) and 0 <= i < n
+    return isinstance(i, (int, np.integer)) and not isinstance(i, bool) and bool(0 <= i < n)
 
 
 def _check_looks(limits, max_aspect, size, dpi) -> None:

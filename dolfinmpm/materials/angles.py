@@ -19,18 +19,22 @@ _LEAST = math.radians(1.0)
 def warn_of_radians(law: Law, values: Mapping[str, Array]) -> None:
     """Warn on rank 0, once a law, if an angle is so small that it looks like one in radians.
 
+    Of an angle that varies it takes the largest value.
+
     Args:
         law: The law.
         values: Parameter → values; those whose name ends in "angle" are in degrees.
     """
-    for name, angles in values.items():
-        doubtful = angles[(angles >= _LEAST) & (angles < 1.0)] if name.endswith("angle") else ()
-        if len(doubtful) and not getattr(law, "_told_of_radians", False):
+    if getattr(law, "_told_of_radians", False):
+        return
+    for name in (name for name in values if name.endswith("angle")):
+        angle = float(values[name].max(initial=0.0))
+        if _LEAST <= angle < 1.0:
             law._told_of_radians = True  # type: ignore[attr-defined]
-            angle = float(doubtful[0])
             warn(
                 MPI.COMM_WORLD,
                 f"{type(law).__name__}: {name} = {angle:g} degrees is below 1 degree; if radians "
                 f"were meant give {math.degrees(angle):.4g}",
                 DegreesWarning,
             )
+            return

@@ -16,9 +16,9 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.checks import check_form
 from dolfinmpm.solve.arguments import (
     check_conditions,
-    check_form,
     check_path,
     check_updates,
     increments_of,

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
+from mpi4py import MPI
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm.solve.arguments import load_name
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.grid.constants import is_own
 
-__all__ = ["Loads"]
+__all__ = ["Loads", "check_loads", "load_name", "loads_of"]
 
 
 class Loads:
@@ -64,3 +70,64 @@ class Loads:
             if isinstance(item, fem.Constant)
         ]
         return "constants " + ", ".join(values) if values else "no constants"
+
+
+def loads_of(items: Iterable[Any]) -> list[Any]:
+    """Constants and functions of a form without those that the library put there."""
+    return [item for item in items if not is_own(item)]
+
+
+def load_name(item: Any) -> str:
+    """What messages call a constant or a function: its `name`, if the user gave it one.
+
+    A constant of DOLFINx has none, but takes one: `gravity.name = "gravity"`.
+    """
+    return str(getattr(item, "name", None) or item)
+
+
+def check_loads(
+    items: Sequence[Any], form: ufl.Form, bcs: Sequence[Condition], comm: MPI.Comm
+) -> None:
+    """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
+
+    Args:
+        items: Constants and functions of the form.
+        form: The form; messages have the term that the load stands in.
+        bcs: Essential conditions.
+        comm: The ranks.
+
+    Raises:
+        ParameterError: One is not; the message has its name, its value and its term.
+    """
+    error: Exception | None = None
+    for item in items:
+        function = isinstance(item, fem.Function)
+        values = item.x.array if function else item.value
+        if error is None and not np.isfinite(values).all():
+            kind = "function" if function else "constant"
+            value = f" = {values}" if not function else ""
+            error = ParameterError(
+                f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
+                "the load that the step is to reach"
+            )
+    for condition in bcs:
+        if error is None and not np.isfinite(condition.increment).all():
+            error = ParameterError(
+                f"the increment prescribed at '{condition.where}' is {condition.increment} and "
+                "must be finite"
+            )
+    raise_together(comm, error)
+
+
+def _where(item: Any, form: ufl.Form) -> str:
+    """The first term that an item stands in, for messages."""
+    for integral in form.integrals():
+        integrand = integral.integrand()
+        terms = [integrand]
+        while isinstance(terms[0], ufl.classes.Sum):
+            terms = [*terms[0].ufl_operands, *terms[1:]]
+        for term in terms:
+            if any(item is c for c in (*extract_constants(term), *extract_coefficients(term))):
+                text = str(term)
+                return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
+    return ""

@@ -31,6 +31,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.checks import check_fields, check_form
 from dolfinmpm.forms.splitting import split
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.kinematics import parameters_at, update_domains
@@ -39,17 +40,13 @@ from dolfinmpm.solve.arguments import (
     advice,
     agree,
     check_conditions,
-    check_fields,
-    check_form,
     check_limits,
-    check_loads,
     check_petsc_options,
     check_updates,
     increments_of,
-    loads_of,
     remedy_of,
 )
-from dolfinmpm.solve.loads import Loads
+from dolfinmpm.solve.loads import Loads, check_loads, loads_of
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
 
 __all__ = ["QuasiStatic", "StepRecord"]

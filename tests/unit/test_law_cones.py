@@ -232,7 +232,7 @@ def test_parameters_may_vary():
 def test_errors():
     with pytest.raises(ParameterError, match="dilation_angle = 31 degrees must not be larger than"):
         DruckerPrager(E, NU, 0.0, 30.0, 31.0)
-    with pytest.raises(ParameterError, match="'inner'"):
+    with pytest.raises(ParameterError, match='"inner"'):
         DruckerPrager(E, NU, 0.0, 30.0, 0.0, "outer")
     with pytest.raises(ParameterError, match="cohesion = -1"):
         DruckerPrager(E, NU, -1.0, 30.0, 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import failures, fbar, loads, plasticity, remedies, tables, transport
+from . import arguments, failures, fbar, loads, plasticity, remedies, tables, transport
 
 __all__ = ["CASES"]
 
@@ -36,6 +36,8 @@ CASES = {
         plasticity.plastic,
         plasticity.law_in_ufl,
         failures.errors_on_all_ranks,
+        arguments.bad_inputs,
+        arguments.of_one_rank,
         tables.tables,
     )
 }
