@@ -38,6 +38,7 @@ CASES = {
         failures.errors_on_all_ranks,
         arguments.bad_inputs,
         arguments.of_one_rank,
+        arguments.of_few_cells,
         tables.tables,
     )
 }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import tempfile
 import warnings
 
 import numpy as np
+import ufl
 from badinputs import BAD, scene
-from dolfinx import fem
+from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
@@ -86,3 +88,34 @@ def of_one_rank():
     assert len(told) == (COMM.rank == 0)
     # and nothing is left of what was refused
     return {"x": float(COMM.allreduce(np.abs(s.points["x"]).sum()))}
+
+
+def of_few_cells():
+    """Messages on ranks that have no cell and no point."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (1, 1), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V = mpm.Space(grid)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, 0.0))
+    g.name = "gravity"
+    F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, u, v) - ufl.inner(g, v) * points.dX
+    texts = [
+        _ends(lambda: mpm.fixed(V, lambda x: x[0] > 7)),
+        _ends(lambda: mpm.prescribed(V, lambda x: x[1] > 0.5, 0, lambda x: np.nan * x[0])),
+        _ends(lambda: mpm.Surface(points, lambda x: x[1] > 7, (0, 1))),
+        _ends(lambda: mpm.plot(points, "a.foo")),
+    ]
+    assert "they lie from [0. 0.] to [1. 1.] m" in texts[0]
+    assert "is nan at the node at [0. 1.] m" in texts[1]
+    assert "lie between 0.5 and 0.5 m" in texts[2]
+    assert "Matplotlib writes" in texts[3]
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left"), max_halvings=0)
+    g.value[:] = 0.0, np.nan
+    assert "gravity = [ 0. nan] is not finite" in _ends(problem.step)
+    g.value[:] = 0.0, -1.0
+    text = _ends(problem.step)
+    assert "rigid motions along y" in text
+    assert re.search(r"the worst is point \d at \[0\.\d+ 0\.25\] m", text), text
+    g.value[:] = 0.0, -1e-3
+    mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
+    return {"x": float(COMM.allreduce(np.abs(points["x"]).sum()))}
