@@ -105,12 +105,10 @@ BAD = {
     # -- conditions
     "fixed: a list": (lambda s: mpm.fixed(s.V, ["left", "right"]), "places one by one"),
     "fixed: a number": (lambda s: mpm.fixed(s.V, 3), "3 is no place"),
-    "fixed: nowhere": (lambda s: mpm.fixed(s.V), "needs a side or more"),
     "fixed: no such side": (lambda s: mpm.fixed(s.V, "north"), '"bottom", "top"; or a function'),
     "fixed: on an increment": (lambda s: mpm.fixed(s.u, "left"), "must be a dolfinmpm.Space"),
     "fixed: on DOLFINx's": (lambda s: mpm.fixed(s.lagrange, "left"), "must be a dolfinmpm.Space"),
     "rollers: a function": (lambda s: mpm.rollers(s.V, lambda x: x[0] < 1), r"mpm\.prescribed"),
-    "rollers: nowhere": (lambda s: mpm.rollers(s.V), "needs a side or more"),
     "rollers: of a scalar": (lambda s: mpm.rollers(s.S, "left"), r"shape \(\), not \(2,\)"),
     "rollers: 3D side": (lambda s: mpm.rollers(s.V, "front"), "side = 'front' must be one of"),
     "prescribed: component a float": (

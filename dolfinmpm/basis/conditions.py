@@ -198,7 +198,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
     """Hold all components. Collective; see `prescribed` for `where`.
 
     Raises:
-        ParameterError: No place is given, or one is not what it may be.
+        ParameterError: A place is not what it may be.
     """
     _check_space(space)
     _check_places("fixed", where)
@@ -218,7 +218,7 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
         sides: Names of sides of the grid; see `prescribed`.
 
     Raises:
-        ParameterError: No side is given, one is not known, or the field is no vector of
+        ParameterError: A side is not known, or the field is no vector of
             the dimension of space.
     """
     _check_space(space)
@@ -242,8 +242,6 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
 
 
 def _check_places(what: str, places: Sequence[Any]) -> None:
-    if not places:
-        raise ParameterError(f'{what} needs a side or more, as in mpm.{what}(space, "left")')
     for place in places:
         if not callable(place) and not isinstance(place, str):
             raise ParameterError(

@@ -74,6 +74,7 @@ def test_spellings(given, meant):
 def test_words_are_taken_in_other_spellings():
     s = scene()
     assert mpm.Space(s.grid, "BSpline2").basis is mpm.Space(s.grid, "bspline2").basis
+    assert mpm.rollers(s.V, *[]) == mpm.fixed(s.V) == []
     assert mpm.rollers(s.V, "Left")[0].where == "left"
     law = mpm.materials.DruckerPrager(1e4, 0.3, 1.0, 20.0, 0.0, fit="plane-strain")
     assert law.fit == "plane strain"
