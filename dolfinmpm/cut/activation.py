@@ -86,6 +86,7 @@ class ActiveField:
         space: Its space.
         basis: Its basis, with the overlap of ranks that the step needs.
         seen: Stencils on all active nodes.
+        active: Nodes that any rank's points see, increasing.
         stencils: Stencils on the nodes that remain behind C.
         nodes: These nodes, increasing.
         C: Matrix from the nodes that remain to all nodes, or None.
@@ -98,6 +99,7 @@ class ActiveField:
     space: Space
     basis: Basis
     seen: Stencils
+    active: npt.NDArray[np.int32]
     stencils: Stencils
     nodes: npt.NDArray[np.int32]
     C: sparse.csr_matrix | None
@@ -350,7 +352,7 @@ def _field(
     cells, entities: Entities,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
-    remedy, penalty = field.remedy, None
+    remedy, penalty, active = field.remedy, None, nodes
     C = remedy.ties(where, basis, seen, nodes, fixed, roots) if remedy.ties_nodes else None
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
@@ -369,7 +371,7 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, stencils, nodes, C, to_grid, cells, entities, penalty
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, cells, entities, penalty
     )
 
 

@@ -16,11 +16,17 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.checks import check_form
+from dolfinmpm.solve.arguments import (
+    check_conditions,
+    check_path,
+    check_updates,
+    increments_of,
+)
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.path import PathBorder
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.setup import space_of
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["ArcLength", "ArcRecord"]
@@ -122,30 +128,13 @@ class ArcLength(QuasiStatic):
         max_length: float = math.inf,
         **options: Any,
     ):
-        u = increment[0] if isinstance(increment, Sequence) else increment
-        space = space_of(u)
-        if u.ufl_shape != (points.gdim,):
-            raise ParameterError(
-                f"the first increment must be a displacement of {points.gdim} components, got "
-                f"shape {u.ufl_shape}"
-            )
-        for condition in bcs:
-            if isinstance(condition, Condition) and condition.changes:
-                raise ParameterError(
-                    f"the condition at '{condition.where}' prescribes an increment; under a load "
-                    "factor only zero ones may be: press by the load or by a RigidFooting"
-                )
-        lengths = [length] if length is not None else []
-        if not all(math.isfinite(s) and s != 0 for s in lengths) or not max_length > 0:
-            raise ParameterError(
-                f"length = {length} must be finite and not zero, max_length = {max_length} positive"
-            )
-        if first == 0 or not math.isfinite(first) or target_iterations < 1:
-            raise ParameterError(
-                f"first = {first} must be finite and not zero, target_iterations = "
-                f"{target_iterations} at least 1"
-            )
-        constraint = Constraint(control, u, space.test, points)
+        increments = increments_of(increment, points)
+        u, spaces = increments[0], [v._dolfinmpm_space for v in increments]
+        bcs = check_conditions(bcs, spaces)
+        check_form(form)
+        updates = check_updates(options.pop("updates", None), points)
+        check_path(points, u, bcs, length, first, factor, max_length, target_iterations)
+        constraint = Constraint(control, u, spaces[0].test, points)
         if constraint.linear and length is None:
             raise ParameterError("displacement control needs the length of its first step (m)")
         if not constraint.linear and length is not None and length < 0:
@@ -154,7 +143,7 @@ class ArcLength(QuasiStatic):
         load_factor = LoadFactor(form, points.grid, constants, factor)
         # what a point did last goes with it from grid to grid and from rank to rank
         trail = points.add_field("arc_increment", (points.gdim,), "m")
-        updates = {**(options.pop("updates", None) or {}), "arc_increment": u}
+        updates["arc_increment"] = u
         super().__init__(form, increment, points, bcs, updates=updates, **options)
         self.path = PathBorder(load_factor, constraint, trail, self.form.spaces, points)
         self.form.also |= self.path.moving
@@ -222,6 +211,6 @@ class ArcLength(QuasiStatic):
             f"step {len(self.history) + 1} of the path failed at the load factor {self.factor:.6g} "
             f"with a length of {self.path.length or math.nan:.3g} m: {failed.reason}; the relative "
             f"out-of-balance force is {last} (tolerance {self.newton.tolerance:g}), the worst is "
-            f"{failed.worst}. The state is that before the step: add stabilisation, or choose "
-            "another control"
+            f"{failed.worst}. The state is that before the step: choose another control, or "
+            f"{self._advice()}"
         )

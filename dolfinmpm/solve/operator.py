@@ -39,6 +39,7 @@ class WeakForm:
         softening: Terms of the tangent only, or None.
 
     Attributes:
+        given: The form as it was given.
         parts: The form, split.
         spaces: The spaces.
         points: The material points.
@@ -57,6 +58,7 @@ class WeakForm:
         points: MaterialPoints,
         softening: ufl.Form | None = None,
     ):
+        self.given = form
         self.parts: SplitForm = split(form, spaces, points)
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)

@@ -15,26 +15,32 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
 from dolfinmpm.assembly.points import Matrix
-from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, Field, Prolongate, activate
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.checks import check_fields, check_form
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance, commit
-from dolfinmpm.solve.loads import Loads
+from dolfinmpm.solve.arguments import (
+    advice,
+    agree,
+    check_callable,
+    check_conditions,
+    check_limits,
+    check_petsc_options,
+    check_spaces,
+    check_updates,
+    increments_of,
+    remedies_of,
+)
+from dolfinmpm.solve.loads import Loads, check_loads, loads_of
 from dolfinmpm.solve.newton import Newton, Solver
 from dolfinmpm.solve.operator import Operator, WeakForm
 from dolfinmpm.solve.options import Options
-from dolfinmpm.solve.setup import (
-    Remedies,
-    check_arguments,
-    remedies_of,
-    space_of,
-    updates_of,
-    with_remedies,
-)
+from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["QuasiStatic"]
@@ -102,31 +108,44 @@ class QuasiStatic:
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
     ):
-        increments = list(increment) if isinstance(increment, Sequence) else [increment]
-        spaces = [space_of(u) for u in increments]
-        check_arguments(points, spaces, bcs, tolerance, max_iterations, max_halvings)
+        increments = increments_of(increment, points)
+        spaces = [u._dolfinmpm_space for u in increments]
+        check_spaces(spaces)
+        check_form(form)
+        check_limits(tolerance, max_iterations, max_halvings)
+        bcs = check_conditions(bcs, spaces)
+        updates = check_updates(updates, points)
+        own = check_petsc_options(petsc_options, options_prefix, points.comm)
+        remedies = remedies_of(stabilisation, len(spaces))
+        check_callable("prolongation", prolongation)
+        agree(
+            points.comm, bcs=bcs, tolerance=tolerance, max_iterations=max_iterations,
+            max_halvings=max_halvings, stabilisation=remedies, petsc_options=own,
+        )  # fmt: skip
         self.points = points
         self.max_halvings = max_halvings
         self.history: list[StepRecord] = []
-        remedies = remedies_of(stabilisation, spaces, form, points)
+        remedies = with_moduli(remedies, spaces, form, points)
         self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
         whole, softening = with_remedies(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, softening)
+        check_fields(form, spaces)
         self.here: Activation | None = None
         self._held = Held(bcs, spaces)
-        self._updates = updates_of(self.form, updates or {})
-        options = Options(self, options_prefix, petsc_options or {})
+        self._updates = updates_of(self.form, updates)
+        options = Options(self, options_prefix, own)
         softened = self.form.softening is not None
         self.solver = self._solver_of(
             Newton(points.comm, points.gdim, softened, options, tolerance, max_iterations)
         )
+        loads = loads_of(self.form.loads)
         for condition in self.bcs:
-            if any(condition.value is load for load in self.form.loads):
+            if any(condition.value is load for load in loads):
                 raise ParameterError(
                     f"a constant is both a load of the form and the increment prescribed at "
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
-        self._loads = Loads(self.form.loads, increments)
+        self._loads = Loads(loads, increments)
         self._share = 1.0
         self._record = StepRecord()
         settle(points, self.configuration)
@@ -180,6 +199,7 @@ class QuasiStatic:
         """
         started = time.perf_counter()
         self._record = record = StepRecord()
+        check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         self._loads.aim()
         done, share = 0.0, self._share
         try:
@@ -216,7 +236,11 @@ class QuasiStatic:
         """
         share = 1.0 if step is None else step.share
         self.form.bind()
+        first = self.here is None
         self.here = activate(self.points, self.fields, self._held, self.form, share, self.here)
+        if first:
+            active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
+            warn_idle(self.bcs, self.form.spaces, active)
         return self.here
 
     def operator(self) -> Operator:
@@ -275,5 +299,14 @@ class QuasiStatic:
             f"({self._loads.describe()}) with parts of {step.share:.3g}: SNES says "
             f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
             f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
-            f"{step.t - step.share:.4g} of the step: take smaller steps or add stabilisation"
+            f"{step.t - step.share:.4g} of the step: {self._advice()}"
         )
+
+    def _advice(self) -> str:
+        """What to do about a step that failed. Collective."""
+        here = self.here
+        assert here is not None
+        first = here.fields[0]
+        named = any(field.remedy.kind != "none" for field in self.fields)
+        active = first.active[first.active < first.basis.nodes.owned]
+        return advice(named or here.ghost_facets > 0, self.bcs, first.space, active)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
+
+# what cases share with the other tests is in the folder above
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from cases import CASES
 from mpi4py import MPI

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from . import bodies, failures, fbar, loads, plasticity, remedies, tables, transport
+from . import (
+    arguments,
+    bodies,
+    failures,
+    fbar,
+    loads,
+    plasticity,
+    remedies,
+    tables,
+    transport,
+)
 
 __all__ = ["CASES"]
 
@@ -41,6 +51,9 @@ CASES = {
         bodies.errors_of_bodies,
         plasticity.layers,
         failures.errors_on_all_ranks,
+        arguments.bad_inputs,
+        arguments.of_one_rank,
+        arguments.of_few_cells,
         tables.tables,
     )
 }
