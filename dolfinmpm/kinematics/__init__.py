@@ -95,7 +95,7 @@ def momentum(
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         strain: "large", "small" or "jaumann"; an energy in UFL takes "large" only.
-        fbar: Whether the points in a cell share its mean change of volume, against
+        fbar: Whether neighbouring points share their mean change of volume, against
             locking of nearly incompressible bodies; see `FBar`.
 
     Returns:
@@ -103,7 +103,7 @@ def momentum(
 
     Raises:
         ParameterError: The measure of strain is not known or not one of the law's, or
-            F-bar is asked for with a law that is an energy.
+            F-bar is asked for with a law that is an energy or has a dilation angle.
     """
     if isinstance(law, NeoHookean) and fbar:
         raise ParameterError(

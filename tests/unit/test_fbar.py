@@ -15,7 +15,9 @@ from test_tangent import box, check, strained
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
-from dolfinmpm.assembly.cellmeans import CellMeans
+from dolfinmpm.assembly.cellmeans import CellMeans, layers_needed
+from dolfinmpm.basis.stencils import gather
+from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.forms import PointOperator
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.materials import Hencky, Tresca, VonMises
@@ -189,6 +191,57 @@ def test_means_of_overlapping_domains_by_hand():
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0])), expected, rtol=1e-14)
 
 
+def test_means_over_lower_splines_by_hand():
+    """Of quadratic splines over hat functions: two points in one cell, one at the next knot."""
+    grid = mesh.create_interval(MPI.COMM_SELF, 3, [0.0, 3.0])
+    points = mpm.fill(grid, mpm.Box(0.0, 3.0), 1, 1.0)
+    points["x"], points["V"] = [[0.25], [0.75], [1.0]], [1.0, 2.0, 4.0]
+    V = mpm.Space(grid, "bspline2", averaged=False)
+    means = CellMeans(points, V.basis.stencils(points), V.basis)
+    first = (0.75 * 1 * 10 + 0.25 * 2 * 20) / (0.75 * 1 + 0.25 * 2)
+    second = (0.25 * 1 * 10 + 0.75 * 2 * 20 + 4 * 30) / (0.25 * 1 + 0.75 * 2 + 4)
+    expected = [0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second, second]
+    np.testing.assert_allclose(means.mean(np.array([10.0, 20.0, 30.0])), expected, rtol=1e-14)
+
+
+def test_means_of_splines_see_what_alternates_within_two_cells():
+    """Quadratic splines whose coefficients alternate vanish at the knots: cells see no volume."""
+    n = 12
+    grid = mesh.create_interval(MPI.COMM_SELF, n, [0.0, float(n)])
+    points = mpm.fill(grid, mpm.Box(0.0, float(n)), 4, 1.0)
+    V = mpm.Space(grid, "bspline2", averaged=False)
+    s = V.basis.stencils(points)
+    u = np.empty((V.basis.nodes.size, 1))
+    u[:, 0] = np.where(V.basis.halo.node_ijk[:, 0] % 2, 1.0, -1.0)
+    value, slope = np.empty((len(points), 1)), np.empty((len(points), 1, 1))
+    gather(s, u, value, slope)
+    # away from the ends, where the functions differ
+    inner = (points["x"][:, 0] > 3) & (points["x"][:, 0] < n - 3)
+    volume = slope[:, 0, 0]
+    size = np.abs(volume[inner]).max()
+    assert size > 1
+    share_start, shares = domain_shares(points, s, V.basis)
+    sums = np.bincount(s.cells[np.repeat(np.arange(n), 4)], shares * volume[s.order], n)
+    assert share_start[-1] == len(points)
+    assert np.abs(sums[3 : n - 3]).max() < 1e-12
+    mean = CellMeans(points, s, V.basis).mean(volume)
+    assert np.abs(mean[inner]).max() > 0.3 * size
+
+
+@pytest.mark.parametrize(
+    ("basis", "half", "layers"),
+    [("linear", 0.1, 0), ("gimp", 0.1, 1), ("bspline2", 0.1, 2), ("bspline3", 0.1, 2),
+     ("gimp", 0.3, 4), ("bspline2", 0.3, 5)],
+)  # fmt: skip
+def test_layers_that_means_need(basis, half, layers):
+    """As many as a domain spans beyond its first cell, and one for a spline's support."""
+    grid = unit_grid("quadrilateral", 6)
+    points = mpm.fill(grid, mpm.Box((0.3, 0.3), (0.7, 0.7)), 2, 1.0)
+    points["l"] = half, half
+    V = mpm.Space(grid, basis)
+    assert layers_needed(V.basis.stencils(points), V.basis) == layers
+
+
 @pytest.mark.parametrize("basis", BASES)
 def test_patch(basis):
     """A homogeneous deformation is what it is without F-bar."""
@@ -332,3 +385,23 @@ def test_what_f_bar_cannot_do_is_refused():
     form = ufl.inner(stress, ufl.grad(v)) * points.dX
     with pytest.raises(errors.FormError, match="takes the gradient of an increment"):
         mpm.QuasiStatic(form, u, points)
+
+
+@pytest.mark.parametrize("strain", ["large", "small"])
+@pytest.mark.parametrize(
+    ("law", "angle"),
+    [
+        (mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 5.0), "5"),
+        (mpm.materials.MohrCoulomb(10.0, 0.3, 1.0, 30.0, lambda x: 10 * x[0]), "9"),
+    ],
+)
+def test_dilation_is_refused(law, angle, strain):
+    """With the reason and the remedy, before the body is touched by a step."""
+    grid = unit_grid("quadrilateral", 5)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
+    V = mpm.Space(grid, "gimp")
+    with pytest.raises(errors.ParameterError, match=rf"dilation = {angle} degrees.*bspline2"):
+        mpm.momentum(law, points, V.increment, V.test, strain=strain, fbar=True)
+    mpm.momentum(law, points, V.increment, V.test, strain=strain)
+    plain = mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 0.0)
+    mpm.momentum(plain, points, V.increment, V.test, strain=strain, fbar=True)

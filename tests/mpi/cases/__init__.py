@@ -33,6 +33,7 @@ CASES = {
         fbar.fbar_triangles,
         fbar.fbar_ties,
         fbar.fbar_tangent,
+        fbar.fbar_layers,
         plasticity.plastic,
         plasticity.law_in_ufl,
         failures.errors_on_all_ranks,
