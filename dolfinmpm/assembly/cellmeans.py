@@ -7,14 +7,13 @@ all nodes seen by points that share a cell: the tangent gains Σ_c b_c g_cᵀ / 
 where b_c sums up what the points in the cell do to the forces when its mean
 changes, and g_c how W_c M_c changes with the nodal increments.
 
-Splines of degree p ≥ 2 have fewer functions than p cells a direction would need, and the
-mean over a cell does not see what alternates within two cells. Their means are
-therefore those of the splines one degree lower on the same cells, as in the B-bar and
-F-bar projections of Elguedj, Bazilevs, Calo & Hughes (2008, doi
-10.1016/j.cma.2008.01.012), with the mass matrix lumped: s_pc is then the value at the
-point of spline c, averaged over the point's domain as the basis is, and W_c M_c is what
-the points have of it. Both sorts of shares are not negative and sum to 1 at a point;
-what is said of a cell below holds for a lower spline too.
+Splines of degree 2 and more can alternate from cell to cell without a mean over any cell:
+there would be no stiffness against such a change of volume. Their means are those of
+the splines one degree lower on the same cells, as in the B-bar and F-bar projections of
+Elguedj, Bazilevs, Calo & Hughes (2008, doi 10.1016/j.cma.2008.01.012), with the mass
+matrix lumped: s_pc is the value at the point of the lower spline c, averaged over the
+point's domain as the basis is. Shares in cells and in splines alike are not negative and
+sum to 1 at a point, and what is said of a cell below holds for a lower spline too.
 """
 
 from __future__ import annotations
