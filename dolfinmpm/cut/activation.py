@@ -23,7 +23,7 @@ from dolfinmpm.basis.stencils import joined, pushed_forward, selected
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans
+from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans, layers_needed, sharing
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
@@ -248,16 +248,22 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
 
     def made(stencils: list[Stencils]) -> list[Stencils]:
         once = {id(s): part(s) for s in stencils}
-        together = joined([once[id(s)] for s in stencils])
-        if F is not None:
-            pushed = {id(s): pushed_forward(s, F) for s in together}
-            together = [pushed[id(s)] for s in together]
-        return together
+        return joined([once[id(s)] for s in stencils])
 
-    stencils = made([f.stencils for f in fields])
-    couplings = None
-    if region.averages:
-        means = CellMeans(points["V"], here.where, part(fields[0].seen), fields[0].basis)
+    def pushed(stencils: list[Stencils]) -> list[Stencils]:
+        if F is None:
+            return stencils
+        now = {id(s): pushed_forward(s, F) for s in stencils}
+        return [now[id(s)] for s in stencils]
+
+    own, couplings = [f.stencils for f in fields], None
+    if not region.averages:
+        stencils = pushed(made(own))
+    else:
+        first = fields[0]
+        *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
+        stencils = pushed(stencils)
+        means = CellMeans(points["V"], here.where, shared, first.basis)
         couplings = [
             CellCouplings(means, s, f.basis.nodes, u.nodes)
             for s, f, u in zip(stencils, fields, unknowns.fields)
@@ -307,7 +313,7 @@ def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Ba
         basis = field.space.basis
         need = beyond
         if averages:
-            need = max(need, span - 1)
+            need = max(need, layers_needed(span, basis))
         if field.remedy.ties_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)

@@ -43,6 +43,7 @@ CASES = {
         fbar.fbar_triangles,
         fbar.fbar_ties,
         fbar.fbar_tangent,
+        fbar.fbar_layers,
         plasticity.plastic,
         plasticity.law_in_ufl,
         bodies.points_from_data,

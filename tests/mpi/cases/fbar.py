@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from conftest import Linearised
+from dolfinmpm.assembly.cellmeans import CellCouplings, CellMeans, layers_needed
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -91,4 +92,27 @@ def fbar_tangent():
         error = COMM.allreduce(np.abs(exact - numerical).max(initial=0.0), op=MPI.MAX)
         assert error < 2e-6 * scale, (basis, remedy, error, scale)
         figures["norm " + basis + remedy] = COMM.allreduce(float(exact @ exact))
+    return figures
+
+
+def fbar_layers():
+    """With the layers that means ask for, every rank knows what its couplings need at once."""
+    figures = {}
+    for basis in ("linear", "gimp", "bspline2", "bspline3"):
+        for half in (0.25, 0.85):
+            grid = mesh.create_rectangle(
+                COMM, [(0, 0), (9, 9)], (9, 9), mesh.CellType.quadrilateral
+            )
+            points = mpm.fill(grid, mpm.Box((1.3, 2), (6.2, 7.15)), 2, 1.0)
+            points["l"] = half, half
+            V = mpm.Space(grid, basis)
+            layers = layers_needed(V.basis.stencils(points), V.basis)
+            if basis != "linear":
+                V.basis.extend(layers)
+            s = V.basis.stencils(points)
+            means = CellMeans(points, s, V.basis)
+            couplings = CellCouplings(means, s, V.basis.nodes, np.arange(V.basis.nodes.size))
+            assert couplings.complete
+            squares = points["V"] @ means.mean(points["x"][:, 0]) ** 2
+            figures[f"{basis} {half}"] = [layers, COMM.allreduce(float(squares), op=MPI.SUM)]
     return figures
