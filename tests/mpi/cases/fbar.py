@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from conftest import Linearised
-from dolfinmpm.assembly.cellmeans import CellCouplings, CellMeans, layers_needed
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans, layers_needed
 
 from .common import COMM, run, sums
 
