@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import MigrationError
 from dolfinmpm.body.location import Destinations
 
-__all__ = ["migrate"]
+__all__ = ["migrate", "send_rows"]
 
 
 def migrate(points, to: Destinations) -> int:
@@ -35,9 +38,33 @@ def migrate(points, to: Destinations) -> int:
         fields["cell"][:] = to.cell - first
         return 0
     before = _totals(points)
-    leaving = leaving[np.argsort(to.rank[leaving], kind="stable")]
-    counts = np.bincount(to.rank[leaving], minlength=comm.size)
-    rows = {**fields, "cell": to.cell}
+    for name, rows in send_rows(comm, {**fields, "cell": to.cell}, to.rank).items():
+        fields[name] = rows if name != "cell" else (rows - first).astype(np.int32)
+    after = _totals(points)
+    if after[0] != before[0] or abs(after[1] - before[1]) > 1e-12 * abs(before[1]):
+        raise MigrationError(
+            f"migration changed the points from {before[0]:.0f} with mass {before[1]!r} kg to "
+            f"{after[0]:.0f} with mass {after[1]!r} kg; please report this with mpm.info()"
+        )
+    return moved
+
+
+def send_rows(
+    comm: MPI.Intracomm, rows: dict[str, npt.NDArray[Any]], rank: npt.NDArray[np.int32]
+) -> dict[str, npt.NDArray[Any]]:
+    """Rows of arrays, each sent to the rank that is named for it. Collective.
+
+    Args:
+        comm: Communicator of the ranks.
+        rows: Arrays of n rows each, of the same names, shapes of a row and types on all ranks.
+        rank: Where each row goes, shape (n,).
+
+    Returns:
+        The rows that stayed in their order, and behind them those that came, by rank.
+    """
+    leaving = np.flatnonzero(rank != comm.rank)
+    leaving = leaving[np.argsort(rank[leaving], kind="stable")]
+    counts = np.bincount(rank[leaving], minlength=comm.size)
     packed = np.hstack(
         [np.ascontiguousarray(a[leaving]).view(np.uint8).reshape(leaving.size, _row_bytes(a))
          for a in rows.values()]
@@ -47,24 +74,14 @@ def migrate(points, to: Destinations) -> int:
     comm.Alltoall(counts, arriving)
     received = np.empty((arriving.sum(), width), np.uint8)
     comm.Alltoallv([np.ascontiguousarray(packed), counts * width], [received, arriving * width])
-    staying = to.rank == comm.rank
-    start = 0
+    staying = rank == comm.rank
+    start, joined = 0, {}
     for name, values in rows.items():
         size = _row_bytes(values)
         piece = np.ascontiguousarray(received[:, start : start + size]).view(values.dtype)
-        piece = piece.reshape(-1, *values.shape[1:])
-        joined = np.concatenate([values[staying], piece])
-        if name == "cell":
-            joined = (joined - first).astype(np.int32)
-        fields[name] = joined
+        joined[name] = np.concatenate([values[staying], piece.reshape(-1, *values.shape[1:])])
         start += size
-    after = _totals(points)
-    if after[0] != before[0] or abs(after[1] - before[1]) > 1e-12 * abs(before[1]):
-        raise MigrationError(
-            f"migration changed the points from {before[0]:.0f} with mass {before[1]!r} kg to "
-            f"{after[0]:.0f} with mass {after[1]!r} kg; please report this with mpm.info()"
-        )
-    return moved
+    return joined
 
 
 def _row_bytes(values: np.ndarray) -> int:

@@ -81,6 +81,7 @@ class ArcLength(QuasiStatic):
 
     history: list[ArcRecord]  # type: ignore[assignment]
     system: BorderedSystem
+    _of_step = ArcRecord
 
     def __init__(
         self,
@@ -183,6 +184,32 @@ class ArcLength(QuasiStatic):
         record.seconds = time.perf_counter() - started
         self.history.append(record)
         return record
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        state, local, cells = super()._memory()
+        state |= {
+            "factor": self.factor,
+            "length": self.system.length,
+            "last_change": self.system.last_change,
+            "psi": self._constraint.psi,
+            "travelled": self._travelled,
+        }
+        return state, local, cells
+
+    def _remember(self, state, local, cells) -> None:
+        super()._remember(state, local, cells)
+        self.factor, self._travelled = state["factor"], state["travelled"]
+        self.system.length, self.system.last_change = state["length"], state["last_change"]
+        self._constraint.psi = state["psi"]
+        self._factor.set(self.factor)
+        self._loads.release()
+
+    def _problem(self) -> dict[str, Any]:
+        return {
+            **super()._problem(),
+            "load at factor 1": self._factor.describe(),
+            "control": self._constraint.kind,
+        }
 
     def _moved(self) -> float:
         """Root mean square of the points' displacements (m). Collective."""

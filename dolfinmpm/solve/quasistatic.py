@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
+    CheckpointError,
     ConvergenceError,
     FormError,
     ParameterError,
@@ -33,9 +35,11 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.splitting import split
 from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.io import checkpoint
 from dolfinmpm.kinematics import parameters_at, update_domains
 from dolfinmpm.materials.base import Law
 from dolfinmpm.solve.loads import Loads
+from dolfinmpm.solve.memory import loads_of, memory_of, set_loads, set_memory
 from dolfinmpm.solve.newton import NewtonSystem, Prolongate
 
 __all__ = ["QuasiStatic", "StepRecord"]
@@ -106,6 +110,8 @@ class QuasiStatic:
         FormError: A term of the form cannot be evaluated where it stands.
         ConflictingConditionsError: Two conditions contradict each other.
     """
+
+    _of_step: type[StepRecord] = StepRecord
 
     def __init__(
         self,
@@ -220,6 +226,92 @@ class QuasiStatic:
         record.seconds = time.perf_counter() - started
         self.history.append(record)
         return record
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all that it takes to go on from here into one HDF5 file. Collective.
+
+        The file is written beside the one of that name, and takes its place when it is
+        whole: a run that is killed at any time leaves one that `load` reads. Save between
+        steps; what the user has set since the last one is not in the file.
+
+        Args:
+            path: File to write, in a folder that is there.
+
+        Raises:
+            CheckpointError: The file cannot be written, or h5py is missing.
+        """
+        state, local, cells = self._memory()
+        history = [asdict(record) for record in self.history]
+        checkpoint.write(path, self.points, state, local, history, cells)
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """Go on from where `save` was called, on any number of ranks. Collective.
+
+        Build the same problem first: grid, points with their fields and laws, form and
+        conditions. Points, loads and `history` are then those of the file, so that a script
+        goes on with `for k in range(len(problem.history), steps)`. The constants and
+        functions of the form, and the constants of the conditions, hold what they held in
+        the saved state: set what is to differ, such as a modulus, after this call.
+        Increments are zero until the next step.
+
+        A run that goes on gives the same figures as one that was not interrupted: bit for
+        bit on one rank, and on as many ranks as before if the grid is distributed as it
+        was; else to rounding.
+
+        Args:
+            path: The file.
+
+        Raises:
+            CheckpointError: The file is missing, cut short, damaged, of a newer version, of
+                another grid or of another problem, or h5py is missing. The state is then
+                what it was.
+        """
+        found = checkpoint.read(path, self.points)
+        raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
+        found.put(self.points)
+        self._remember(found.state, found.local, found.cells)
+        names = {f.name for f in fields(self._of_step)}
+        self.history = [
+            self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
+        ]
+
+    def _problem(self) -> dict[str, Any]:
+        """What a checkpoint must have in common with this problem."""
+        constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        return {
+            "solver": type(self).__name__,
+            "unknown fields": str([space.increment.ufl_shape for space in self.system.spaces]),
+            "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
+            "prescribed": len(constants),
+        }
+
+    def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
+        for what, here in self._problem().items():
+            if state.get(what) != here:
+                return CheckpointError(
+                    f"{path} is of another problem: its {what} is {state.get(what)}, that of this "
+                    f"one {here}; build the same problem before you load"
+                )
+        return None
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """State that all ranks share, that of this rank, and that of its cells."""
+        state, local = memory_of(self.system)
+        loads, cells = loads_of(self._loads)
+        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
+        return {**self._problem(), "share": self._share, **state, **loads, **given}, local, cells
+
+    def _remember(
+        self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
+    ) -> None:
+        """Take what `_memory` returned. Collective."""
+        self._share = state["share"]
+        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        for k, value in enumerate(values):
+            value.value = state[f"prescribed {k}"]
+        set_loads(self._loads, state, cells)
+        set_memory(self.system, state, local)
 
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
