@@ -158,6 +158,11 @@ class OrdinaryAssembler:
         """DOLFINx functions in the terms."""
         return [c for b in self._all for c in b.coefficients]
 
+    @property
+    def spline_blocks(self) -> list[FacetBlock]:
+        """The blocks that keep tensors of classes of facets."""
+        return [b for b in self._all if isinstance(b, FacetBlock)]
+
     def attach(self, entities: Entities) -> None:
         """Integrate over these ghost facets and active cells, by subdomain id, from now on."""
         for b in self._all:

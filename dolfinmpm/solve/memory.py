@@ -14,6 +14,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm.assembly.points import Pattern
+from dolfinmpm.assembly.splinefacets import FacetBlock
 from dolfinmpm.basis.lattice import LatticeBasis
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.grid.cellvalues import set_values, values_of_cells
@@ -64,6 +65,8 @@ def memory_of(system: NewtonSystem) -> tuple[State, Arrays]:
         local["learned"] = numbering.index_map.ghosts[first:]
         local["learned_owner"] = numbering.index_map.owners[first:]
         local["learned_x"] = basis.node_coordinates()[numbering.owned + first :]
+    for k, block in enumerate(_spline_blocks(system)):
+        local |= {f"facets {k} {name}": values for name, values in block.memory().items()}
     pattern = system._pattern
     if pattern is not None:
         number, nodes = _numbers(numbering), system.unknowns.nodes
@@ -96,6 +99,10 @@ def set_memory(system: NewtonSystem, state: State, local: Arrays | None) -> None
         space.increment.x.array[:] = 0.0
     system._filled = np.empty(0, np.int32)
     system._pattern = system._matrix = system._attached = None
+    for k, block in enumerate(_spline_blocks(system)):
+        start = f"facets {k} "
+        kept = {n.removeprefix(start): a for n, a in (local or {}).items() if n.startswith(start)}
+        block.remember(kept)
     if local is not None and "active" in local:
         _couple(system, local)
 
@@ -130,6 +137,10 @@ def _couple(system: NewtonSystem, local: Arrays) -> None:
     system._touched = active
     known = (rows >= 0) & (columns >= 0)
     system._pattern = Pattern.build(_no_stencils(), unknowns, rows[known], columns[known], None)
+
+
+def _spline_blocks(system: NewtonSystem) -> list[FacetBlock]:
+    return [block for a in system._assemblers for block in a.spline_blocks]
 
 
 def _numbers(numbering) -> npt.NDArray[np.int64]:
