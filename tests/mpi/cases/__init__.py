@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import failures, fbar, loads, plasticity, remedies, tables, transport
+from . import failures, fbar, loads, plasticity, remedies, restart, tables, transport
 
 __all__ = ["CASES"]
 
@@ -37,5 +37,10 @@ CASES = {
         plasticity.law_in_ufl,
         failures.errors_on_all_ranks,
         tables.tables,
+        restart.restart_ghost,
+        restart.restart_aggregation,
+        restart.restart_triangles,
+        restart.restart_splines,
+        restart.restart_arch,
     )
 }
