@@ -104,7 +104,7 @@ def parts(folder):
 
 
 def kill_steps(kills, folder):
-    """Kill a run in its steps and saves; returns kills in writing, and whether bits are the same."""
+    """Kill a run in its steps and saves; returns kills in writing, and whether bits agree."""
     chance, in_writing = random.Random(8), 0
     problem, g = column(2, 2)
     # kernels are compiled in a process that is left alone

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import io
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -92,6 +93,85 @@ def _row_bytes(dtype: np.dtype, shape: Sequence[int]) -> int:
     return dtype.itemsize * int(np.prod(shape, dtype=int))
 
 
+class _Disk(io.RawIOBase):
+    """A new file as HDF5 writes it, through Python's own calls, of which none fails.
+
+    HDF5 crashes when it closes a file that the disk has no room for. So it is not told:
+    what the disk refused is kept, for HDF5 reads some of it again, and the error too.
+
+    Args:
+        file: Descriptor of the file, which it closes.
+    """
+
+    def __init__(self, file: int):
+        self.error: BaseException | None = None
+        self._file = file
+        self._at = 0
+        self._refused: list[tuple[int, bytes]] = []
+
+    def _try(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        if self.error is None:
+            try:
+                return call(self._file, *arguments)
+            # an interruption too would reach HDF5 as an error of the file
+            except BaseException as caught:
+                self.error = caught
+        return None
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place, of which the end of the file is one."""
+        if whence == os.SEEK_END:
+            ends = [at + len(data) for at, data in self._refused]
+            offset += max([os.fstat(self._file).st_size, *ends])
+        self._at = offset + (self._at if whence == os.SEEK_CUR else 0)
+        return self._at
+
+    def tell(self) -> int:
+        """Where it is."""
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """What was written here; zeros where nothing was."""
+        view = memoryview(buffer).cast("B")
+        data = os.pread(self._file, len(view), self._at)
+        view[:] = data + bytes(len(view) - len(data))
+        for at, kept in self._refused:
+            begin, end = max(at, self._at), min(at + len(kept), self._at + len(view))
+            if begin < end:
+                view[begin - self._at : end - self._at] = kept[begin - at : end - at]
+        self._at += len(view)
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        """Write here, on the disk if there was no error yet."""
+        view = memoryview(data).cast("B")
+        done = 0
+        while done < len(view):
+            written = self._try(os.pwrite, view[done:], self._at + done)
+            if written is None:
+                self._refused.append((self._at + done, bytes(view[done:])))
+                break
+            done += written
+        self._at += len(view)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the file's size."""
+        size = self._at if size is None else size
+        self._try(os.ftruncate, size)
+        return size
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """Close the file, all of it on the disk."""
+        if not self.closed:
+            self._try(os.fsync)
+            os.close(self._file)
+        super().close()
+
+
 class RowWriter(_RowFile):
     """Writes a file beside its target, which it replaces when it is whole. Collective.
 
@@ -115,6 +195,7 @@ class RowWriter(_RowFile):
         super().__init__(comm, path)
         self._part = self.path.with_name(f"{self.path.name}.part-{os.getpid()}")
         self._about = {"format": format, "version": version}
+        self._disk: _Disk | None = None
         self._index: dict[str, Any] = {}
         self._header: dict[str, Any] = {}
 
@@ -137,9 +218,9 @@ class RowWriter(_RowFile):
         for left in self.path.parent.glob(glob.escape(self.path.name) + ".part-*"):
             with contextlib.suppress(OSError):
                 left.unlink()
-        # from 1.10 on HDF5 has checksums of its structure too; the name is this process's own,
-        # so that nobody has to be locked out
-        self._file = h5py.File(self._part, "w", libver=("v110", "v110"), locking=False)
+        # from 1.10 on HDF5 has checksums of its structure too
+        self._disk = _Disk(os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666))
+        self._file = h5py.File(self._disk, "w", libver=("v110", "v110"))
         for name, value in self._about.items():
             self._file.attrs[name] = value
 
@@ -149,10 +230,25 @@ class RowWriter(_RowFile):
         # written last: a file without it is not whole
         self._create(_HEADER, len(text), text)[:] = text
         self._close()
-        _sync(self._part)
         os.replace(self._part, self.path)
         with contextlib.suppress(OSError):  # some file systems cannot sync a folder
             _sync(self.path.parent)
+
+    def _close(self) -> None:
+        super()._close()
+        disk, self._disk = self._disk, None
+        if disk is not None:
+            disk.close()
+            if disk.error is not None:
+                raise disk.error
+
+    def _do(self, action: Callable[..., Any], *arguments: Any) -> Any:
+        result = super()._do(action, *arguments)
+        if self._disk is not None and self._disk.error is not None and self._error is None:
+            if not isinstance(self._disk.error, Exception):
+                raise self._disk.error
+            self._error = self._disk.error
+        return result
 
     def _meet_or_clean(self) -> None:
         if self._error is not None:

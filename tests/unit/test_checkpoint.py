@@ -15,7 +15,6 @@ from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import CheckpointError
-from dolfinmpm.io import checkpoint
 
 QUADRILATERAL = mesh.CellType.quadrilateral
 
@@ -163,7 +162,7 @@ def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
         temperature = points.add_field("temperature", (2,), "K", 280.0)
         F = mpm.momentum(mpm.materials.NeoHookean(E=1e3, nu=0.3), points, u, v)
         F -= foot.contact(u, v)
-        bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", push, component=0)
+        bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, push)
         updates = {"temperature": temperature + u}
         return mpm.QuasiStatic(F, u, points, bcs, updates=updates), foot, s, push
 
@@ -209,14 +208,6 @@ def test_loads_that_vary_in_space_come_back_by_their_nodes(tmp_path):
     body.interpolate(lambda x: (np.sin(x[0]), -(x[1] ** 2)))
     for one, other in ((body, body_again), (more, more_again)):
         np.testing.assert_array_equal(other.x.array, one.x.array)
-    # as on other ranks: rows by their places, not by their numbers
-    found = checkpoint.read(tmp_path / "a.h5", again.points)
-    sent = checkpoint._sent(
-        again.points.grid,
-        {**found.cells, "middle": checkpoint.owned_corners(again.points.grid).mean(axis=1)},
-        "middle", "a.h5",
-    )  # fmt: skip
-    np.testing.assert_array_equal(sent["cell"], np.arange(len(sent["cell"])))
 
 
 @pytest.fixture(scope="module")
@@ -329,7 +320,7 @@ def test_a_grid_that_differs_inside_is_refused(kind, tmp_path):
 
 
 def test_another_problem_is_refused(saved, tmp_path):
-    path, problem, _ = saved
+    path, _, _ = saved
     hencky = mpm.materials.Hencky(E=1e6, nu=0.3)
     refused(path, block(hencky)[0], "of the points' laws it has VonMises in LargeStrain")
     more = block()[0]
@@ -372,7 +363,7 @@ def test_another_number_of_unknown_fields_or_loads_is_refused(tmp_path):
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(saved, tmp_path):
     path, problem, other = saved
-    with pytest.raises(CheckpointError, match="cannot write .*is its folder there"):
+    with pytest.raises(CheckpointError, match=r"cannot write .*is its folder there"):
         problem.save(tmp_path / "missing" / "a.h5")
     (tmp_path / "folder.h5").mkdir()
     with pytest.raises(CheckpointError, match=r"cannot write .*folder\.h5"):

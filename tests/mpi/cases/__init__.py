@@ -42,5 +42,6 @@ CASES = {
         restart.restart_triangles,
         restart.restart_splines,
         restart.restart_arch,
+        restart.restart_errors,
     )
 }

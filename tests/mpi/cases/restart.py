@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 import tempfile
 from pathlib import Path
 
+import h5py
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import CheckpointError
 
 from .common import COMM, sums
 
@@ -19,7 +22,12 @@ from .common import COMM, sums
 REPEATABLE = {"pc_type": "redundant"}
 
 
-def block(stabilisation="ghost", basis="gimp", **options):
+def varying(x, k):
+    """A load that varies in space, in step k."""
+    return np.array([0.01 * k * x[0] * x[1], -0.02 * k * x[1]])
+
+
+def block(stabilisation="ghost", basis="gimp", body=False, **options):
     """A block that yields and collapses under its weight; its points change rank."""
     kind = mesh.CellType.triangle if basis == "linear" else mesh.CellType.quadrilateral
     grid = mesh.create_rectangle(COMM, [(0, 0), (12, 6)], (12, 6), kind)
@@ -29,15 +37,20 @@ def block(stabilisation="ghost", basis="gimp", **options):
     law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 1e4 + 1e3 * x[1])
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
+    b = fem.Function(fem.functionspace(grid, ("Lagrange", 2, (2,))))
+    if body:
+        F -= ufl.inner(points.density * b, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "bottom")
     remedy = mpm.Stabilisation(stabilisation, E=1e6)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy, **options)
 
     def step():
-        g.value[1] = -0.8 * (len(problem.history) + 1)
+        k = len(problem.history) + 1
+        g.value[1] = -0.8 * k
+        b.interpolate(lambda x: varying(x, k))
         return problem.step()
 
-    return problem, step
+    return (problem, step, b) if body else (problem, step)
 
 
 def arch(**options):
@@ -57,6 +70,16 @@ def arch(**options):
     return problem, problem.step
 
 
+def _folder():
+    return Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
+
+
+def _remove(folder):
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.rmtree(folder)
+
+
 def _bits(problem):
     """All that the points of this rank have, and the records of the steps but their times."""
     fields = {name: values.tobytes() for name, values in problem.points.fields.items()}
@@ -65,7 +88,7 @@ def _bits(problem):
 
 def _goes_on(build, steps, moves=True):
     """The figures of a run; one that went on in the middle has the same bits on every rank."""
-    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
+    folder = _folder()
     problem, step = build()
     for k in range(steps):
         step()
@@ -76,9 +99,7 @@ def _goes_on(build, steps, moves=True):
     while len(again.history) < steps:
         step()
     assert _bits(again) == _bits(problem)
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(folder)
+    _remove(folder)
     moved = sum(record.migrated for record in problem.history)
     figures = {"moved": moved} if moves else {}
     return figures | {"steps": steps, **sums(problem.points, "x", "F", "stress")}
@@ -109,3 +130,52 @@ def restart_splines():
 def restart_arch():
     """An arc length that goes on."""
     return _goes_on(lambda: arch(petsc_options=REPEATABLE), 9, moves=False)
+
+
+def _refused(action, problem):
+    """The error of every rank; nothing of the problem changes."""
+    before, found = _bits(problem), ""
+    try:
+        action()
+    except CheckpointError as error:
+        found = str(error)
+    assert found
+    assert len(set(COMM.allgather(found))) == 1
+    assert _bits(problem) == before
+    return found
+
+
+def restart_errors():
+    """What rank 0 finds wrong with a file is raised on all ranks, and the state stays."""
+    folder = _folder()
+    problem, step = block()
+    step()
+    problem.save(folder / "a.h5")
+    step()
+    assert "there is no file" in _refused(lambda: problem.load(folder / "b.h5"), problem)
+    missing = folder / "missing" / "a.h5"
+    assert "is its folder there" in _refused(lambda: problem.save(missing), problem)
+    if COMM.rank == 0:
+        data = (folder / "a.h5").read_bytes()
+        (folder / "cut.h5").write_bytes(data[:-1000])
+        with h5py.File(folder / "a.h5") as file:
+            at = file["points/stress"].id.get_chunk_info(0).byte_offset + 5
+        (folder / "flipped.h5").write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+    COMM.barrier()
+    assert "cut short" in _refused(lambda: problem.load(folder / "cut.h5"), problem)
+    # told only after rows have gone to other ranks
+    assert "damaged" in _refused(lambda: problem.load(folder / "flipped.h5"), problem)
+    other = arch()[0]
+    assert "of another grid" in _refused(lambda: other.load(folder / "a.h5"), other)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        assert "disk" in _refused(lambda: problem.save(folder / "a.h5"), problem)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    problem.load(folder / "a.h5")
+    assert len(problem.history) == 1
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["a.h5", "cut.h5", "flipped.h5"]
+    _remove(folder)
+    return {"files": len(names)}
