@@ -133,7 +133,7 @@ class _Disk(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         """What was written here; zeros where nothing was."""
         view = memoryview(buffer).cast("B")
-        data = os.pread(self._file, len(view), self._at)
+        data = self._try(os.pread, len(view), self._at) or b""
         view[:] = data + bytes(len(view) - len(data))
         for at, kept in self._refused:
             begin, end = max(at, self._at), min(at + len(kept), self._at + len(view))

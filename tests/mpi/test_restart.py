@@ -20,8 +20,8 @@ def go_on(source, target, steps, ranks, *options):
     """The file that a run has written after so many steps."""
     arguments = [str(source), str(target), str(steps), *options]
     apart = figures_of("tests/mpi/run_restart.py", *arguments, ranks=ranks, timeout=LIMIT)
-    # loads that vary in space come with their cells
-    assert apart < 1e-15
+    # loads that vary in space come with their cells; positions of nodes are rounded elsewhere
+    assert apart < 1e-14
     return target
 
 

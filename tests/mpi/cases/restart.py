@@ -24,7 +24,7 @@ REPEATABLE = {"pc_type": "redundant"}
 
 def varying(x, k):
     """A load that varies in space, in step k."""
-    return np.array([0.01 * k * x[0] * x[1], -0.02 * k * x[1]])
+    return np.array([0.002 * k * x[0] * x[1], -0.01 * k * x[1]])
 
 
 def block(stabilisation="ghost", basis="gimp", body=False, **options):
