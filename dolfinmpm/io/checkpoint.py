@@ -72,6 +72,7 @@ def write(
     local: Arrays,
     history: list[dict[str, Any]],
     cells: Arrays | None = None,
+    laws: Sequence[str] = (),
 ) -> None:
     """Write a checkpoint: beside the file of that name, which it replaces when whole. Collective.
 
@@ -82,6 +83,7 @@ def write(
         local: Arrays of this rank alone, of the same names on all ranks.
         history: Records of the steps, the same on all ranks.
         cells: Arrays of one row for every cell that this rank owns.
+        laws: What the laws at the points are, in words.
 
     Raises:
         CheckpointError: The file cannot be written, or h5py is missing. A file that had the
@@ -95,6 +97,7 @@ def write(
         "grid": fingerprint(grid),
         "partition": partition(grid),
         "fields": _shapes(points),
+        "laws": sorted(laws),
         "configuration": points.configuration,
         "state": {name: _plain(value) for name, value in state.items()},
         "history": [{k: _plain(v) for k, v in record.items()} for record in history],
@@ -106,7 +109,9 @@ def write(
         file.header(header)
 
 
-def read(path: str | os.PathLike[str], points: MaterialPoints) -> Checkpoint:
+def read(
+    path: str | os.PathLike[str], points: MaterialPoints, laws: Sequence[str] = ()
+) -> Checkpoint:
     """Read a checkpoint on any number of ranks. Collective.
 
     On as many ranks as wrote it, and with the same partition of the grid, every rank
@@ -115,16 +120,17 @@ def read(path: str | os.PathLike[str], points: MaterialPoints) -> Checkpoint:
     Args:
         path: The file.
         points: Points of the same grid, with the same fields; they are not changed.
+        laws: What the laws at the points are, as `write` was given them.
 
     Raises:
         CheckpointError: The file is missing, cut short, damaged, of a newer version, of
-            another grid, or of points with other fields; or h5py is missing.
+            another grid, or of points with other fields or laws; or h5py is missing.
     """
     comm, grid = points.comm, points.grid
     here, shares = fingerprint(grid), partition(grid)
     with RowReader(comm, path, FORMAT, VERSION) as file:
         header = file.header
-        raise_together(comm, _mismatch(str(file.path), header, points, here))
+        raise_together(comm, _mismatch(str(file.path), header, points, here, laws))
         kept = header["partition"] == shares
         kept = kept and header["configuration"] == points.configuration
 
@@ -191,13 +197,20 @@ def _shapes(points: MaterialPoints) -> dict[str, Any]:
 
 
 def _mismatch(
-    path: str, header: dict[str, Any], points: MaterialPoints, here: dict[str, Any]
+    path: str,
+    header: dict[str, Any],
+    points: MaterialPoints,
+    here: dict[str, Any],
+    laws: Sequence[str],
 ) -> CheckpointError | None:
     """What the file has that the points have not, or the other way round."""
     apart = differs(header["grid"], here)
     if apart:
         return CheckpointError(f"{path} is of another grid: {apart} of this one; build the same")
-    for what, there, now in (("fields", _listed(header["fields"]), _listed(_shapes(points))),):
+    for what, there, now in (
+        ("laws", header["laws"], laws),
+        ("fields", _listed(header["fields"]), _listed(_shapes(points))),
+    ):
         more, less = sorted({*there} - {*now}), sorted({*now} - {*there})
         if more or less:
             return CheckpointError(

@@ -255,7 +255,7 @@ class QuasiStatic:
         """
         state, local, cells = self._memory()
         history = [dataclasses.asdict(record) for record in self.history]
-        checkpoint.write(path, self.points, state, local, history, cells)
+        checkpoint.write(path, self.points, state, local, history, cells, self._laws)
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """Go on from where `save` was called, on any number of ranks. Collective.
@@ -280,7 +280,7 @@ class QuasiStatic:
                 another grid or of another problem, or h5py is missing. The state is then
                 what it was.
         """
-        found = checkpoint.read(path, self.points)
+        found = checkpoint.read(path, self.points, self._laws)
         raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
         found.put(self.points)
         self._remember(found.state, found.local, found.cells)
@@ -289,18 +289,18 @@ class QuasiStatic:
             self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
         ]
 
+    @property
+    def _laws(self) -> list[str]:
+        """Laws with their measures of strain; their parameters may be others, as in a next stage."""
+        declared = self.form.parts.declarations
+        return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
+
     def _problem(self) -> dict[str, Any]:
         """What a checkpoint must have in common with this problem."""
         constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        declared = self.form.parts.declarations
         return {
             "solver": type(self).__name__,
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
-            "laws": str(
-                sorted(
-                    {f"{type(d.law).__name__}, {d.strain}" for d in self.form.parts.declarations}
-                )
-            ),
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
         }
