@@ -291,7 +291,7 @@ class QuasiStatic:
 
     @property
     def _laws(self) -> list[str]:
-        """Laws with their measures of strain; their parameters may be others, as in a next stage."""
+        """Laws with their measures of strain; a next stage may have other parameters."""
         declared = self.form.parts.declarations
         return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
 

@@ -331,7 +331,7 @@ def test_another_problem_is_refused(saved, tmp_path):
     problem_arch.save(tmp_path / "arch.h5")
     refused(tmp_path / "arch.h5", arch("displacement")[0], "its control is spherical")
     heavier, _ = arch()
-    heavier._factor._reference[0][1] = -200.0
+    heavier.path.load._reference[0][1] = -200.0
     refused(tmp_path / "arch.h5", heavier, r"load at factor 1 is \(0, -100\), .* \(0, -200\)")
 
 
