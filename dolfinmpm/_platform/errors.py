@@ -16,6 +16,7 @@ from typing import TypeVar
 from mpi4py import MPI
 
 __all__ = [
+    "CheckpointError",
     "ConflictingConditionsError",
     "ConvergenceError",
     "DegreesWarning",
@@ -93,6 +94,10 @@ class MigrationError(DolfinMPMError, RuntimeError):
 
 class StateError(DolfinMPMError, RuntimeError):
     """A constitutive law finds no stress for a strain."""
+
+
+class CheckpointError(DolfinMPMError, RuntimeError):
+    """A checkpoint cannot be written or read, or is not one of this problem."""
 
 
 class ConvergenceError(DolfinMPMError, RuntimeError):

@@ -170,6 +170,11 @@ class GridAssembler:
         blocks = self._blocks()
         return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
 
+    @property
+    def spline_blocks(self) -> list[FacetBlock]:
+        """What is integrated facet by facet between splines, as far as a tangent was asked for."""
+        return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
+
     def _blocks(self) -> dict[tuple[int, int], _Block | FacetBlock]:
         if self._jacobian is None:
             self._jacobian = {}

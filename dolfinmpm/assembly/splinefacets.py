@@ -252,3 +252,24 @@ class FacetBlock:
         near = self._kind, self._direction, *self._near
         _add(*near, stacked, self._begin, self._slot_of, sums, out)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
+
+    def memory(self) -> dict[str, npt.NDArray]:
+        """The tensors kept: rounding differs between the facets that a class was integrated on."""
+        if self._values is None:
+            return {}
+        tensors = list(self._tensors.values())
+        return {
+            "constants": self._values,
+            "codes": np.array(list(self._tensors), np.int64),
+            "shapes": np.array([t.shape for t in tensors], np.int64).reshape(-1, 3),
+            "tensors": np.concatenate([np.empty(0), *(t.ravel() for t in tensors)]),
+        }
+
+    def remember(self, kept: dict[str, npt.NDArray]) -> None:
+        """Keep the tensors that `memory` returned, and no others."""
+        self._values = kept.get("constants")
+        self._tensors, start = {}, 0
+        for code, shape in zip(kept.get("codes", ()), kept.get("shapes", ())):
+            end = start + int(np.prod(shape))
+            self._tensors[code] = kept["tensors"][start:end].reshape(shape)
+            start = end

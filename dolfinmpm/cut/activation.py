@@ -30,7 +30,7 @@ from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "activate"]
+__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "Kept", "activate"]
 
 Basis = LatticeBasis | LinearBasis
 Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
@@ -176,6 +176,51 @@ class Activation(Participants):
         return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)
 
 
+@dataclass(frozen=True)
+class Kept:
+    """Couplings that a pattern had, by numbers that are the same in another run.
+
+    Attributes:
+        active: Active nodes known here, increasing, shape (n,).
+        rows, columns: Coupled nodes, shape (m,) each.
+    """
+
+    active: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.int64]
+    columns: npt.NDArray[np.int64]
+
+    @staticmethod
+    def of(here: Activation) -> Kept:
+        """Those of an activation."""
+        number, active = _numbers(here.unknowns)
+        rows = np.repeat(active, np.diff(here.pattern.start))
+        columns = active[here.pattern.neighbours]
+        return Kept(np.sort(number[active]), number[rows], number[columns])
+
+    def pairs(self, unknowns: Unknowns) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """The coupled nodes here, if the active nodes of all ranks are the same. Collective."""
+        number, active = _numbers(unknowns)
+        same = np.array_equal(np.sort(number[active]), self.active)
+        if not unknowns.comm.allreduce(same, op=MPI.LAND):
+            return []
+        order = np.argsort(number[active])
+        there = active[order]
+        at = [there[np.searchsorted(number[there], n)] for n in (self.rows, self.columns)]
+        return [(at[0].astype(np.int32), at[1].astype(np.int32))]
+
+
+def _numbers(unknowns: Unknowns) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Global numbers of all fields' nodes, and which of them carry unknowns."""
+    numbers, active, first = [], [], 0
+    for field in unknowns.fields:
+        index_map = field.numbering.index_map
+        owned = np.arange(*index_map.local_range, dtype=np.int64)
+        numbers.append(first + np.concatenate([owned, index_map.ghosts]))
+        active.append(field.nodes.astype(np.int64) + field.offset)
+        first += index_map.size_global
+    return np.concatenate(numbers), np.concatenate(active)
+
+
 def activate(
     points: MaterialPoints,
     fields: Sequence[Field],
@@ -183,6 +228,7 @@ def activate(
     terms: Terms,
     share: float = 1.0,
     old: Activation | None = None,
+    kept: Kept | None = None,
 ) -> Activation:
     """The activation for where the points are now. Collective.
 
@@ -193,6 +239,7 @@ def activate(
         terms: Its weak form.
         share: Share of the step's prescribed increments.
         old: A former activation of the same problem, of which is kept what did not change.
+        kept: Couplings that the pattern is to have if the same nodes are active.
     """
     configuration = fields[0].space.configuration
     where = points.placement(configuration)
@@ -219,10 +266,11 @@ def activate(
     grid, soft = terms.grid_blocks(active)
     here = Participants(where, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
+    pairs = _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns)
     pattern = Pattern.build(
         _lists(regions, active, unknowns),
         unknowns,
-        _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns),
+        pairs if kept is None else [*pairs, *kept.pairs(unknowns)],
         None if old is None else old.pattern,
     )
     driven = held.changing and held.driven

@@ -175,11 +175,12 @@ class FBar:
 
     A law with a dilation angle is refused when a problem is made. Let x and t be the rates of
     shear and of volume at a yielding point, t̄ the shared one, η and η̄ the slopes of the yield
-    surface and of the flow: the rate of stress is proportional to η̄ x − t̄, its power with the true gradients to
-    (η x − t)(η̄ x − t̄). So each point demands that its own shear fit the shared volume, as
-    many constraints as without F-bar (de Borst & Groen 1995, Int. J. Numer. Methods Eng.
-    38:2887, on elements in dilatant flow); and where x or t varies within a cell the power
-    becomes negative even if flow is associated, η = η̄, where without F-bar it is a square.
+    surface and of the flow: the rate of stress is proportional to η̄ x − t̄, its power with the
+    true gradients to (η x − t)(η̄ x − t̄). So each point demands that its own shear fit the
+    shared volume, as many constraints as without F-bar (de Borst & Groen 1995, Int. J. Numer.
+    Methods Eng. 38:2887, on elements in dilatant flow); and where x or t varies within a cell
+    the power becomes negative even if flow is associated, η = η̄, where without F-bar it is a
+    square.
     Under a footing with φ = ψ = 20° an eigenvalue of the tangent goes through zero at 80 % of
     the limit load, and no step is small enough; with ψ = 5° the load falls to 60 % of its
     peak. Laws that dilate without a parameter of this name are not recognised.

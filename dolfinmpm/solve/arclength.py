@@ -111,6 +111,7 @@ class ArcLength(QuasiStatic):
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
+    _of_step = ArcRecord
 
     def __init__(
         self,
@@ -196,6 +197,34 @@ class ArcLength(QuasiStatic):
         record.seconds = time.perf_counter() - started
         self.history.append(record)
         return record
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        state, local, cells = super()._memory()
+        path = self.path
+        state |= {
+            "factor": self.factor,
+            "length": path.length,
+            "last_change": path.last_change,
+            "psi": path.constraint.psi,
+            "travelled": self._travelled,
+        }
+        return state, local, cells
+
+    def _remember(self, state, local, cells) -> None:
+        super()._remember(state, local, cells)
+        path = self.path
+        self.factor, self._travelled = state["factor"], state["travelled"]
+        path.length, path.last_change = state["length"], state["last_change"]
+        path.constraint.psi = state["psi"]
+        path.load.set(self.factor)
+        self._loads.release()
+
+    def _problem(self) -> dict[str, Any]:
+        return {
+            **super()._problem(),
+            "load at factor 1": self.path.load.describe(),
+            "control": self.path.constraint.kind,
+        }
 
     def _moved(self) -> float:
         """Root mean square of the points' displacements (m). Collective."""

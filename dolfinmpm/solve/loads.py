@@ -62,6 +62,10 @@ class Loads:
         """Take the present values as those of a converged state."""
         self._start = self._read()
 
+    def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
+        """Each constant and function, with its values in the last converged state."""
+        return list(zip(self.items, self._start))
+
     def describe(self) -> str:
         """The constants' present values, for messages."""
         values = [

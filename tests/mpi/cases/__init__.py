@@ -10,6 +10,7 @@ from . import (
     loads,
     plasticity,
     remedies,
+    restart,
     tables,
     transport,
 )
@@ -56,5 +57,11 @@ CASES = {
         arguments.of_one_rank,
         arguments.of_few_cells,
         tables.tables,
+        restart.restart_ghost,
+        restart.restart_aggregation,
+        restart.restart_triangles,
+        restart.restart_splines,
+        restart.restart_arch,
+        restart.restart_errors,
     )
 }
