@@ -17,9 +17,9 @@ from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.splitting import PointTerms
 
 __all__ = ["Evaluation", "PointFailure"]
 

@@ -26,7 +26,7 @@ from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.prolongation import reduce_blocks
-from dolfinmpm.forms.splitting import GridTerms
+from dolfinmpm.forms.gridterms import GridTerms
 
 __all__ = ["GridAssembler"]
 
