@@ -73,6 +73,8 @@ def start(script, *options, ranks=1, timeout=LIMIT):
     # what this process's own MPI put into the environment must not reach the launcher's
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
     clean["OMP_NUM_THREADS"] = "1"
+    # many children import the same sources
+    clean.pop("PYTHONDONTWRITEBYTECODE", None)
     # ranks that wait leave the cores to tests that run beside them
     clean["OMPI_MCA_mpi_yield_when_idle"] = "1"
     clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))

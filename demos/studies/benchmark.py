@@ -61,7 +61,7 @@ def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profil
 
 REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of their own work is done
-MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py", "gridterms.py"}
+MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py"}
 
 
 def remedy_calls(columns, elements, basis, remedy, steps=40):

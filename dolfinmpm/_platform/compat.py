@@ -15,7 +15,8 @@ from dolfinx import fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
 from petsc4py import PETSc
-from ufl.algorithms.transformer import strip_variables
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm._platform.jit import patiently
 
@@ -38,6 +39,15 @@ def make_index_map(comm, owned: int, ghosts, owners) -> IndexMap:
     )
 
 
+class _WithoutVariables(MultiFunction):
+    """An expression without labels; unlike UFL's own, it meets what is shared only once."""
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def variable(self, o, inner, label):
+        return inner
+
+
 def jit_expression(comm, expression, points) -> tuple[int, Any]:
     """Compile an expression through FFCx: address of its C function, and the module that holds it.
 
@@ -45,7 +55,7 @@ def jit_expression(comm, expression, points) -> tuple[int, Any]:
     """
     options = {"scalar_type": np.float64}
     # FFCx tells expressions apart by the labels of their variables, which no two have in common
-    expression = strip_variables(expression)
+    expression = map_expr_dag(_WithoutVariables(), expression)
     compiled, module, _ = patiently(
         comm, lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options)
     )

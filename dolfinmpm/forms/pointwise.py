@@ -18,7 +18,6 @@ import ufl
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
-from ufl.algorithms import strip_variables
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
@@ -125,8 +124,7 @@ def compile_program(
     Raises:
         FormError: FFCx cannot compile an expression.
     """
-    # variables have numbers, which would make FFCx compile the same expression again
-    vector = strip_variables(ufl.as_vector(list(expressions)))
+    vector = ufl.as_vector(list(expressions))
     inputs = tuple(sources[c] for c in extract_constants(vector))
     middle = np.full((1, grid.topology.dim), 0.25)
     try:

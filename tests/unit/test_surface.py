@@ -247,7 +247,7 @@ def test_a_second_footing_leaves_the_first_alone():
     assert foot.load() == load > 1
 
 
-@pytest.mark.parametrize("basis", ["linear", "gimp"])
+@pytest.mark.parametrize("basis", ["linear", pytest.param("gimp", marks=pytest.mark.long)])
 def test_follower_pressure_in_1d_and_3d(basis):
     lmbda, mu = lame(1e3, 0.3)
     grid = mesh.create_interval(COMM, 5, (0.0, 5.0))

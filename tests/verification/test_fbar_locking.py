@@ -80,6 +80,7 @@ def error(basis, n, fbar):
     return beam(basis, n, fbar)[0] / exact - 1
 
 
+@pytest.mark.long
 def test_conforming_elements_have_converged():
     """Cubic ones, where quadratic ones are still a little stiff."""
     fine = conforming(3, (32, 8))(LENGTH)
