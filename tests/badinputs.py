@@ -246,7 +246,11 @@ BAD = {
     "updates: by field": (lambda s: s.solver(updates={s.points.density: s.c}), "no field of the p"),
     "stabilisation: none": (lambda s: s.solver(stabilisation=None), '"none" is no stabilisation'),
     "stabilisation: a number": (lambda s: s.solver(stabilisation=1.0), 'word such as "ghost"'),
-    "stabilisation: a list": (lambda s: s.solver(stabilisation=["goo"]), 'word such as "ghost"'),
+    "stabilisation: a list": (lambda s: s.solver(stabilisation=["goo"]), "must be one of"),
+    "stabilisation: too many": (
+        lambda s: s.solver(stabilisation=["ghost", "none"]),
+        "2 entries for 1 fields",
+    ),
     "stabilisation: a form": (lambda s: s.solver(stabilisation=s.F), "add it to the weak form"),
     "stabilisation: a class": (lambda s: s.solver(stabilisation=mpm.Stabilisation), "a word such"),
     "stabilisation: near miss": (lambda s: s.solver(stabilisation="ghosts"), 'mean "ghost"'),

@@ -228,8 +228,9 @@ class GridAssembler:
                 block.attach(entities[i], basis)
                 T = [fields[i].C, fields[j].C]
             else:
-                # where two fields meet, the facets of the one that sees fewer cells
-                fewer = min((i, j), key=lambda k: int(fields[k].cells.sum()))
+                # where two fields meet, the facets of the one that sees fewer cells: points
+                # without domains are in one each
+                fewer = min((i, j), key=lambda k: fields[k].basis.averaged)
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())

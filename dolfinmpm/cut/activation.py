@@ -7,6 +7,7 @@ means need, so that no numbering changes behind what was computed in it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -77,6 +78,11 @@ class Field:
     remedy: Stabilisation
     prolongate: Prolongate | None = None
 
+    @functools.cached_property
+    def ties_nodes(self) -> bool:
+        """Whether the remedy ties nodes to others."""
+        return self.remedy.ties_nodes
+
 
 @dataclass(frozen=True)
 class ActiveField:
@@ -91,7 +97,6 @@ class ActiveField:
         nodes: These nodes, increasing.
         C: Matrix from the nodes that remain to all nodes, or None.
         to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
-        cells: Whether each local cell is active.
         entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
         penalty: Penalty of weak aggregation, or None.
     """
@@ -104,9 +109,13 @@ class ActiveField:
     nodes: npt.NDArray[np.int32]
     C: sparse.csr_matrix | None
     to_grid: sparse.csr_matrix | None
-    cells: npt.NDArray[np.bool_]
     entities: Entities
     penalty: Blocks | None
+
+    @functools.cached_property
+    def cells(self) -> npt.NDArray[np.bool_]:
+        """Whether each local cell is active. Collective at first."""
+        return active_cells(self.seen, self.basis.cells)
 
 
 @dataclass(frozen=True)
@@ -256,7 +265,7 @@ def activate(
     active = []
     for k, field in enumerate(fields):
         active.append(
-            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], *entities[k])
+            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
         )
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
@@ -362,7 +371,7 @@ def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Ba
         need = beyond
         if averages:
             need = max(need, layers_needed(span, basis))
-        if field.remedy.ties_nodes:
+        if field.ties_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
     return [f.space.basis.grown(layers[id(f.space.basis)]) for f in fields]
@@ -373,7 +382,7 @@ def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, s
     roots: list[Any] = [None] * len(fields)
     for k, field in enumerate(fields):
         basis = bases[k]
-        if not field.remedy.ties_nodes or isinstance(basis, LatticeBasis):
+        if not field.ties_nodes or isinstance(basis, LatticeBasis):
             continue
         filled = field.remedy.measure(where, seen[k], basis)
         roots[k] = mesh_roots(basis, nodes[k], filled, field.remedy.level(basis.degree))
@@ -385,10 +394,12 @@ def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, s
 
 
 def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[int]):
-    """Active cells of every field, and what terms integrate over. Collective."""
+    """What terms integrate over, for every field. Collective."""
     tables = ghost_facets(points.grid) if GHOST_FACETS in moving else None
 
-    def find(basis: Basis) -> tuple[npt.NDArray[np.bool_], Entities]:
+    def find(basis: Basis) -> Entities:
+        if not moving:
+            return {}
         cells = active_cells(seen[bases.index(basis)], basis.cells)
         entities: Entities = {}
         if tables is not None:
@@ -396,18 +407,18 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
         if ACTIVE_CELLS in moving:
             owned = np.flatnonzero(cells[: basis.cells.owned])
             entities[ACTIVE_CELLS] = owned.astype(np.int32)
-        return cells, entities
+        return entities
 
     return _shared(bases, find)
 
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    cells, entities: Entities,
+    entities: Entities,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
     remedy, penalty, active = field.remedy, None, nodes
-    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if remedy.ties_nodes else None
+    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if field.ties_nodes else None
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
         rows, columns, values = remedy.penalty(
@@ -425,7 +436,7 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, cells, entities, penalty
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty
     )
 
 

@@ -270,7 +270,7 @@ def test_every_function_of_positions_gets_one_layout(kind):
     top = mpm.prescribed(V, told("place", high), 0, told("value", lambda x: x[-1]))
     np.testing.assert_allclose(top[0].increment, 1.0)
     law = mpm.materials.Hencky(told("parameter", lambda x: 1e3 * (1 + x[-1])), 0.3)
-    mpm.momentum(law, points, V.increment, V.test)
+    mpm.QuasiStatic(mpm.momentum(law, points, V.increment, V.test), V.increment, points)
     np.testing.assert_allclose(points["hencky_parameters"][:, 0], 1e3 * (1 + points["x"][:, -1]))
     geostatic = mpm.geostatic_stress(1.0, told("weight", lambda x: 10 + 0 * x[-1]), 0.5)
     mpm.set_stress(points, law, told("stress", geostatic))

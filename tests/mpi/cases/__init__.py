@@ -52,6 +52,7 @@ CASES = {
         bodies.staged,
         bodies.errors_of_bodies,
         plasticity.layers,
+        plasticity.wall,
         failures.errors_on_all_ranks,
         arguments.bad_inputs,
         arguments.of_one_rank,
