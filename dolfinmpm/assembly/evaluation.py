@@ -407,9 +407,10 @@ class _Region:
                 rows = rows[np.isin(self._points["tag"][rows], operator.tags)]
             operand = self.operand(k, rows)
             for name, values in operator.law.commit(operand, rows).items():
-                if name not in new:
-                    new[name] = self._points[name].copy()
-                new[name][rows] = values
+                if len(rows) == len(self._points):
+                    new[name] = values
+                else:
+                    new.setdefault(name, self._points[name].copy())[rows] = values
                 if self.failure is None and not np.isfinite(values).all():
                     finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
                     bad = int(np.argmin(finite))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,10 +38,17 @@ class FieldUnknowns:
     row_of: npt.NDArray[np.int32]
     offset: int
 
-    @property
+    @functools.cached_property
     def owned_nodes(self) -> npt.NDArray[np.int32]:
         """Active nodes that this rank owns."""
         return self.nodes[: np.searchsorted(self.nodes, self.numbering.owned)]
+
+    @functools.cached_property
+    def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Where the owned unknowns, and prescribed components, are in flat nodal arrays."""
+        flat = self.owned_nodes[:, None] * self.components + np.arange(self.components)
+        held = self.fixed[self.owned_nodes]
+        return flat[~held].astype(np.intp), flat[held].astype(np.intp)
 
 
 class Nodal:
@@ -154,26 +162,25 @@ class Unknowns:
         """
         at = 0
         for field, values, u in zip(self.fields, prescribed, out.arrays):
-            nodes = field.owned_nodes
-            free = ~field.fixed[nodes]
-            count = int(np.count_nonzero(free))
-            part = values[nodes]
-            part[free] = x[at : at + count]
-            u[nodes] = part
-            at += count
+            free, held = field.places
+            u.reshape(-1)[free] = x[at : at + free.size]
+            u.reshape(-1)[held] = values.reshape(-1)[held]
+            at += free.size
         out.spread()
 
     def restrict(self, nodal: Sequence[Array]) -> Array:
         """The owned unknowns' entries of nodal values, shape (owned,)."""
-        pieces = [r[f.owned_nodes][~f.fixed[f.owned_nodes]] for f, r in zip(self.fields, nodal)]
-        return np.concatenate(pieces)
+        return _joined([r.reshape(-1)[f.places[0]] for f, r in zip(self.fields, nodal)])
 
     def reactions(self, nodal: Sequence[Array]) -> Array:
         """Entries of nodal values where components of owned nodes are prescribed."""
-        pieces = [r[f.owned_nodes][f.fixed[f.owned_nodes]] for f, r in zip(self.fields, nodal)]
-        return np.concatenate(pieces)
+        return _joined([r.reshape(-1)[f.places[1]] for f, r in zip(self.fields, nodal)])
 
     def clear(self, out: Nodal) -> None:
         """Set the values at active nodes to zero."""
         for field, values in zip(self.fields, out.arrays):
             values[field.nodes] = 0.0
+
+
+def _joined(pieces: list[Array]) -> Array:
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

@@ -133,7 +133,7 @@ class PointTerms:
         """Operators in the integrand."""
         return self.slots.operators
 
-    @property
+    @functools.cached_property
     def averages(self) -> bool:
         """Whether a law takes means over cells."""
         return any(isinstance(operator.law, AveragingLaw) for operator in self.operators)

@@ -107,8 +107,9 @@ class Framework:
     def internal(self, rows: Rows | slice) -> Array:
         """The law's internal variables at some points, shape (rows, variables)."""
         columns = [self.points[name][rows] for name in self.law.internal]
-        n = len(self.points[self.state][rows])
-        return np.stack(columns, axis=1) if columns else np.empty((n, 0))
+        if not columns:
+            return np.empty((len(self.points["id"][rows]), 0))
+        return np.stack(columns, axis=1)
 
     def _run(self, operand, S, A, want_tangent, rows, new, internal, sigma) -> int:
         points = self.points
