@@ -77,7 +77,9 @@ def start(script, *options, ranks=1, timeout=LIMIT):
     clean.pop("PYTHONDONTWRITEBYTECODE", None)
     # ranks that wait leave the cores to tests that run beside them
     clean["OMPI_MCA_mpi_yield_when_idle"] = "1"
-    clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
+    # of scripts that share with the tests what is beside them
+    path = [str(ROOT), str(ROOT / "tests"), clean.get("PYTHONPATH")]
+    clean["PYTHONPATH"] = os.pathsep.join(filter(None, path))
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     command = [*launcher, sys.executable, str(ROOT / script), *options]
     child = subprocess.Popen(

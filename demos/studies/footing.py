@@ -29,8 +29,8 @@
 #   conforming curves converge; quadratic splines 1.9 % and 0.4 %, and with cells of 0.25 m 0.4 % at
 #   70 kPa too. Linear functions flow too much with it, by 18 %.
 # - Means over cells, blind to splines that alternate from cell to cell, let Cam-Clay settle by 4 to
-#   6 % too much; those over linear functions, which quadratic splines take, miss by 0.4 %. GIMP with
-#   F-bar has 0.689 and 0.630 m.
+#   6 % too much; those over linear functions, which quadratic splines take, miss by 0.4 %. GIMP
+#   with F-bar has 0.689 and 0.630 m.
 # - Prandtl's limit is overestimated by 1.8 % with F-bar and cells of 0.05 m at the edge, by 5.8 %
 #   without, where the load still rises; by 2.3 and 8.7 % with cells of 0.1 m. (E/c is 10⁴ there, so
 #   that the clay flows before its shape changes.)
