@@ -7,9 +7,10 @@ from dolfinmpm._platform.report import info
 from dolfinmpm.basis.conditions import fixed, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.filling import fill
+from dolfinmpm.body.footing import RigidFooting
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
-from dolfinmpm.body.surface import RigidFooting, Surface
+from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot

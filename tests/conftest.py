@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +23,53 @@ COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def start(script, *options, ranks=1, timeout=300):
-    """A script run to its end by interpreters of its own; returns its code and what it printed."""
+# a machine with much other work on it may need minutes for what takes seconds
+LIMIT = 3600.0
+
+
+def pytest_addoption(parser):
+    parser.addoption("--long", action="store_true", help="run what takes long, too")
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--long"):
+        skip = pytest.mark.skip(reason="needs --long")
+        for item in items:
+            if item.get_closest_marker("long"):
+                item.add_marker(skip)
+
+
+def _die_with_parent():
+    """Ends a child when this process is killed, when no `finally` runs."""
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)
+
+
+def _session(leader):
+    """Processes of a session: a launcher gives its ranks, and compilers, groups of their own."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            # after the name, which may hold spaces
+            state, _, _, session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(session) == leader and state != "Z":
+                yield int(folder.name)
+
+
+def end_session(child):
+    """Kill what is left of the session that a child leads, compilers too."""
+    while left := list(_session(child.pid)):
+        for process in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        time.sleep(0.01)
+    child.wait()
+
+
+def start(script, *options, ranks=1, timeout=LIMIT):
+    """A script run to its end by interpreters of its own; returns its code and what it printed.
+
+    Whatever it started ends with it, and with the test.
+    """
     # what this process's own MPI put into the environment must not reach the launcher's
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
     clean["OMP_NUM_THREADS"] = "1"
@@ -29,10 +78,23 @@ def start(script, *options, ranks=1, timeout=300):
     clean["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), clean.get("PYTHONPATH")]))
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     command = [*launcher, sys.executable, str(ROOT / script), *options]
-    return subprocess.run(command, env=clean, capture_output=True, text=True, timeout=timeout)
+    child = subprocess.Popen(
+        command,
+        env=clean,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=_die_with_parent,
+    )
+    try:
+        out, err = child.communicate(timeout=timeout)
+    finally:
+        end_session(child)
+    return subprocess.CompletedProcess(command, child.returncode, out, err)
 
 
-def figures_of(script, *options, ranks=1, timeout=300):
+def figures_of(script, *options, ranks=1, timeout=LIMIT):
     """The JSON that a script prints last, run by interpreters of its own on some ranks."""
     done = start(script, *options, ranks=ranks, timeout=timeout)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]

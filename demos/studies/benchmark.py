@@ -179,10 +179,10 @@ if args.laws:
     for name, law, shift in (
         ("von Mises", materials.VonMises(**elastic, yield_stress=1e3), 0.0),
         ("Tresca", materials.Tresca(**elastic, cohesion=1e3), 0.0),
-        ("Mohr–Coulomb", materials.MohrCoulomb(**elastic, cohesion=1e3, friction=30), -0.02),
+        ("Mohr–Coulomb", materials.MohrCoulomb(**elastic, cohesion=1e3, friction_angle=30), -0.02),
         (
             "Drucker–Prager",
-            materials.DruckerPrager(**elastic, cohesion=1e3, friction=30, dilation=0),
+            materials.DruckerPrager(**elastic, cohesion=1e3, friction_angle=30, dilation_angle=0),
             -0.02,
         ),
         (

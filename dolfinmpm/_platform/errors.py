@@ -1,4 +1,4 @@
-"""Named errors, and the one way to raise them on all ranks together.
+"""Named errors and warnings, and the one way to raise or give them on all ranks together.
 
 An exception that is raised on one rank only leaves the others waiting in the
 next collective call. Every check that can fail on some ranks therefore ends in
@@ -7,30 +7,40 @@ next collective call. Every check that can fail on some ranks therefore ends in
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from mpi4py import MPI
 
 __all__ = [
+    "CheckpointError",
     "ConflictingConditionsError",
     "ConvergenceError",
+    "DegreesWarning",
     "DolfinMPMError",
+    "DolfinMPMWarning",
     "EmptyShapeError",
     "FieldShapeError",
     "FormError",
+    "IdleConditionWarning",
     "MigrationError",
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
     "StateError",
+    "UnknownNameError",
     "UnsupportedGridError",
     "call_together",
     "common_text",
     "raise_together",
+    "warn",
 ]
 
 Result = TypeVar("Result")
+_PACKAGE = str(Path(__file__).resolve().parents[1])
 
 _COMMON = "_text_on_all_ranks"
 
@@ -41,6 +51,13 @@ class DolfinMPMError(Exception):
 
 class ParameterError(DolfinMPMError, ValueError):
     """A number or a name is outside what it may be."""
+
+
+class UnknownNameError(ParameterError, KeyError):
+    """Nothing goes by the name that was asked for."""
+
+    # a KeyError shows its message in quotes
+    __str__ = Exception.__str__
 
 
 class FieldShapeError(DolfinMPMError, ValueError):
@@ -79,8 +96,41 @@ class StateError(DolfinMPMError, RuntimeError):
     """A constitutive law finds no stress for a strain."""
 
 
+class CheckpointError(DolfinMPMError, RuntimeError):
+    """A checkpoint cannot be written or read, or is not one of this problem."""
+
+
 class ConvergenceError(DolfinMPMError, RuntimeError):
     """A step did not converge, however small it was made."""
+
+
+class DolfinMPMWarning(UserWarning):
+    """Base class of every warning that dolfinmpm gives; one rank gives it."""
+
+
+class IdleConditionWarning(DolfinMPMWarning):
+    """An essential condition holds no node that the body moves."""
+
+
+class DegreesWarning(DolfinMPMWarning):
+    """An angle in degrees is so small that it may have been given in radians."""
+
+
+def warn(comm: MPI.Comm, message: str, category: type[DolfinMPMWarning]) -> None:
+    """Warn on rank 0, at the line of the user's script that led here.
+
+    Args:
+        comm: Communicator of the ranks that may all make this call.
+        message: What to say.
+        category: Kind of warning.
+    """
+    if comm.rank != 0:
+        return
+    level = 1
+    frame = sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
 
 
 def call_together(comm: MPI.Comm, function: Callable[[], Result]) -> Result:

@@ -17,9 +17,9 @@ from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.splitting import PointTerms
 
 __all__ = ["Evaluation", "PointFailure"]
 
@@ -385,7 +385,9 @@ class _Region:
         flux = np.zeros((len(slopes), components, 1 + d))
         flux[:, :, 1:] = slopes.reshape(len(slopes), components, d)
         out = coupling.forces(components)
-        coupling.add_forces(0, s.groups.size - 1, flux.reshape(len(flux), -1), 0, out)
+        # a rank without points has no size that could be found
+        flat = flux.reshape(len(flux), components * (1 + d))
+        coupling.add_forces(0, s.groups.size - 1, flat, 0, out)
         return out
 
     def ask(self, k: int, out: Array) -> None:

@@ -26,7 +26,7 @@ from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.prolongation import reduce_blocks
-from dolfinmpm.forms.splitting import GridTerms
+from dolfinmpm.forms.gridterms import GridTerms
 
 __all__ = ["GridAssembler"]
 
@@ -139,10 +139,13 @@ class GridAssembler:
         self.terms = terms
         self._spaces = list(spaces)
         self._external = self._linear_forms(terms.external)
-        self._internal = self._linear_forms(terms.internal)
+        # what is linear in the increments acts through its Jacobian alone
+        self._internal = {} if terms.linear else self._linear_forms(terms.internal)
         self._jacobian: dict[tuple[int, int], _Block | FacetBlock] | None = None
         self._attached: Sequence[Entities] | None = None
         self.moving = set().union(*(b.moving for b in self._vectors))
+        if terms.linear:
+            self.moving |= set().union(*(b.moving for b in self._blocks().values()))
 
     def _linear_forms(self, forms) -> dict[int, _Block]:
         return {
@@ -158,13 +161,19 @@ class GridAssembler:
     @property
     def loads(self) -> list[fem.Constant | fem.Function]:
         """DOLFINx constants and functions in the terms."""
-        return [c for b in self._vectors for c in (*b.constants, *b.coefficients)]
+        every = [*self._vectors, *(self._jacobian or {}).values()]
+        return [c for b in every for c in (*b.constants, *b.coefficients)]
 
     @property
     def splines(self) -> set[tuple[int, int]]:
         """Row and column fields between which the tangent stands between splines."""
         blocks = self._blocks()
         return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
+
+    @property
+    def spline_blocks(self) -> list[FacetBlock]:
+        """What is integrated facet by facet between splines, as far as a tangent was asked for."""
+        return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
 
     def _blocks(self) -> dict[tuple[int, int], _Block | FacetBlock]:
         if self._jacobian is None:
@@ -182,7 +191,7 @@ class GridAssembler:
 
     def attach(self, fields: Sequence[ActiveField]) -> None:
         """Integrate over these fields' ghost facets and active cells from now on. Collective."""
-        if not self._vectors:
+        if not self.terms:
             return
         entities = [field.entities for field in fields]
         old = self._attached
@@ -219,8 +228,9 @@ class GridAssembler:
                 block.attach(entities[i], basis)
                 T = [fields[i].C, fields[j].C]
             else:
-                # where two fields meet, the facets of the one that sees fewer cells
-                fewer = min((i, j), key=lambda k: int(fields[k].cells.sum()))
+                # where two fields meet, the facets of the one that sees fewer cells: points
+                # without domains are in one each
+                fewer = min((i, j), key=lambda k: fields[k].basis.averaged)
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
             whole = Blocks(i, j, block.rows, block.columns, block.matrix())

@@ -1,36 +1,30 @@
 """Terms over ghost facets of B-splines: one element tensor for all facets that are alike.
 
 On a rectangular grid the splines around a facet are the same, but for where they
-are, wherever the cells around it have the same sizes. DOLFINx integrates over one
-facet of each such class; its tensor between splines is then added for all others.
+are, wherever the cells around it have the same sizes. The tensor between splines is made
+for one facet of each such class, and added for all others.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem import IntegralType
-from ufl.classes import Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex
-from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.compat import compile_form, create_form, element_tensors
+from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors, readable
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.space import Space, splines_at
+from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.grid.lattice import cell_size
 
 __all__ = ["FacetBlock", "are_alike"]
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# what has the same value, on each side, on all facets of a class
-_ALIKE = (Argument, CellVolume, ConstantValue, FacetArea, FacetNormal, MultiIndex, fem.Constant)
 # relative difference of sizes of cells that is rounding
 _SAME = 1e-12
 
@@ -63,10 +57,10 @@ def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
 
 
 def are_alike(form: ufl.Form, space: Space) -> bool:
-    """Whether facets fall into few classes, in each of which the form has one element tensor.
+    """Whether facets fall into few classes, each with one element tensor of the form. Collective.
 
-    The same on all ranks. The form must be bilinear, over ghost facets alone, and hold
-    nothing that varies in space but arguments.
+    Or whether they are taken one by one all the same, for FFCx would take too long. The
+    same on all ranks. The form must be bilinear and over ghost facets alone; see `readable`.
     """
     basis = space.basis
     if not isinstance(basis, LatticeBasis) or basis.degree == 1:
@@ -76,12 +70,13 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
-        for node in unique_pre_traversal(integral.integrand()):
-            if node._ufl_is_terminal_ and not isinstance(node, _ALIKE):
-                return False
+    if not readable(form, cell_size(space.grid)):
+        return False
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
-    return all(k.max() < 8 * basis.degree for k in kinds)
+    few = all(k.max() < 8 * basis.degree for k in kinds)
+    # a tensor a facet costs less than minutes of compilation, as FFCx's of third derivatives
+    return few or basis.degree + len(kinds) > 4
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -148,7 +143,7 @@ def _add(kind, direction, start, facet, position, slot, tensors, begin, slots, s
 
 
 class FacetBlock:
-    """A bilinear form over ghost facets, between splines. Collective in what it compiles.
+    """A bilinear form over ghost facets, between splines.
 
     Args:
         form: The form, of which `are_alike` holds.
@@ -164,7 +159,7 @@ class FacetBlock:
         assert isinstance(space.basis, LatticeBasis)
         self._space = space
         self._basis = basis = space.basis
-        self._compiled = compile_form(space.grid.comm, form)
+        self._tensor_of = FacetTensors(form, basis.degree, space.components)
         self.constants: list[fem.Constant] = form.constants()
         self.coefficients: list[fem.Function] = []
         self.moving = {GHOST_FACETS}
@@ -180,24 +175,24 @@ class FacetBlock:
         self._slot = (apart @ strides).astype(np.int32)
         self._slots = (2 * p + 3) ** gdim
         self._tensors: dict[int, Array] = {}
-        self._form: Any = None
+        self._attached = False
         self._values: Array | None = None
 
     def renew(self) -> None:
         """Forget which facets were integrated over."""
-        self._form = None
+        self._attached = False
 
     def attach(self, entities: dict[int, Ints], basis: LatticeBasis) -> None:
-        """Integrate over these ghost facets. Collective after `renew`.
+        """Integrate over these ghost facets, unless nothing has changed.
 
         Args:
             entities: Under GHOST_FACETS rows (cell, local facet, cell, local facet)
                 flattened, the first cell being "+".
             basis: Basis of the space, with the overlap whose nodes are meant.
         """
-        if self._form is not None and basis is self._basis:
+        if self._attached and basis is self._basis:
             return
-        self._basis = basis
+        self._basis, self._attached = basis, True
         facets = entities[GHOST_FACETS].reshape(-1, 4)
         halo, ijk = self._basis.halo, self._basis.lattice.cell_ijk
         first, second = ijk[facets[:, 0]], ijk[facets[:, 2]]
@@ -211,14 +206,11 @@ class FacetBlock:
             code = code * (1 + max(cells.max(), pairs.max(initial=0))) + kind
         self._codes, chosen, kind = np.unique(code, return_index=True, return_inverse=True)
         self._kind = kind.ravel().astype(np.int32)
-        self._chosen, self._low = facets[chosen], low[chosen]
-        self._direction_of = self._direction[chosen]
-        # tensors of a class stay; all ranks make the form, for that may be collective
-        spaces, entity = [self._space.function_space] * 2, IntegralType.interior_facet
-        domains = {entity: [(GHOST_FACETS, np.ascontiguousarray(self._chosen).ravel())]}
-        self._form = create_form(
-            self._compiled, spaces, self._space.grid, domains, [], self.constants
-        )
+        lines, swapped = self._basis.lattice.lines, np.any(first > second, axis=1)
+        self._chosen = [
+            FacetPlace(lines, tuple(low[f].tolist()), int(self._direction[f]), bool(swapped[f]))
+            for f in chosen
+        ]
         nodes = np.empty((len(facets), self._macro.shape[1]), np.int32)
         count = np.zeros(self._basis.nodes.size, np.int64)
         shape = np.array(halo.node_table.shape, np.int64)
@@ -246,9 +238,9 @@ class FacetBlock:
         if self._values is None or not np.array_equal(values, self._values):
             self._tensors = {}
             self._values = values
-        missing = [k for k, code in enumerate(self._codes) if code not in self._tensors]
-        if missing:
-            self._integrate(missing)
+        for code, place in zip(self._codes, self._chosen):
+            if code not in self._tensors:
+                self._tensors[code] = self._tensor_of(place)
         c, m = self._space.components, self._macro.shape[1]
         tensors = [self._tensors[code] for code in self._codes]
         single = all(t.shape[2] == 1 for t in tensors)
@@ -261,48 +253,23 @@ class FacetBlock:
         _add(*near, stacked, self._begin, self._slot_of, sums, out)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
 
-    def _integrate(self, missing: list[int]) -> None:
-        """Tensors of the classes whose numbers are given, by DOLFINx on their chosen facets."""
-        components, number = self._space.components, len(self._codes)
-        extraction: dict[int, Array] = dict(zip(missing, self._extraction(missing)))
-        sums: dict[int, Array] = {}
-        calls = 0
+    def memory(self) -> dict[str, npt.NDArray]:
+        """The tensors kept: rounding differs between the facets that a class was integrated on."""
+        if self._values is None:
+            return {}
+        tensors = list(self._tensors.values())
+        return {
+            "constants": self._values,
+            "codes": np.array(list(self._tensors), np.int64),
+            "shapes": np.array([t.shape for t in tensors], np.int64).reshape(-1, 3),
+            "tensors": np.concatenate([np.empty(0), *(t.ravel() for t in tensors)]),
+        }
 
-        def insert(rows, columns, values) -> int:
-            nonlocal calls
-            # one facet after the other, and once more for every further integral
-            k = calls % number
-            calls += 1
-            if k in extraction:
-                sums[k] = sums.get(k, 0.0) + np.array(values)
-            return 0
-
-        element_tensors(self._form, insert)
-        for k, E in extraction.items():
-            whole = sums[k].reshape(len(E), components, len(E), components)
-            K: Array = np.ascontiguousarray(whole.transpose(1, 3, 0, 2))
-            if np.array_equal(K, np.eye(components)[:, :, None, None] * K[0, 0]):
-                # components do not mix, as in a ghost penalty: one number for all
-                K = K[:1, :1]
-            T = (E.T @ K @ E).transpose(2, 3, 0, 1)
-            self._tensors[self._codes[k]] = T.reshape(*T.shape[:2], -1)
-
-    def _extraction(self, classes: list[int]) -> Array:
-        """Splines around the chosen facets at the Lagrange nodes of their two cells.
-
-        Returns:
-            Values, shape (classes, Lagrange nodes of the first and the second cell, splines).
-        """
-        basis, V = self._basis, self._space.function_space
-        cells = self._chosen[classes][:, [0, 2]]
-        dofs = V.dofmap.list[cells]
-        x = V.tabulate_dof_coordinates()[dofs.ravel(), : self._macro.shape[2]]
-        nodes, N = splines_at(basis, x, np.repeat(cells.ravel(), dofs.shape[2]))
-        shape = len(classes), 2 * dofs.shape[2], -1
-        nodes, N = nodes.reshape(shape), N.reshape(shape)
-        E = np.zeros((*N.shape[:2], self._macro.shape[1]))
-        for k, one in enumerate(classes):
-            apart = np.moveaxis(basis.halo.node_ijk[nodes[k]] - self._low[one], -1, 0)
-            at = np.ravel_multi_index(tuple(apart), self._shapes[self._direction_of[one]])
-            np.put_along_axis(E[k], at, N[k], axis=1)
-        return E
+    def remember(self, kept: dict[str, npt.NDArray]) -> None:
+        """Keep the tensors that `memory` returned, and no others."""
+        self._values = kept.get("constants")
+        self._tensors, start = {}, 0
+        for code, shape in zip(kept.get("codes", ()), kept.get("shapes", ())):
+            end = start + int(np.prod(shape))
+            self._tensors[code] = kept["tensors"][start:end].reshape(shape)
+            start = end

@@ -14,9 +14,9 @@ from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.splitting import PointTerms
 
 __all__ = ["PointUpdates"]
 

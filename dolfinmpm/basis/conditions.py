@@ -11,16 +11,21 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import (
     ConflictingConditionsError,
+    IdleConditionWarning,
     ParameterError,
     call_together,
     raise_together,
+    warn,
 )
 from dolfinmpm.basis.space import Space
+from dolfinmpm.grid.positions import ask, choose
 
-__all__ = ["Condition", "fixed", "prescribed", "rollers"]
+__all__ = ["Condition", "fixed", "free_motions", "idle", "prescribed", "rollers", "warn_idle"]
 
 Where = str | Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
 
@@ -65,33 +70,50 @@ def _sides(gdim: int) -> dict[str, tuple[int, int]]:
     return sides
 
 
+def _side(where: str, gdim: int) -> str:
+    try:
+        return choice("side", where, _sides(gdim))
+    except ParameterError as error:
+        raise ParameterError(f"{error}; or a function of positions") from None
+
+
 def _node_coordinates(space: Space) -> npt.NDArray[np.float64]:
-    return space.basis.node_coordinates()
+    return space.basis.node_coordinates()[:, : space.grid.geometry.dim]
+
+
+def _check_space(space: Any) -> None:
+    if not isinstance(space, Space):
+        raise ParameterError(
+            f"space = {shown(space)} must be a dolfinmpm.Space; an increment is held by the space "
+            "that it is of"
+        )
 
 
 def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:
     x = _node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
-    if callable(where):
-        chosen = call_together(
-            comm, lambda: np.asarray(where(x.T) if len(x) else np.empty(0), dtype=bool)
-        )
-        name = getattr(where, "__name__", "condition")
-    else:
-        sides = _sides(gdim)
-        if where not in sides:
-            raise ParameterError(
-                f"side {where!r} must be one of {', '.join(sides)}, or a function of positions"
-            )
-        axis, end = sides[where]
+    if not callable(where):
+        name = _side(where, gdim)
+        axis, end = _sides(gdim)[name]
         low = min(comm.allgather(x[:, axis].min(initial=math.inf)))
         high = max(comm.allgather(x[:, axis].max(initial=-math.inf)))
         chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
-        name = where
+        return np.flatnonzero(chosen).astype(np.int32), name
+    chosen = call_together(comm, lambda: choose("the function of places", where, x))
     nodes = np.flatnonzero(chosen).astype(np.int32)
-    if comm.allreduce(nodes.size) == 0:
-        raise ParameterError(f"no node of the grid lies where '{name}' says; check the coordinates")
-    return nodes, name
+    low = np.min(comm.allgather(x[nodes].min(axis=0, initial=math.inf)), axis=0)
+    high = np.max(comm.allgather(x[nodes].max(axis=0, initial=-math.inf)), axis=0)
+    name = getattr(where, "__name__", "<lambda>")
+    if not np.isfinite(low).all():
+        corners = x.min(axis=0, initial=math.inf), x.max(axis=0, initial=-math.inf)
+        low = np.min(comm.allgather(corners[0]), axis=0)
+        high = np.max(comm.allgather(corners[1]), axis=0)
+        raise ParameterError(
+            f"no node of the grid lies where '{name}' says; they lie from {low} to {high} m: check "
+            "the coordinates, and compare them with np.isclose"
+        )
+    # a function without a name of its own is told by where it holds
+    return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
 def prescribed(
@@ -105,42 +127,81 @@ def prescribed(
     Args:
         space: Space of the field.
         where: "left", "right" (first axis), "bottom", "top" (last axis), "front",
-            "back" (second axis in 3D), or a function of node positions in DOLFINx's
-            layout, shape (3, n), that returns n booleans.
+            "back" (second axis in 3D), or a function of node positions (m), shape
+            (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`.
         component: Component of the field.
-        value: Increment a step (m for a displacement): a number, a DOLFINx constant,
-            or a function of node positions like `where` that returns n numbers.
+        value: Increment a step (m for a displacement): a number, a scalar DOLFINx
+            constant, or a function of node positions like `where` that returns n numbers.
             When a step is halved, so is it.
 
     Raises:
-        ParameterError: The side or the component is not known, or no node is there.
+        ParameterError: The space, the side, the component or the value is not what it
+            may be, or no node is there.
     """
-    if not 0 <= component < space.components:
+    _check_space(space)
+    if whole("component", component, 0) >= space.components:
         raise ParameterError(
             f"component = {component} must be in 0 ... {space.components - 1} of this field"
         )
     nodes, name = _nodes(space, where)
-    # UFL expressions are callable too
-    constant = isinstance(value, fem.Constant)
-    given: Any = value
-    if callable(value) and not constant:
-        at = _node_coordinates(space)[nodes]
-        given = call_together(
-            space.grid.comm, lambda: np.asarray(value(at.T) if len(at) else np.empty(0), float)
-        )
-    if not constant:
-        given = np.asarray(given, float)
-        finite = np.isfinite(given).all() and given.shape in ((), (nodes.size,))
-        if not space.grid.comm.allreduce(bool(finite), op=MPI.LAND):
+    given = _value(space, nodes, name, value)
+    return [Condition(space, nodes, int(component), given, name)]
+
+
+def _value(space: Space, nodes, name: str, value: Any) -> Any:
+    """What is prescribed, checked."""
+    what = f"the increment prescribed at '{name}'"
+    if isinstance(value, fem.Constant):
+        if value.ufl_shape != ():
             raise ParameterError(
-                f"prescribed increments at '{name}' must be finite, one number or one a node, got "
-                f"shape {given.shape} for {nodes.size} nodes on this rank"
+                f"{what} is a constant of shape {value.ufl_shape} and must be a scalar one; give "
+                "each component a condition of its own"
             )
-    return [Condition(space, nodes, component, given, name)]
+        return value
+    # UFL expressions are callable too
+    if isinstance(value, Expr):
+        raise ParameterError(
+            f"{what} is a UFL expression ('{str(value)[:100]}') and must be a number, a scalar "
+            "dolfinx.fem.Constant or a function of positions"
+        )
+    comm = space.grid.comm
+    if callable(value):
+        at = _node_coordinates(space)[nodes]
+        given = call_together(comm, lambda: ask(what, value, at))
+    elif np.ndim(value) == 0:
+        return np.asarray(number(what, value))
+    else:
+        given = call_together(comm, lambda: _one_a_node(what, value, nodes.size))
+    error = None
+    if not np.isfinite(given).all():
+        k = int(np.flatnonzero(~np.isfinite(given))[0])
+        at = _node_coordinates(space)[nodes[k]]
+        error = ParameterError(f"{what} is {given[k]} at the node at {at} m and must be finite")
+    raise_together(comm, error)
+    return given
+
+
+def _one_a_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
+    try:
+        given = np.asarray(value, float)
+    except (TypeError, ValueError):
+        given = np.empty((0, 0))
+    if given.shape != (size,):
+        raise ParameterError(
+            f"{what} is {shown(value)} and must be one number, or one for each of {size} nodes on "
+            "this rank; give each component a condition of its own"
+        )
+    return given
 
 
 def fixed(space: Space, *where: Where) -> list[Condition]:
-    """Hold all components. Collective; see `prescribed` for `where`."""
+    """Hold all components. Collective; see `prescribed` for `where`.
+
+    Raises:
+        ParameterError: A place is not what it may be.
+    """
+    _check_space(space)
+    _check_places("fixed", where)
     return [
         condition
         for place in where
@@ -155,13 +216,125 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
     Args:
         space: Space of the displacement.
         sides: Names of sides of the grid; see `prescribed`.
+
+    Raises:
+        ParameterError: A side is not known, or the field is no vector of
+            the dimension of space.
     """
-    axes = _sides(space.grid.geometry.dim)
+    _check_space(space)
+    gdim = space.grid.geometry.dim
+    if space.increment.ufl_shape != (gdim,):
+        raise ParameterError(
+            f"rollers hold the component of a displacement across a side; the field has shape "
+            f"{space.increment.ufl_shape}, not {(gdim,)}: use mpm.prescribed"
+        )
+    _check_places("rollers", sides)
     result = []
     for side in sides:
-        component = axes[side][0] if side in axes else 0
-        result += prescribed(space, side, component)
+        if callable(side):
+            raise ParameterError(
+                "rollers take names of sides, whose axis they hold; at a function of positions "
+                "use mpm.prescribed(space, function, component)"
+            )
+        name = _side(side, gdim)
+        result += prescribed(space, name, _sides(gdim)[name][0])
     return result
+
+
+def _check_places(what: str, places: Sequence[Any]) -> None:
+    for place in places:
+        if not callable(place) and not isinstance(place, str):
+            raise ParameterError(
+                f"{what}: {shown(place)} is no place; give the places one by one, as in "
+                f'mpm.{what}(space, "left", "bottom")'
+            )
+
+
+def idle(
+    conditions: Sequence[Condition],
+    spaces: Sequence[Space],
+    active: Sequence[npt.NDArray[np.int32]],
+) -> list[str]:
+    """Places at which no condition holds an active node, on any rank. Collective.
+
+    Args:
+        conditions: The conditions.
+        spaces: Spaces of the fields.
+        active: For each space its active nodes, as the conditions number them.
+
+    Returns:
+        Names of the places, each once.
+    """
+    if not conditions:
+        return []
+    holds = np.zeros(len(conditions), np.int32)
+    for space, nodes in zip(spaces, active):
+        moved = np.zeros(space.basis.nodes.size, bool)
+        moved[nodes] = True
+        for k, condition in enumerate(conditions):
+            if condition.space is space:
+                holds[k] = moved[condition.nodes].any()
+    spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, holds, op=MPI.MAX)
+    return list(dict.fromkeys(c.where for c, held in zip(conditions, holds) if not held))
+
+
+def warn_idle(
+    conditions: Sequence[Condition],
+    spaces: Sequence[Space],
+    active: Sequence[npt.NDArray[np.int32]],
+) -> None:
+    """Warn on rank 0 of conditions that hold nothing; see `idle`. Collective."""
+    names = idle(conditions, spaces, active)
+    if names:
+        places = ", ".join(f"'{name}'" for name in names)
+        warn(
+            spaces[0].grid.comm,
+            f"the conditions at {places} hold no node that the body moves: it does not reach there "
+            "now, and they do nothing until it does. Names of sides mean those of the grid; give a "
+            "function of positions to hold the body elsewhere",
+            IdleConditionWarning,
+        )
+
+
+def free_motions(
+    conditions: Sequence[Condition], space: Space, active: npt.NDArray[np.int32]
+) -> list[str]:
+    """Rigid motions that no condition holds, in words. Collective.
+
+    Args:
+        conditions: The conditions.
+        space: Space of the displacement.
+        active: Its active nodes.
+    """
+    x, gdim, comm = _node_coordinates(space), space.grid.geometry.dim, space.grid.comm
+    moved = np.zeros(len(x), bool)
+    moved[active] = True
+    sums = comm.allreduce(np.append(x[moved].sum(axis=0), moved.sum()), op=MPI.SUM)
+    middle = sums[:-1] / max(sums[-1], 1.0)
+    spread = np.abs(x[moved] - middle).max(initial=0.0)
+    size = max(comm.allreduce(spread, op=MPI.MAX), np.finfo(float).tiny)
+    turns = [(i, j) for i in range(gdim) for j in range(i + 1, gdim)]
+    square = np.zeros((gdim + len(turns),) * 2)
+    for condition in conditions:
+        if condition.space is not space:
+            continue
+        held = condition.nodes[moved[condition.nodes]]
+        rows = np.zeros((held.size, len(square)))
+        k, r = condition.component, (x[held] - middle) / size
+        rows[:, k] = 1.0
+        for at, (i, j) in enumerate(turns):
+            if k in (i, j):
+                rows[:, gdim + at] = -r[:, j] if k == i else r[:, i]
+        square += rows.T @ rows
+    square = comm.allreduce(square, op=MPI.SUM)
+    values, vectors = np.linalg.eigh(square)
+    free = vectors[:, values <= 1e-12 * max(values.max(), 1.0)].T
+    if not len(free):
+        return []
+    # axes along which a free motion can go without another
+    along = [f"along {'xyz'[i]}" for i in range(gdim) if abs(np.linalg.norm(free[:, i]) - 1) < 1e-9]
+    turning = len(free) - len(along)
+    return along + ([f"{turning} with a turn"] if turning else [])
 
 
 def apply_conditions(
@@ -184,7 +357,7 @@ def apply_conditions(
     error: Exception | None = None
     fixed_[:] = False
     owner = np.full(fixed_.shape, -1, np.int32)
-    for number, condition in enumerate(conditions):
+    for at, condition in enumerate(conditions):
         matching = [k for k, space in enumerate(spaces) if space is condition.space]
         if not matching:
             raise ParameterError(
@@ -197,7 +370,7 @@ def apply_conditions(
         differs = fixed_[nodes, column] & (values[nodes, column] != value)
         clash = nodes[differs]
         if clash.size and error is None:
-            x = _node_coordinates(condition.space)[clash[0], : condition.space.grid.geometry.dim]
+            x = _node_coordinates(condition.space)[clash[0]]
             other = conditions[owner[clash[0], column]]
             error = ConflictingConditionsError(
                 f"component {condition.component} of the node at {x} m is prescribed as "
@@ -206,5 +379,5 @@ def apply_conditions(
             )
         fixed_[nodes, column] = True
         values[nodes, column] = value
-        owner[nodes, column] = number
+        owner[nodes, column] = at
     raise_together(spaces[0].grid.comm, error)

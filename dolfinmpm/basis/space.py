@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from scipy import sparse
 
+from dolfinmpm._platform.checks import choice, shown, whole
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
@@ -106,6 +108,30 @@ def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
     return sparse.csr_matrix((N.ravel(), (rows, nodes.ravel())), shape=(len(x), basis.nodes.size))
 
 
+def _check_grid(grid: Any) -> None:
+    if not isinstance(grid, Mesh):
+        remedy = "give the mesh, such as dolfinx.mesh.create_rectangle makes"
+        if isinstance(grid, tuple) or hasattr(grid, "mesh") or hasattr(grid, "grid"):
+            remedy = "give the mesh of it"
+        raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {remedy}")
+    if grid.geometry.x.dtype != np.float64:
+        raise UnsupportedGridError(
+            f"the grid's coordinates are {grid.geometry.x.dtype} and must be float64; create the "
+            "mesh with dtype=np.float64"
+        )
+
+
+def _shape(shape: Any, gdim: int) -> tuple[int, ...]:
+    """The shape of a field's value, of a vector in space by default."""
+    if shape is None:
+        return (gdim,)
+    if not isinstance(shape, (tuple, list)):
+        raise ParameterError(
+            f"shape = {shown(shape)} must be a tuple: () for a scalar, ({gdim},) for a vector"
+        )
+    return tuple(whole(f"shape[{k}]", size, 1) for k, size in enumerate(shape))
+
+
 class Space:
     """A field on the background grid: the increment that a step solves for, and its test function.
 
@@ -134,8 +160,16 @@ class Space:
             the basis's degree.
 
     Raises:
-        ParameterError: The basis is not known.
+        ParameterError: The grid, the basis or the shape is not what it may be.
         UnsupportedGridError: The basis cannot be built on this grid.
+
+    >>> from dolfinx.mesh import CellType, create_unit_square
+    >>> from mpi4py import MPI
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    >>> Space(grid, "bspline2").increment.ufl_shape
+    (2,)
+    >>> Space(grid, "linear", shape=()).increment.ufl_shape
+    ()
     """
 
     def __init__(
@@ -146,12 +180,12 @@ class Space:
         averaged: bool = True,
         configuration: str = "updated",
     ):
-        if configuration not in ("updated", "total"):
-            raise ParameterError(f'configuration = {configuration!r} must be "updated" or "total"')
-        self.configuration = configuration
-        if basis not in _DEGREES:
-            known = ", ".join(f'"{name}"' for name in _DEGREES)
-            raise ParameterError(f"basis = {basis!r} must be one of {known}")
+        basis = choice("basis", basis, _DEGREES)
+        _check_grid(grid)
+        shape = _shape(shape, grid.geometry.dim)
+        if not isinstance(averaged, (bool, np.bool_)):
+            raise ParameterError(f"averaged = {shown(averaged)} must be True or False")
+        self.configuration = choice("configuration", configuration, ("updated", "total"))
         if basis == "gimp" and not averaged:
             raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')
         if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
@@ -162,8 +196,6 @@ class Space:
         self.grid = grid
         on_grid = _basis_of(grid, basis, averaged and basis != "linear")
         self.basis: Basis = on_grid.basis
-        gdim = grid.geometry.dim
-        shape = (gdim,) if shape is None else tuple(shape)
         element = (
             ("Lagrange", self.basis.degree, shape) if shape else ("Lagrange", self.basis.degree)
         )

@@ -197,7 +197,11 @@ def joined(stencils: Sequence[Stencils]) -> list[Stencils]:
         stencils: One for each basis; those that are one object stay one.
     """
     first = stencils[0]
-    if all(s is first for s in stencils):
+    if all(
+        s is first
+        or (np.array_equal(s.groups, first.groups) and np.array_equal(s.order, first.order))
+        for s in stencils
+    ):
         return list(stencils)
     key = np.zeros(int(first.order.max(initial=-1)) + 1, np.int64)
     for s in {id(s): s for s in stencils}.values():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -163,7 +165,9 @@ def _points_of(mesh, gdim: int, points: str, degree: int) -> tuple[Array, Array,
         if not Path(mesh).is_file():
             raise FileNotFoundError(f"there is no file {mesh}")
         try:
-            mesh = meshio.read(mesh)
+            # its reader of Gmsh's files prints empty lines
+            with contextlib.redirect_stdout(io.StringIO()):
+                mesh = meshio.read(mesh)
         except (meshio.ReadError, SystemExit) as error:
             raise OSError(f"meshio cannot read {mesh}: {error}") from error
     nodes = np.asarray(mesh.points, float)

@@ -78,6 +78,16 @@ def fill(
         EmptyShapeError: No point falls into the shape.
         UnsupportedGridError: The cells are curved, coordinates of single precision, or
             `aligned="body"` is asked for on a grid that is not rectangular.
+
+    A box that ends in the middle of a row of cells is filled exactly:
+
+    >>> from dolfinx.mesh import CellType, create_unit_square
+    >>> from mpi4py import MPI
+    >>> from dolfinmpm import Box
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, CellType.quadrilateral)
+    >>> points = fill(grid, Box((0, 0), (1, 0.625)), per_cell=2, density=1000.0)
+    >>> len(points), float(points["V0"].sum())
+    (40, 0.625)
     """
     require_grid(grid)
     _check_arguments(shape, per_cell, aligned, tag)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError, raise_together
+from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError
 from dolfinmpm.body.exchange import exchange
-from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.body.location import Destinations
 
 __all__ = ["migrate", "settle"]
 
@@ -63,15 +63,9 @@ def settle(points, configuration: str) -> None:
     """
     if points.configuration == configuration:
         return
-    x = points["x0" if configuration == "total" else "x"]
-    to = destinations(points.grid, x, points["cell"])
-    lost = np.flatnonzero(to.rank < 0)
-    error = None
-    if lost.size:
-        error = PointsOutsideGridError(
-            f"{lost.size} material points of this rank lie outside the grid, the first at "
-            f"{x[lost[0]]} m; take a larger grid"
-        )
-    raise_together(points.comm, error)
-    migrate(points, to)
-    points.configuration = configuration
+    former, points.configuration = points.configuration, configuration
+    try:
+        points.locate()
+    except PointsOutsideGridError:
+        points.configuration = former
+        raise

@@ -447,7 +447,8 @@ class MaterialPoints:
     def fault(self) -> DolfinMPMError | None:
         """What is impossible in the fields of this rank's points, or None."""
         error = fault(self)
-        if error is None and self._located != (place := self.fields["x"].sum()):
+        updated = self.configuration == "updated"
+        if error is None and updated and self._located != (place := self.fields["x"].sum()):
             # steps find the cells of what they move: x was changed by hand
             error = astray(self)
             self._located = place if error is None else math.nan
@@ -462,13 +463,15 @@ class MaterialPoints:
         Raises:
             PointsOutsideGridError: Points are outside the grid.
         """
-        to = destinations(self.grid, self["x"], self["cell"])
-        raise_together(self.comm, sources.outside(self["x"], self["id"], to))
+        x = self.placement(self.configuration).x
+        to = destinations(self.grid, x, self["cell"])
+        raise_together(self.comm, sources.outside(x, self["id"], to))
         return self.migrate(to)
 
     def migrate(self, to: Destinations) -> int:
         """Hand points to the ranks that own their cells; returns how many moved. Collective."""
         moved = migrate(self, to)
+        # where points stay in the cells of their first positions nobody asks for those of now
         self._located = self.fields["x"].sum()
         self.revision += moved > 0
         return moved

@@ -23,6 +23,12 @@ class Shape:
         low: Lower corner (m) of a box around the shape, or None if unknown.
         high: Upper corner (m), likewise.
 
+    Shapes join with `|`, overlap with `&` and are cut with `-`:
+
+    >>> plate = Box((0, 0), (4, 2)) - Box((1, 0.5), (3, 1.5))
+    >>> plate.contains(np.array([[0.5, 1.0], [2.0, 1.0]])).tolist()
+    [True, False]
+
     Attributes:
         volume: Its volume (m^d), or None if unknown, as that of a combination is; it may be set.
         centroid: Its centroid (m), shape (gdim,), likewise.

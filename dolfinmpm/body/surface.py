@@ -1,4 +1,4 @@
-"""Loads on faces of a body: tractions, follower pressures and rigid footings at material points.
+"""Loads on faces of a body: tractions and follower pressures at material points.
 
 Material points are inside the body, its faces are not: a load that acts at the
 points instead of the face has the right force but a wrong moment. A point at a face
@@ -7,24 +7,27 @@ A0 (area times outward normal), both as they are at first. Its own stencil then 
 the motion of the face to first order, u(x_s) = u + ∇ũ·r with r = F_n R, which is
 also how far the point's own material reaches there.
 
-Every form here is the virtual work of what acts on the body and is subtracted from the
-internal forces: F = momentum(...) − surface.traction(t, v).
+There is one rule for signs: what acts on the body, a load here or the contact of a
+`RigidFooting`, comes as its virtual work and is subtracted from the internal forces,
+F = momentum(...) − surface.traction(t, v) − footing.contact(u, v). These forms carry a
+mark, by which a solver refuses one that was added.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import check_kind, number, shown
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -34,18 +37,39 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.lattice import cell_size, lattice_of
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import lattice_of
+from dolfinmpm.grid.positions import choose
 
-__all__ = ["RigidFooting", "Surface"]
+__all__ = ["Acting", "Surface", "acting", "check_increment"]
 
 Array = npt.NDArray[np.float64]
 Where = Callable[[Array], npt.ArrayLike]
 
 _numbers = itertools.count(1)
-# The default penalty in units of E/h: ten times more changes the reaction by less than a thousandth
-# (cubic splines, which bend sharply at a footing's edge: by some per cent on few cells), and
-# the first out-of-balance force, which a step's tolerance is relative to, is not yet all penalty.
-_STIFFNESS = 1e4
+
+
+@dataclass(frozen=True, repr=False)
+class Acting:
+    """The mark of a form that is subtracted: what it is, and its integrand as it was made."""
+
+    name: str
+    integrand: Expr
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def acting(integrand: Expr, points: MaterialPoints, name: str) -> ufl.Form:
+    """The integral over the points' first volumes of a virtual work, with its mark.
+
+    Args:
+        integrand: Virtual work per volume of what acts on the body.
+        points: Material points.
+        name: What acts, for messages.
+    """
+    mark = {**points.dX.metadata(), "acting": Acting(name, integrand)}
+    return integrand * points.dX.reconstruct(metadata=mark)
 
 
 class Surface:
@@ -58,9 +82,9 @@ class Surface:
 
     Args:
         points: Material points.
-        where: Function of the centres of the points' faces as they were at first (m), in
-            DOLFINx's layout, shape (gdim, n), that returns n booleans. The faces are
-            those of the points' domains, x0 + l0·n.
+        where: Function of the centres of the points' faces as they were at first (m),
+            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`. The
+            faces are those of the points' domains, x0 + l0·n.
         normal: Outward unit normal of the face: an axis of the grid, such as (0, 1).
         name: Name of the fields; `surface1`, `surface2`, ... by default.
 
@@ -72,8 +96,8 @@ class Surface:
         offset, area: The fields, for UFL.
 
     Raises:
-        ParameterError: The normal is not a unit axis, the name is taken, or some of the
-            faces lie inside the body.
+        ParameterError: The points, the place or the name is not what it may be, the normal
+            is not a unit axis, the name is taken, or some of the faces lie inside the body.
         EmptyShapeError: No face lies there.
         UnsupportedGridError: The grid is not rectangular.
     """
@@ -85,14 +109,13 @@ class Surface:
         normal: Sequence[float],
         name: str | None = None,
     ):
-        n = np.asarray(normal, float)
-        if n.shape != (points.gdim,) or not np.array_equal(
-            np.sort(np.abs(n)), [0.0] * (points.gdim - 1) + [1.0]
-        ):
+        _check_points(points)
+        if not callable(where):
             raise ParameterError(
-                f"normal = {normal} must be an axis of {points.gdim}D with a sign, such as "
-                f"{(0,) * (points.gdim - 1) + (1,)}; give other faces by Surface.from_arrays"
+                f"where = {shown(where)} must be a function of the positions of faces, such as "
+                "lambda x: np.isclose(x[-1], 1.0)"
             )
+        n = _axis(normal, points.gdim)
         if lattice_of(points.grid) is None:
             raise UnsupportedGridError(
                 "points have domains with faces along the axes on rectangular grids only; give "
@@ -101,18 +124,7 @@ class Surface:
         offset = points["l0"] * n
         faces = points["x0"] + offset
 
-        def choose() -> npt.NDArray[np.bool_]:
-            if not len(points):
-                return np.zeros(0, bool)
-            chosen = np.asarray(where(np.ascontiguousarray(faces.T)))
-            if chosen.shape != (len(points),) or chosen.dtype != bool:
-                raise ParameterError(
-                    f"where should return {len(points)} booleans here, got {chosen.dtype} of shape "
-                    f"{chosen.shape}"
-                )
-            return chosen
-
-        chosen = call_together(points.comm, choose)
+        chosen = call_together(points.comm, lambda: choose("where", where, faces))
         axis = int(np.argmax(np.abs(n)))
         if points.comm.allreduce(int(chosen.sum()), op=MPI.SUM) == 0:
             low = points.comm.allreduce(faces[:, axis].min(initial=np.inf), op=MPI.MIN)
@@ -151,7 +163,8 @@ class Surface:
             ParameterError: A value is not finite, or the name is taken.
             EmptyShapeError: All areas are zero.
         """
-        R, A = (np.asarray(values, float) for values in (offset, area))
+        _check_points(points)
+        R, A = call_together(points.comm, lambda: (_array("offset", offset), _array("area", area)))
         error: Exception | None = None
         for what, values in (("offset", R), ("area", A)):
             if values.shape != (len(points), points.gdim):
@@ -174,6 +187,10 @@ class Surface:
     def _set(self, points: MaterialPoints, R: Array, A: Array, name, normal) -> None:
         if name is None:
             name = f"surface{next(_numbers)}"
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ParameterError(
+                f"name = {shown(name)} must be an identifier, for it names fields of the points"
+            )
         if f"{name}_area" in points.fields:
             raise ParameterError(f"the points have a surface '{name}' already; choose another name")
         self.points, self.name, self.normal = points, name, normal
@@ -181,6 +198,8 @@ class Surface:
         self.area = points.add_field(f"{name}_area", (points.gdim,), "m^(d-1)")
         points[self.offset.name], points[self.area.name] = R, A
         self.total_area = points.comm.allreduce(float(self._sizes().sum()), op=MPI.SUM)
+        # a number would be compiled into the forms
+        self._total = own_constant(points.grid, self.total_area)
 
     def _sizes(self) -> Array:
         return np.linalg.norm(self.points[self.area.name], axis=1)
@@ -211,8 +230,49 @@ class Surface:
             t: Force per area at first (Pa), a vector: a DOLFINx constant, or any UFL
                 expression that has values at the points.
             v: Test function, `Space.test`.
+
+        Raises:
+            ParameterError: The traction is no vector of the dimension of space, or v no
+                test function.
         """
-        return self.density * ufl.dot(_vector(t), self.at(v)) * self.points.dX
+        return self.virtual_work(self._vector("traction", t), v, f"the traction on '{self.name}'")
+
+    def virtual_work(self, t: Expr, v, name: str) -> ufl.Form:
+        """Virtual work of a traction under a name that messages use; see `traction`.
+
+        Args:
+            t: Force per area at first (Pa), a vector of UFL.
+            v: Test function, `Space.test`.
+            name: What acts.
+        """
+        self._check_test(v)
+        return acting(self.density * ufl.dot(t, self.at(v)), self.points, name)
+
+    def _check_test(self, v: Any) -> None:
+        if not isinstance(v, ufl.Argument) or v.ufl_shape != (self.points.gdim,):
+            raise ParameterError(
+                f"v = {shown(v)} must be the test function of a displacement, Space.test"
+            )
+
+    def _vector(self, what: str, t) -> Any:
+        """A vector for UFL, from one or from numbers."""
+        d = self.points.gdim
+        if isinstance(t, Expr):
+            if t.ufl_shape != (d,):
+                raise ParameterError(
+                    f"{what} '{str(t)[:100]}' has shape {t.ufl_shape} and must be a vector of {d} "
+                    "components; pressure acts along the normal"
+                )
+            return t
+        if not isinstance(t, (Sequence, np.ndarray)) or isinstance(t, str) or len(t) != d:
+            raise ParameterError(
+                f"{what} = {shown(t)} must be a vector of {d} components: numbers, a "
+                "dolfinx.fem.Constant or a UFL expression"
+            )
+        if any(isinstance(c, Expr) for c in t):
+            return ufl.as_vector(list(t))
+        components = [number(f"{what}[{k}]", c) for k, c in enumerate(t)]
+        return own_constant(self.points.grid, components)
 
     def force(self, P, v) -> ufl.Form:
         """Virtual work of a dead force that is spread evenly, to be subtracted.
@@ -221,7 +281,8 @@ class Surface:
             P: Force (N; N/m in plane strain), a vector like that of `traction`.
             v: Test function, `Space.test`.
         """
-        return self.traction(_vector(P) / self.total_area, v)
+        t = self._vector("force", P) / self._total
+        return self.virtual_work(t, v, f"the force on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
         """Virtual work of a pressure that follows the face, to be subtracted.
@@ -236,9 +297,19 @@ class Surface:
             v: Test function, `Space.test`.
         """
         points = self.points
+        if not isinstance(p, Expr):
+            p = own_constant(points.grid, number("p", p, unit="Pa"))
+        elif p.ufl_shape != ():
+            raise ParameterError(
+                f"pressure '{str(p)[:100]}' has shape {p.ufl_shape} and must be a scalar; a vector "
+                "is a traction"
+            )
+        check_increment(u, points.gdim)
+        self._check_test(v)
         F = ufl.dot(ufl.Identity(points.gdim) + ufl.grad(u), points.F)
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
-        return -p * ufl.dot(face, self.at(v)) / points.V0 * points.dX
+        work = -p * ufl.dot(face, self.at(v)) / points.V0
+        return acting(work, points, f"the pressure on '{self.name}'")
 
     def mean(self, direction, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) · direction, a form linear in w.
@@ -249,11 +320,12 @@ class Surface:
             direction: A vector: numbers, or a UFL expression.
             w: Test function, `Space.test`.
         """
-        return self.traction(_vector(direction) / self.total_area, w)
+        along = ufl.dot(self._vector("direction", direction), self.at(w))
+        return self.density / self._total * along * self.points.dX
 
     def mean_normal(self, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) along the outward normal; see `mean`."""
-        return ufl.dot(self.area, self.at(w)) / (self.total_area * self.points.V0) * self.points.dX
+        return ufl.dot(self.area, self.at(w)) / (self._total * self.points.V0) * self.points.dX
 
     # -- of numbers -----------------------------------------------------------
 
@@ -268,114 +340,37 @@ class Surface:
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
 
 
-class RigidFooting:
-    """A rigid footing that is pressed into a face of the body by a given settlement.
-
-    The faces of the surface's points are held to the footing's motion by a penalty on
-    their *total* gap, g = n·(x_s − X_s) + s, where X_s is where the face was when the
-    footing was made: a gap that a step leaves is seen by the next one, so that nothing
-    accumulates. A rough footing holds the faces sideways as well, a smooth one does not.
-    Both keep hold of what they touch: they pull when they are lifted.
-
-    Adds to the points the field `<surface>_seat` (m), where the faces were; with a number
-    behind it if the surface had a footing before.
-
-    Args:
-        surface: What is under the footing, with an axis as its normal.
-        settlement: How far the footing has moved into the body (m) since it was made,
-            against the outward normal: a scalar DOLFINx constant. In parts of a step
-            the solver scales it like any load.
-        rough: Whether the faces are held sideways too.
-        E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h, h being
-            the size of the largest cell.
-        stiffness: Penalty (Pa/m), instead.
-
-    Raises:
-        ParameterError: The surface has no axis for its normal, the settlement is not a
-            scalar constant, or neither E nor the stiffness is positive and finite.
-    """
-
-    def __init__(
-        self,
-        surface: Surface,
-        settlement: fem.Constant,
-        rough: bool = True,
-        E: float | None = None,
-        stiffness: float | None = None,
-    ):
-        points = surface.points
-        if surface.normal is None:
-            raise ParameterError(
-                f"the surface '{surface.name}' was made from arrays and has no single normal; make "
-                "it with Surface(points, where, normal)"
-            )
-        if not isinstance(settlement, fem.Constant) or settlement.ufl_shape != ():
-            raise ParameterError(
-                f"settlement = {settlement!r} must be a scalar dolfinx.fem.Constant (m)"
-            )
-        if stiffness is None:
-            if E is None or not 0 < E < np.inf:
-                raise ParameterError(
-                    f"E = {E} Pa must be positive and finite; it is the body's, for the stiffness "
-                    f"{_STIFFNESS:g} E/h by default"
-                )
-            stiffness = _STIFFNESS * E / _largest_cell(points)
-        if not 0 < stiffness < np.inf:
-            raise ParameterError(f"stiffness = {stiffness} Pa/m must be positive and finite")
-        self.surface, self.settlement, self.rough = surface, settlement, rough
-        self.stiffness = float(stiffness)
-        # a constant of the form, for a number would be compiled into it
-        self._k = fem.Constant(points.grid, np.float64(self.stiffness))
-        self._first = float(settlement.value)
-        names = (f"{surface.name}_seat{k or ''}" for k in itertools.count())
-        seat = next(name for name in names if name not in points.fields)
-        self._seat = points.add_field(seat, (points.gdim,), "m")
-        points[self._seat.name] = self._faces()
-
-    def _faces(self) -> Array:
-        points, R = self.surface.points, self.surface.points[self.surface.offset.name]
-        return points["x"] + np.einsum("pij,pj->pi", points["F"], R)
-
-    def contact(self, u, v) -> ufl.Form:
-        """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.
-
-        Args:
-            u: Increment of the step, `Space.increment`.
-            v: Test function, `Space.test`.
-        """
-        surface = self.surface
-        n = ufl.as_vector([float(c) for c in surface.normal])
-        gap = surface.position(u) - self._seat + (self.settlement - self._first) * n
-        if not self.rough:
-            gap = ufl.dot(gap, n) * n
-        return surface.traction(-self._k * gap, v)
-
-    def gaps(self) -> Array:
-        """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""
-        n = self.surface.normal
-        gap = self._faces() - self.surface.points[self._seat.name]
-        gap += (float(self.settlement.value) - self._first) * n
-        gap = gap if self.rough else np.outer(gap @ n, n)
-        return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
-
-    def reaction(self) -> Array:
-        """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective."""
-        force = -self.stiffness * (self.surface._sizes() @ self.gaps())
-        return self.surface.points.comm.allreduce(force, op=MPI.SUM)
-
-    def load(self) -> float:
-        """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
-        return float(-self.reaction() @ self.surface.normal)
+def _check_points(points: Any) -> None:
+    check_kind("points", points, MaterialPoints, "give what mpm.fill returns")
 
 
-def _vector(t) -> Any:
-    return t if isinstance(t, Expr) else ufl.as_vector([float(c) for c in t])
+def check_increment(u: Any, gdim: int) -> None:
+    """Raise ParameterError unless u can be the increment of a displacement."""
+    if not isinstance(u, Expr) or isinstance(u, ufl.Argument) or u.ufl_shape != (gdim,):
+        raise ParameterError(
+            f"u = {shown(u)} must be the increment of a displacement, Space.increment"
+        )
 
 
-def _largest_cell(points: MaterialPoints) -> float:
-    h = cell_size(points.grid)
-    sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
-    return points.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)
+def _axis(normal: Any, gdim: int) -> Array:
+    """The normal as an array, if it is an axis with a sign."""
+    try:
+        n = np.asarray(normal, float)
+    except (TypeError, ValueError):
+        n = np.empty(0)
+    if n.shape != (gdim,) or not np.array_equal(np.sort(np.abs(n)), [0.0] * (gdim - 1) + [1.0]):
+        raise ParameterError(
+            f"normal = {shown(normal)} must be an axis of {gdim}D with a sign, such as "
+            f"{(0,) * (gdim - 1) + (1,)}; give other faces by Surface.from_arrays"
+        )
+    return n
+
+
+def _array(what: str, values: Any) -> Array:
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
 
 
 def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:

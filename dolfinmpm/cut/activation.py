@@ -7,6 +7,7 @@ means need, so that no numbering changes behind what was computed in it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -23,14 +24,14 @@ from dolfinmpm.basis.stencils import joined, pushed_forward, selected
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans
+from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans, layers_needed, sharing
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "activate"]
+__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "Kept", "activate"]
 
 Basis = LatticeBasis | LinearBasis
 Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
@@ -77,6 +78,11 @@ class Field:
     remedy: Stabilisation
     prolongate: Prolongate | None = None
 
+    @functools.cached_property
+    def ties_nodes(self) -> bool:
+        """Whether the remedy ties nodes to others."""
+        return self.remedy.ties_nodes
+
 
 @dataclass(frozen=True)
 class ActiveField:
@@ -86,11 +92,11 @@ class ActiveField:
         space: Its space.
         basis: Its basis, with the overlap of ranks that the step needs.
         seen: Stencils on all active nodes.
+        active: Nodes that any rank's points see, increasing.
         stencils: Stencils on the nodes that remain behind C.
         nodes: These nodes, increasing.
         C: Matrix from the nodes that remain to all nodes, or None.
         to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
-        cells: Whether each local cell is active.
         entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
         penalty: Penalty of weak aggregation, or None.
     """
@@ -98,13 +104,18 @@ class ActiveField:
     space: Space
     basis: Basis
     seen: Stencils
+    active: npt.NDArray[np.int32]
     stencils: Stencils
     nodes: npt.NDArray[np.int32]
     C: sparse.csr_matrix | None
     to_grid: sparse.csr_matrix | None
-    cells: npt.NDArray[np.bool_]
     entities: Entities
     penalty: Blocks | None
+
+    @functools.cached_property
+    def cells(self) -> npt.NDArray[np.bool_]:
+        """Whether each local cell is active. Collective at first."""
+        return active_cells(self.seen, self.basis.cells)
 
 
 @dataclass(frozen=True)
@@ -174,6 +185,51 @@ class Activation(Participants):
         return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)
 
 
+@dataclass(frozen=True)
+class Kept:
+    """Couplings that a pattern had, by numbers that are the same in another run.
+
+    Attributes:
+        active: Active nodes known here, increasing, shape (n,).
+        rows, columns: Coupled nodes, shape (m,) each.
+    """
+
+    active: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.int64]
+    columns: npt.NDArray[np.int64]
+
+    @staticmethod
+    def of(here: Activation) -> Kept:
+        """Those of an activation."""
+        number, active = _numbers(here.unknowns)
+        rows = np.repeat(active, np.diff(here.pattern.start))
+        columns = active[here.pattern.neighbours]
+        return Kept(np.sort(number[active]), number[rows], number[columns])
+
+    def pairs(self, unknowns: Unknowns) -> list[tuple[npt.NDArray, npt.NDArray]]:
+        """The coupled nodes here, if the active nodes of all ranks are the same. Collective."""
+        number, active = _numbers(unknowns)
+        same = np.array_equal(np.sort(number[active]), self.active)
+        if not unknowns.comm.allreduce(same, op=MPI.LAND):
+            return []
+        order = np.argsort(number[active])
+        there = active[order]
+        at = [there[np.searchsorted(number[there], n)] for n in (self.rows, self.columns)]
+        return [(at[0].astype(np.int32), at[1].astype(np.int32))]
+
+
+def _numbers(unknowns: Unknowns) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Global numbers of all fields' nodes, and which of them carry unknowns."""
+    numbers, active, first = [], [], 0
+    for field in unknowns.fields:
+        index_map = field.numbering.index_map
+        owned = np.arange(*index_map.local_range, dtype=np.int64)
+        numbers.append(first + np.concatenate([owned, index_map.ghosts]))
+        active.append(field.nodes.astype(np.int64) + field.offset)
+        first += index_map.size_global
+    return np.concatenate(numbers), np.concatenate(active)
+
+
 def activate(
     points: MaterialPoints,
     fields: Sequence[Field],
@@ -181,6 +237,7 @@ def activate(
     terms: Terms,
     share: float = 1.0,
     old: Activation | None = None,
+    kept: Kept | None = None,
 ) -> Activation:
     """The activation for where the points are now. Collective.
 
@@ -191,6 +248,7 @@ def activate(
         terms: Its weak form.
         share: Share of the step's prescribed increments.
         old: A former activation of the same problem, of which is kept what did not change.
+        kept: Couplings that the pattern is to have if the same nodes are active.
     """
     configuration = fields[0].space.configuration
     where = points.placement(configuration)
@@ -207,7 +265,7 @@ def activate(
     active = []
     for k, field in enumerate(fields):
         active.append(
-            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], *entities[k])
+            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
         )
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
@@ -217,10 +275,11 @@ def activate(
     grid, soft = terms.grid_blocks(active)
     here = Participants(where, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
+    pairs = _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns)
     pattern = Pattern.build(
         _lists(regions, active, unknowns),
         unknowns,
-        _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns),
+        pairs if kept is None else [*pairs, *kept.pairs(unknowns)],
         None if old is None else old.pattern,
     )
     driven = held.changing and held.driven
@@ -246,16 +305,22 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
 
     def made(stencils: list[Stencils]) -> list[Stencils]:
         once = {id(s): part(s) for s in stencils}
-        together = joined([once[id(s)] for s in stencils])
-        if F is not None:
-            pushed = {id(s): pushed_forward(s, F) for s in together}
-            together = [pushed[id(s)] for s in together]
-        return together
+        return joined([once[id(s)] for s in stencils])
 
-    stencils = made([f.stencils for f in fields])
-    couplings = None
-    if region.averages:
-        means = CellMeans(points["V"], here.where, part(fields[0].seen), fields[0].basis)
+    def pushed(stencils: list[Stencils]) -> list[Stencils]:
+        if F is None:
+            return stencils
+        now = {id(s): pushed_forward(s, F) for s in stencils}
+        return [now[id(s)] for s in stencils]
+
+    own, couplings = [f.stencils for f in fields], None
+    if not region.averages:
+        stencils = pushed(made(own))
+    else:
+        first = fields[0]
+        *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
+        stencils = pushed(stencils)
+        means = CellMeans(points["V"], here.where, shared, first.basis)
         couplings = [
             CellCouplings(means, s, f.basis.nodes, u.nodes)
             for s, f, u in zip(stencils, fields, unknowns.fields)
@@ -305,8 +370,8 @@ def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Ba
         basis = field.space.basis
         need = beyond
         if averages:
-            need = max(need, span - 1)
-        if field.remedy.ties_nodes:
+            need = max(need, layers_needed(span, basis))
+        if field.ties_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
     return [f.space.basis.grown(layers[id(f.space.basis)]) for f in fields]
@@ -317,7 +382,7 @@ def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, s
     roots: list[Any] = [None] * len(fields)
     for k, field in enumerate(fields):
         basis = bases[k]
-        if not field.remedy.ties_nodes or isinstance(basis, LatticeBasis):
+        if not field.ties_nodes or isinstance(basis, LatticeBasis):
             continue
         filled = field.remedy.measure(where, seen[k], basis)
         roots[k] = mesh_roots(basis, nodes[k], filled, field.remedy.level(basis.degree))
@@ -329,10 +394,12 @@ def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, s
 
 
 def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[int]):
-    """Active cells of every field, and what terms integrate over. Collective."""
+    """What terms integrate over, for every field. Collective."""
     tables = ghost_facets(points.grid) if GHOST_FACETS in moving else None
 
-    def find(basis: Basis) -> tuple[npt.NDArray[np.bool_], Entities]:
+    def find(basis: Basis) -> Entities:
+        if not moving:
+            return {}
         cells = active_cells(seen[bases.index(basis)], basis.cells)
         entities: Entities = {}
         if tables is not None:
@@ -340,18 +407,18 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
         if ACTIVE_CELLS in moving:
             owned = np.flatnonzero(cells[: basis.cells.owned])
             entities[ACTIVE_CELLS] = owned.astype(np.int32)
-        return cells, entities
+        return entities
 
     return _shared(bases, find)
 
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    cells, entities: Entities,
+    entities: Entities,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
-    remedy, penalty = field.remedy, None
-    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if remedy.ties_nodes else None
+    remedy, penalty, active = field.remedy, None, nodes
+    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if field.ties_nodes else None
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
         rows, columns, values = remedy.penalty(
@@ -369,7 +436,7 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, stencils, nodes, C, to_grid, cells, entities, penalty
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty
     )
 
 

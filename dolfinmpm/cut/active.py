@@ -94,7 +94,9 @@ class GhostFacets:
         if grid.comm.size > 1 and ghosts == 0 and cut > 0:
             raise UnsupportedGridError(
                 "terms over interior facets need ghost cells in parallel; create the mesh with "
-                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
+                "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or one of gmsh or of a file "
+                "with partitioner=dolfinx.mesh.create_cell_partitioner("
+                "dolfinx.mesh.GhostMode.shared_facet)"
             )
         first, count = to_cells.offsets[:-1], np.diff(to_cells.offsets)
         self._facet_cells = np.full((len(count), 2), -1, np.int32)

@@ -1,4 +1,4 @@
-"""Means over the cells of what stands at the material points, and the couplings they make.
+"""Means of what stands at the material points, over cells or splines, and their couplings.
 
 A scalar m at the points has in cell c the mean M_c = Σ_q s_qc V_q m_q / W_c with
 W_c = Σ_q s_qc V_q, over the points of all ranks whose domains lie in the cell by the
@@ -6,9 +6,19 @@ shares s_qc, and at point p the mean m̄_p = Σ_c s_pc M_c. What depends on it c
 all nodes seen by points that share a cell: the tangent gains Σ_c b_c g_cᵀ / W_c,
 where b_c sums up what the points in the cell do to the forces when its mean
 changes, and g_c how W_c M_c changes with the nodal increments.
+
+Splines of degree 2 and more can alternate from cell to cell without a mean over any cell:
+there would be no stiffness against such a change of volume. Their means are those of
+the splines one degree lower on the same cells, as in the B-bar and F-bar projections of
+Elguedj, Bazilevs, Calo & Hughes (2008, doi 10.1016/j.cma.2008.01.012), with the mass
+matrix lumped: s_pc is the value at the point of the lower spline c, averaged over the
+point's domain as the basis is. Shares in cells and in splines alike are not negative and
+sum to 1 at a point, and what is said of a cell below holds for a lower spline too.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -17,12 +27,15 @@ from dolfinx.la import InsertMode
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
+from dolfinmpm.basis.bspline import number_functions
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.cut.pattern import Pattern
 from dolfinmpm.cut.unknowns import FieldUnknowns
+from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.lattice import once_per_grid, require_lattice
 
-__all__ = ["CellCouplings", "CellMeans", "add_outer"]
+__all__ = ["CellCouplings", "CellMeans", "Shares", "add_outer", "layers_needed", "sharing"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,17 +52,103 @@ def _to_points(order, groups, cell_start, cells, share_start, shares, values, ou
             out[order[position]] = value
 
 
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the points in cells or lower splines; those of a point sum to 1.
+
+    Attributes:
+        cells: Numbering of the cells, or of the splines.
+        cell_start: First entry of every group of the stencils in `of`, shape (groups + 1,).
+        of: Local indices of the cells that the group's points share in.
+        start: First entry of every group in `values`, shape (groups + 1,).
+        values: The shares (-): for each of a group's points one row of the group's cells.
+    """
+
+    cells: Numbering
+    cell_start: npt.NDArray[np.int32]
+    of: npt.NDArray[np.int32]
+    start: npt.NDArray[np.int64]
+    values: Array
+
+
+@once_per_grid
+def _lower_splines(grid, degree: int, averaged: bool) -> LatticeBasis:
+    """Splines for means alone: their overlap of ranks follows that of the basis above. Collective.
+
+    The basis of a field on them would not do, for its numbering must not change when
+    that of another one does.
+    """
+    lattice = require_lattice(grid, "a mean over splines")
+    node_map, ijk = number_functions(grid, lattice, degree)
+    return LatticeBasis(grid, lattice, degree, averaged, node_map, ijk)
+
+
+def _over_splines(basis: LatticeBasis | LinearBasis) -> bool:
+    """Whether means are taken over splines one degree lower, and not over cells."""
+    return basis.degree > 1
+
+
+def sharing(where: Placement, seen: Stencils, basis: LatticeBasis | LinearBasis) -> Stencils:
+    """Stencils that tell which cells, or splines one degree lower, points share in. Collective.
+
+    Args:
+        where: The points as the stencils see them.
+        seen: Their stencils.
+        basis: The basis that these belong to.
+    """
+    if not _over_splines(basis):
+        return seen
+    return _lower(basis).stencils(where)
+
+
+def _lower(basis: LatticeBasis | LinearBasis) -> LatticeBasis:
+    """Splines one degree lower, with the same overlap of ranks. Collective."""
+    assert isinstance(basis, LatticeBasis)
+    lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged)
+    return lower.grown(basis.halo.layers)
+
+
+def shares_of(where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis) -> Shares:
+    """The points' shares in cells or, for splines, in those one degree lower. Collective.
+
+    Args:
+        where: The points as the stencils see them.
+        stencils: What `sharing` gives, in any groups.
+        basis: The basis of the field.
+    """
+    s = stencils
+    if _over_splines(basis):
+        return Shares(_lower(basis).nodes, s.node_start, s.nodes, s.value_start, s.N)
+    start, values = domain_shares(where, s, basis)
+    return Shares(basis.cells, s.cell_start, s.cells, start, values)
+
+
+def layers_needed(span: int, basis: LatticeBasis | LinearBasis) -> int:
+    """Layers of cells beyond a rank's own that couplings of means need.
+
+    The rank that owns a cell, or a lower spline, has to know all nodes that points in
+    it see: their domains reach as far as they span cells, and the support of a spline of
+    degree 1 or 2 to the neighbours of the cell that it is numbered with. Nodes that
+    a prolongation puts in the place of others lie further off by as far as roots do.
+
+    Args:
+        span: Cells that a point's domain spans in one direction, at most.
+        basis: The basis of the field.
+    """
+    return span - 1 + int(_over_splines(basis))
+
+
 class CellMeans:
     """Means over cells, weighted with the points' volumes as they are now. Collective.
 
     Args:
         volume: Volumes of the points as they are now (m^d), shape (points,).
         where: The points as the stencils see them.
-        stencils: Their stencils.
-        basis: The basis that these belong to.
+        stencils: What `sharing` gives, in any groups.
+        basis: The basis of the field.
 
     Attributes:
-        share_start, shares: Shares of the points in the cells; see `domain_shares`.
+        shares: Shares of the points in the cells.
         volume: W_c, the volume of the points in every local cell (m^d), shape (cells,).
         weight: V, the volumes of the points (m^d), shape (points,).
         exchanges: Whether points of some rank are in cells of another.
@@ -62,15 +161,15 @@ class CellMeans:
         stencils: Stencils,
         basis: LatticeBasis | LinearBasis,
     ):
-        self.cells = basis.cells
-        self.share_start, self.shares = domain_shares(where, stencils, basis)
-        s = stencils
-        self._graph = s.order, s.groups, s.cell_start, s.cells, self.share_start, self.shares
-        self._shared = self.cells.vector()
-        comm = self.cells.comm
+        self.shares = shares = shares_of(where, stencils, basis)
+        cells, of = shares.cells, shares.of
+        self._graph = (
+            stencils.order, stencils.groups, shares.cell_start, of, shares.start, shares.values
+        )  # fmt: skip
+        self._shared = cells.vector()
         # points of linear functions are in cells of their own rank only
-        beyond = comm.size > 1 and s.cells.size > 0 and int(s.cells.max()) >= self.cells.owned
-        self.exchanges = comm.size > 1 and comm.allreduce(bool(beyond), op=MPI.LOR)
+        beyond = cells.comm.size > 1 and of.size > 0 and int(of.max()) >= cells.owned
+        self.exchanges = cells.comm.size > 1 and cells.comm.allreduce(bool(beyond), op=MPI.LOR)
         self.weight = volume.copy()
         self.volume = self._sums(self.weight).copy()
 
@@ -191,11 +290,11 @@ class CellCouplings:
     def __init__(self, means: CellMeans, stencils: Stencils, numbering, nodes):
         self.means = means
         self._stencils = s = stencils
-        cells = means.cells
-        pairs = np.diff(s.cell_start)
+        cells, of = means.shares.cells, means.shares.of
+        pairs = np.diff(means.shares.cell_start)
         group_of = np.repeat(np.arange(pairs.size), pairs)
-        first = running_sum(np.bincount(s.cells, minlength=cells.size), np.int64)
-        of_cell = np.argsort(s.cells, kind="stable")
+        first = running_sum(np.bincount(of, minlength=cells.size), np.int64)
+        of_cell = np.argsort(of, kind="stable")
         self._start = np.zeros(cells.size + 1, np.int64)
         self._entry_start = running_sum(np.diff(s.node_start)[group_of], np.int64)
         self._entry = np.empty(self._entry_start[-1], np.int64)
@@ -240,10 +339,10 @@ class CellCouplings:
             column: First column of the field in the flux.
             out: Forces by cell and node, see `forces`.
         """
-        s, means = self._stencils, self.means
+        s, shares = self._stencils, self.means.shares
         _add_forces(
-            first, last, s.groups, s.node_start, s.value_start, s.N, s.dN, s.cell_start,
-            means.share_start, means.shares, self._entry_start, self._entry, flux, column, out,
+            first, last, s.groups, s.node_start, s.value_start, s.N, s.dN, shares.cell_start,
+            shares.start, shares.values, self._entry_start, self._entry, flux, column, out,
         )  # fmt: skip
 
     def summed(self, values: Array) -> Array:

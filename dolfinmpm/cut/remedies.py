@@ -18,6 +18,7 @@ from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.aggregation import MeshRoots, ties
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
+from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.materials.base import lame
 
@@ -73,8 +74,12 @@ def ghost(
     Raises:
         ParameterError: γ is negative, or the order or the scaling is not known.
     """
-    if isinstance(gamma, (int, float)) and not (math.isfinite(gamma) and gamma >= 0):
-        raise ParameterError(f"gamma = {gamma} must be finite and not negative")
+    # before γ, always: FFCx tells forms apart by the order in which their constants were made
+    size = cell_size(points.grid)
+    if isinstance(gamma, (int, float)):
+        if not (math.isfinite(gamma) and gamma >= 0):
+            raise ParameterError(f"gamma = {gamma} must be finite and not negative")
+        gamma = own_constant(points.grid, gamma)
     space = getattr(u, "_dolfinmpm_space", None)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
@@ -83,7 +88,6 @@ def ghost(
         raise ParameterError(f"order = {order!r} must be a whole number of at least 1")
     if scaling not in ("scaled", "literal"):
         raise ParameterError(f'scaling = {scaling!r} must be "scaled" or "literal"')
-    size = cell_size(points.grid)
     h = ufl.avg(size) if isinstance(size, fem.Function) else size
     if scaling == "scaled":
         gamma = gamma / h**2
@@ -125,10 +129,10 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
     """
     if not (math.isfinite(eta) and eta > 0):
         raise ParameterError(f"eta = {eta} must be finite and positive")
-    lmbda, mu = lame(E, nu)
+    lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
     strain = ufl.sym(ufl.grad(u))
     stress = lmbda * ufl.tr(strain) * ufl.Identity(points.gdim) + 2 * mu * strain
-    return eta * ufl.inner(stress, ufl.grad(v)) * points.dC
+    return ufl.inner(stress, ufl.grad(v)) * points.dC
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
+from dolfinmpm.grid.constants import own_constant
 
 __all__ = ["Lattice", "cell_size", "lattice_of"]
 
@@ -165,9 +166,10 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     least = grid.comm.allreduce(sizes.min(initial=math.inf), op=MPI.MIN)
     largest = grid.comm.allreduce(sizes.max(initial=0.0), op=MPI.MAX)
     if largest - least <= 1e-9 * largest:
-        return fem.Constant(grid, default_scalar_type(0.5 * (least + largest)))
+        return own_constant(grid, 0.5 * (least + largest))
     h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")
     h.x.array[:] = sizes
+    h._dolfinmpm_own = True
     return h
 
 

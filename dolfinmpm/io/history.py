@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.io.tables import write_table
 
 __all__ = ["History"]
@@ -28,6 +30,7 @@ class History:
     """
 
     def __init__(self, comm: MPI.Comm = MPI.COMM_WORLD):
+        check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")
         self._comm = comm
         self._rows: list[dict[str, float]] = []
         self.names: tuple[str, ...] = ()
@@ -36,31 +39,44 @@ class History:
         """Add one of each number.
 
         Raises:
-            ParameterError: The names are not those of the first record, or a value is not
-                a single number.
+            ParameterError: There is no number, the names are not those of the first record,
+                or a value is not a single number.
         """
         if self._rows and set(values) != set(self.names):
             raise ParameterError(
                 f"record has {', '.join(values)}; the first had {', '.join(self.names)}: give the "
                 "same names every time"
             )
-        wrong = [name for name, value in values.items() if np.ndim(value) != 0]
-        if wrong:
-            raise ParameterError(
-                f"{wrong[0]} = {values[wrong[0]]} must be a single number; record components "
-                "under names of their own"
-            )
+        if not values:
+            raise ParameterError("record needs a number or more, as in record(load=footing.load())")
+        row = {name: _single(name, value) for name, value in values.items()}
         self.names = self.names or tuple(values)
-        self._rows.append({name: float(values[name]) for name in self.names})
+        self._rows.append({name: row[name] for name in self.names})
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def __getitem__(self, name: str) -> npt.NDArray[np.float64]:
         if name not in self.names:
-            raise KeyError(f"nothing is recorded as '{name}'; there are {', '.join(self.names)}")
+            known = ", ".join(self.names) or "no records yet"
+            raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
         return np.array([row[name] for row in self._rows])
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a table as .csv or .json; see `study.write_table`. Collective."""
+        file_path("path", path)
         write_table(self._rows, path, self._comm)
+
+
+def _single(name: str, value: Any) -> float:
+    try:
+        single = np.ndim(value) == 0 and not isinstance(value, (str, bytes))
+        number = float(value) if single else None
+    except (TypeError, ValueError):
+        number = None
+    if number is None:
+        raise ParameterError(
+            f"{name} = {shown(value)} must be a single number; record components under names of "
+            "their own"
+        )
+    return number

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import check_kind, choice, file_path, number, shown
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.lattice import lattice_of
 
@@ -75,14 +76,24 @@ def figure(
         subplots: Arguments of Matplotlib's `Figure.subplots`, such as nrows and ncols.
 
     Raises:
+        ParameterError: An argument is not what it may be.
         OSError: The file cannot be written; on rank 0 only.
     """
     import matplotlib
     from matplotlib.figure import Figure
 
+    _check_picture(path)
+    _check_looks(None, math.inf, (width, height), dpi)
     with matplotlib.rc_context(_LOOK):
         result = Figure(figsize=(width, height), layout="constrained")
-        yield result, result.subplots(**subplots)
+        try:
+            axes = result.subplots(**subplots)
+        except (TypeError, ValueError) as error:
+            raise ParameterError(
+                f"figure cannot make its axes: {error}; it takes the arguments of Matplotlib's "
+                "Figure.subplots"
+            ) from error
+        yield result, axes
         if MPI.COMM_WORLD.rank == 0:
             _save(result, path, dpi)
 
@@ -137,10 +148,19 @@ def plot(
         ParameterError: An argument is not of the kind above, or no point is seen.
         OSError: The file cannot be written.
     """
+    check_kind("points", points, MaterialPoints, "plot(points, path)")
     if draw is None:
         draw = "dots" if lattice_of(points.grid) is None else "deformed"
+    draw = choice("draw", draw, _DRAW)
     derived = colour == "displacement" and colour not in points.fields
-    raise_together(points.comm, _wrong(points, path, colour, component, draw, cut, view, derived))
+
+    def check() -> None:
+        _check_scene(points, colour, component, cut, view, derived)
+        _check_looks(limits, max_aspect, size, dpi)
+        if points.comm.rank == 0:  # the others need no Matplotlib
+            _check_picture(path, cmap)
+
+    call_together(points.comm, check)
     extent = _extent(points.grid)
     lines = _grid_lines(points.grid, cut) if grid and points.gdim > 1 else None
     gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
@@ -149,6 +169,12 @@ def plot(
         x, F, half, half0, values = gathered
         unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
         scalars, symbol = _scalar(x - values if derived else values, component, points.gdim)
+        missing = np.flatnonzero(~np.isfinite(scalars))
+        if missing.size and limits is None:
+            error = ParameterError(
+                f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, as at "
+                f"{x[missing[0]]} m; give limits to leave such points blank"
+            )
         scale, prefix = _prefix(scalars, limits) if unit == "Pa" else (1.0, "")
         unit = prefix + unit.replace("^d", f"^{points.gdim}")
         # columns are the half-edges of the points' domains
@@ -158,6 +184,8 @@ def plot(
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
         )  # fmt: skip
         try:
+            if error is not None:
+                raise error
             scene.write(path, extent, view, cut, title, dpi)
         except Exception as cause:
             # whatever it is, the other ranks wait
@@ -302,31 +330,77 @@ class _Scene:
         bar.outline.set_linewidth(0.6)
 
 
-def _wrong(points, path, colour, component, draw, cut, view, derived) -> ParameterError | None:
-    """What is wrong with the arguments of `plot`, or None."""
+def _check_scene(points, colour, component, cut, view, derived) -> None:
+    """Raise ParameterError if `plot` is asked for what the points do not have."""
     known = [*points.fields, "displacement"]
     if colour not in known:
-        return ParameterError(f"no field '{colour}' to colour by; there are {', '.join(known)}")
+        raise ParameterError(f"no field '{colour}' to colour by; there are {', '.join(known)}")
     shape = (points.gdim,) if derived else points[colour].shape[1:]
     if isinstance(component, str):
         fits = component in ("mean", "mises") and shape == (3, 3)
     else:
         index = () if component is None else tuple(np.atleast_1d(component))
         fits = len(shape) <= 2 and (not index or len(index) == len(shape))
-        fits = fits and all(0 <= i < n for i, n in zip(index, shape))
+        fits = fits and all(_is_index(i, n) for i, n in zip(index, shape))
     if not fits:
-        return ParameterError(f"component = {component!r} does not fit '{colour}' of shape {shape}")
-    if draw not in _DRAW:
-        return ParameterError(f"draw = {draw!r} must be one of {', '.join(_DRAW)}")
-    if cut is not None and (points.gdim != 3 or cut[0] not in _AXES):
-        return ParameterError(f'cut = {cut!r} must be as ("y", 0.5), for points in 3D')
+        raise ParameterError(f"component = {component!r} does not fit '{colour}' of shape {shape}")
+    pair = isinstance(cut, (tuple, list)) and len(cut) == 2
+    if cut is not None and not (points.gdim == 3 and pair and cut[0] in tuple(_AXES)):
+        raise ParameterError(f'cut = {shown(cut)} must be as ("y", 0.5), for points in 3D')
+    if cut is not None:
+        number("the position of the cut", cut[1], unit="m")
     axes = points.gdim - (cut is not None)
-    fits = view in ("grid", "points") if isinstance(view, str) else np.shape(view) == (axes, 2)
-    if not fits:
-        return ParameterError(f'view = {view!r} must be "grid", "points" or {axes} ranges (m)')
-    if not Path(path).suffix:
-        return ParameterError(f"the path of a picture ends in .png, .pdf, ..., got '{path}'")
-    return None
+    if isinstance(view, str):
+        choice("view", view, ("grid", "points"))
+        return
+    try:
+        box = np.array(view, float)
+    except (TypeError, ValueError):
+        box = np.empty(0)
+    if box.shape != (axes, 2) or not np.isfinite(box).all() or np.any(box[:, 0] >= box[:, 1]):
+        raise ParameterError(
+            f'view = {shown(view)} must be "grid", "points" or {axes} rising ranges (m)'
+        )
+
+
+def _is_index(i: Any, n: int) -> bool:
+    return isinstance(i, (int, np.integer)) and not isinstance(i, bool) and bool(0 <= i < n)
+
+
+def _check_looks(limits, max_aspect, size, dpi) -> None:
+    """Raise ParameterError if a number of `plot` is not what it may be."""
+    for what, pair in (("limits", limits), ("size", size)):
+        if pair is None and what == "limits":
+            continue
+        if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
+            raise ParameterError(f"{what} = {shown(pair)} must be two numbers")
+        low, high = (number(f"{what}[{k}]", value) for k, value in enumerate(pair))
+        if what == "limits" and not low < high:
+            raise ParameterError(
+                f"limits = {shown(pair)} must rise, from the lowest to the highest"
+            )
+        if what == "size" and min(low, high) <= 0:
+            raise ParameterError(f"size = {shown(pair)} inch must be two positive numbers")
+    number("max_aspect", max_aspect, 1.0, math.inf, closed=True)
+    number("dpi", dpi, 0.0)
+
+
+def _check_picture(path: Any, cmap: Any = None) -> None:
+    """Raise ParameterError if Matplotlib cannot write such a file, or has no such colours."""
+    import matplotlib
+    from matplotlib.backend_bases import FigureCanvasBase
+    from matplotlib.colors import Colormap
+
+    ending = file_path("path", path).suffix[1:].lower()
+    known = FigureCanvasBase.filetypes
+    if ending not in known:
+        raise ParameterError(
+            f"the path of a picture ends in .png, .pdf, ..., got '{path}'; Matplotlib writes "
+            f"{', '.join(sorted(known))}"
+        )
+    if cmap is not None and not isinstance(cmap, Colormap) and cmap not in matplotlib.colormaps:
+        names = [name for name in matplotlib.colormaps if not name.endswith("_r")]
+        choice("cmap", cmap, names)
 
 
 def _scalar(values: Array, component, gdim: int) -> tuple[Array, str]:

@@ -355,7 +355,11 @@ class Law(Parametrised):
 
 
 def lame(E: Any, nu: Any) -> tuple[Any, Any]:
-    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio; UFL's too."""
+    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio; UFL's too.
+
+    >>> lame(2e6, 0.25)
+    (800000.0, 800000.0)
+    """
     return E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
 
 

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import choice
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Law, Parameter, Value, law_kernel
 
 __all__ = ["DruckerPrager"]
@@ -134,14 +136,14 @@ class DruckerPrager(Law):
     volume change, divides by η̄ and fails for ψ = 0. With hardening, ε̄ᵖ at the apex solves a
     quadratic equation. At an apex that does not harden the tangent is zero.
 
-    Internal variables: `accumulated_plastic_strain` ε̄ᵖ, at first 0.
+    Internal variables: `plastic_strain` ε̄ᵖ, at first 0.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
         cohesion: Cohesion c (Pa), not negative; 0 puts the apex at the origin.
-        friction: Friction angle φ (degrees), 0 ≤ φ ≤ 90; at 0 there is no apex.
-        dilation: Dilation angle ψ (degrees), 0 ≤ ψ ≤ φ; ψ = φ is associated flow.
+        friction_angle: φ (degrees), 0 ≤ φ ≤ 90; at 0 there is no apex.
+        dilation_angle: ψ (degrees), 0 ≤ ψ ≤ φ; ψ = φ is associated flow.
         fit: How the cone fits the pyramid, see above.
         hardening: Slope H of the cohesion over ε̄ᵖ (Pa), not negative.
 
@@ -152,11 +154,11 @@ class DruckerPrager(Law):
 
     parameters = ELASTIC | {
         "cohesion": Parameter("Pa", low=0.0, closed=True),
-        "friction": Parameter("degrees", low=0.0, high=90.0, closed=True),
-        "dilation": Parameter("degrees", low=0.0, high=90.0, closed=True),
+        "friction_angle": Parameter("degrees", low=0.0, high=90.0, closed=True),
+        "dilation_angle": Parameter("degrees", low=0.0, high=90.0, closed=True),
         "hardening": Parameter("Pa", low=0.0, closed=True),
     }
-    internal = {"accumulated_plastic_strain": ("", 0.0)}
+    internal = {"plastic_strain": ("", 0.0)}
     kernel = _drucker_prager
     fits = ("compression", "extension", "plane strain", "inner")
 
@@ -165,28 +167,31 @@ class DruckerPrager(Law):
         E: Value,
         nu: Value,
         cohesion: Value,
-        friction: Value,
-        dilation: Value,
+        friction_angle: Value,
+        dilation_angle: Value,
         fit: str = "compression",
         hardening: Value = 0.0,
     ):
-        if fit not in self.fits:
-            raise ParameterError(
-                f"DruckerPrager: fit = {fit!r} must be one of {', '.join(map(repr, self.fits))}"
-            )
-        self.fit = fit
+        self.fit = choice("DruckerPrager: fit", fit, self.fits)
         super().__init__(
-            E=E, nu=nu, cohesion=cohesion, friction=friction, dilation=dilation, hardening=hardening
+            E=E,
+            nu=nu,
+            cohesion=cohesion,
+            friction_angle=friction_angle,
+            dilation_angle=dilation_angle,
+            hardening=hardening,
         )
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where dilation is larger than friction."""
-        bad = values["dilation"] > values["friction"]
+        warn_of_radians(self, values)
+        friction, dilation = values["friction_angle"], values["dilation_angle"]
+        bad = dilation > friction
         if bad.any():
             at = int(np.argmax(bad))
             raise ParameterError(
-                f"DruckerPrager: dilation = {values['dilation'][at]:g} degrees must not be larger "
-                f"than friction = {values['friction'][at]:g} degrees"
+                f"DruckerPrager: dilation_angle = {dilation[at]:g} degrees must not be larger than "
+                f"friction_angle = {friction[at]:g} degrees"
             )
 
     def parameter_array(self, x: Array | None = None) -> Array:

@@ -30,6 +30,11 @@ class Hencky(Law):
 
     Raises:
         ParameterError: A parameter is outside its range.
+
+    Stresses (Pa) of principal strains, away from any grid:
+
+    >>> Hencky(E=2e6, nu=0.25).respond([[1e-3, 0.0, 0.0]]).stress.round(6).tolist()
+    [[2400.0, 800.0, 800.0]]
     """
 
     parameters = ELASTIC

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
 from dolfinmpm.materials.principal import descending, elastic, moduli
 
@@ -244,10 +245,10 @@ class MohrCoulomb(Law):
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
         cohesion: Cohesion c (Pa), not negative; may be zero if there is friction.
-        friction: Friction angle φ (degrees), from 0 to 89.
-        dilation: Dilation angle ψ (degrees), from 0 to the smaller friction angle.
+        friction_angle: φ (degrees), from 0 to 89.
+        dilation_angle: ψ (degrees), from 0 to the smaller friction angle.
         residual_cohesion: Cohesion to which c tends (Pa); by default c does not change.
-        residual_friction: Angle to which φ tends (degrees); by default φ does not change.
+        residual_friction_angle: Angle to which φ tends (degrees); by default φ does not change.
         rate: Rate of this change by α; positive if residual values differ.
 
     Raises:
@@ -258,10 +259,10 @@ class MohrCoulomb(Law):
 
     parameters = ELASTIC | {
         "cohesion": Parameter("Pa", low=0.0, high=1e300, closed=True),
-        "friction": Parameter("degrees", low=0.0, high=89.0, closed=True),
-        "dilation": Parameter("degrees", low=0.0, high=89.0, closed=True),
+        "friction_angle": Parameter("degrees", low=0.0, high=89.0, closed=True),
+        "dilation_angle": Parameter("degrees", low=0.0, high=89.0, closed=True),
         "residual_cohesion": Parameter("Pa", low=0.0, high=1e300, closed=True),
-        "residual_friction": Parameter("degrees", low=0.0, high=89.0, closed=True),
+        "residual_friction_angle": Parameter("degrees", low=0.0, high=89.0, closed=True),
         "rate": Parameter("", low=0.0, closed=True),
     }
     internal = {"plastic_strain": ("", 0.0)}
@@ -272,33 +273,36 @@ class MohrCoulomb(Law):
         E: Value,
         nu: Value,
         cohesion: Value,
-        friction: Value,
-        dilation: Value = 0.0,
+        friction_angle: Value,
+        dilation_angle: Value = 0.0,
         residual_cohesion: Value | None = None,
-        residual_friction: Value | None = None,
+        residual_friction_angle: Value | None = None,
         rate: Value = 0.0,
     ):
         super().__init__(
             E=E,
             nu=nu,
             cohesion=cohesion,
-            friction=friction,
-            dilation=dilation,
+            friction_angle=friction_angle,
+            dilation_angle=dilation_angle,
             residual_cohesion=cohesion if residual_cohesion is None else residual_cohesion,
-            residual_friction=friction if residual_friction is None else residual_friction,
+            residual_friction_angle=(
+                friction_angle if residual_friction_angle is None else residual_friction_angle
+            ),
             rate=rate,
         )
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where parameters contradict each other; see the class."""
         name = type(self).__name__
-        c, phi, psi = values["cohesion"], values["friction"], values["dilation"]
-        last_c, last_phi = values["residual_cohesion"], values["residual_friction"]
+        c, phi, psi = values["cohesion"], values["friction_angle"], values["dilation_angle"]
+        last_c, last_phi = values["residual_cohesion"], values["residual_friction_angle"]
+        warn_of_radians(self, values)
         smaller = np.minimum(phi, last_phi)
         if (psi > smaller).any():
             worst = np.argmax(psi - smaller)
             raise ParameterError(
-                f"{name}: dilation = {psi[worst]:g} degrees must not exceed the friction "
+                f"{name}: dilation_angle = {psi[worst]:g} degrees must not exceed the friction "
                 f"angle, {smaller[worst]:g} degrees"
             )
         if (((c == 0.0) & (phi == 0.0)) | ((last_c == 0.0) & (last_phi == 0.0))).any():

@@ -16,11 +16,17 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.checks import check_form
+from dolfinmpm.solve.arguments import (
+    check_conditions,
+    check_path,
+    check_updates,
+    increments_of,
+)
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.path import PathBorder
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.setup import space_of
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["ArcLength", "ArcRecord"]
@@ -45,23 +51,43 @@ class ArcRecord(StepRecord):
 class Pace:
     """How long the next step along a path is to be.
 
+    Ramm's rule ℓ √(n*/n) (1981, doi 10.1007/978-3-642-81589-8_5), n being a step's
+    iterations. Where even short steps take more than n* of them, as those of yielding
+    bodies do, the rule alone shortens them for ever: n* is then what the best of the last
+    steps took, and one more; and a step that took no more than that is followed by a longer
+    one, so that lengths come back after a failure.
+
     Args:
-        target: Iterations aimed at.
+        target: Iterations aimed at, where they are enough.
         longest: Bound of the lengths (m).
+
+    Attributes:
+        counts: Iterations of the last steps.
     """
 
+    remembered = 8
+    growth = 1.25
+
     def __init__(self, target: int, longest: float):
-        self.target, self.longest = target, longest
+        self._target, self._longest = target, longest
+        self.counts: list[int] = []
 
     def next(self, length: float, iterations: int) -> float:
-        """The next length (m), by Ramm's rule ℓ √(n*/n).
+        """The next length (m).
 
         Args:
             length: Length of the step (m).
             iterations: Iterations that it took.
         """
-        ratio = min(2.0, max(0.5, math.sqrt(self.target / iterations)))
-        return math.copysign(min(abs(length) * ratio, self.longest), length)
+        self.counts = [*self.counts, iterations][-self.remembered :]
+        least = min(self.counts)
+        # not beyond twice the target: lengths that creep up would end in failures
+        aim = max(self._target, min(least + 1, 2 * self._target))
+        ratio = math.sqrt(aim / iterations)
+        if iterations <= least:
+            ratio = max(ratio, self.growth)
+        size = abs(length) * min(2.0, max(0.5, ratio))
+        return math.copysign(min(size, self._longest), length)
 
 
 class ArcLength(QuasiStatic):
@@ -71,8 +97,8 @@ class ArcLength(QuasiStatic):
     along the path of equilibrium; see `Constraint` for what length means. The
     predictor follows the tangent in the direction that does not turn back on the last
     increment of the material points, which they carry along from grid to grid. The
-    next length is ℓ √(n*/n), n being the iterations of this step; a step that does not
-    converge leaves the state as it was and is halved.
+    next length is such that it takes about as many iterations as are aimed at, see `Pace`; a
+    step that does not converge leaves the state as it was and is halved.
 
     Constants of the form other than the load keep the values that they are given;
     prescribed increments must be zero.
@@ -86,17 +112,18 @@ class ArcLength(QuasiStatic):
             on they hold λ times that.
         length: Length of the first step (m). May be left out if `control` is a name.
         first: Change of λ that the first step aims at where no length is given; its sign
-            says where the path starts to in any case.
+            says where the path starts to in any case. In a state that carries load already it
+            is measured by the mean flexibility so far, so that a path may start at a limit.
         control: "spherical", "cylindrical", or a form that is linear in the test
             function, whose value for the increment is the length, such as
             `surface.mean((0, -1), v)`: displacement control. Its length may be negative.
         factor: λ at first, for a state that carries a share of the load already.
-        target_iterations: n*.
+        target_iterations: Iterations that a step is to take; see `Pace`.
         max_length: Bound of the lengths (m).
         options: Options of `QuasiStatic`; `max_halvings` bounds the halvings of a step.
 
     Attributes:
-        factor: λ of the present state.
+        path: The load factor, its equation and the length of the next step.
         history: One record a step, with λ and displacement.
 
     Raises:
@@ -105,6 +132,7 @@ class ArcLength(QuasiStatic):
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
+    _of_step = ArcRecord
 
     def __init__(
         self,
@@ -122,30 +150,13 @@ class ArcLength(QuasiStatic):
         max_length: float = math.inf,
         **options: Any,
     ):
-        u = increment[0] if isinstance(increment, Sequence) else increment
-        space = space_of(u)
-        if u.ufl_shape != (points.gdim,):
-            raise ParameterError(
-                f"the first increment must be a displacement of {points.gdim} components, got "
-                f"shape {u.ufl_shape}"
-            )
-        for condition in bcs:
-            if isinstance(condition, Condition) and condition.changes:
-                raise ParameterError(
-                    f"the condition at '{condition.where}' prescribes an increment; under a load "
-                    "factor only zero ones may be: press by the load or by a RigidFooting"
-                )
-        lengths = [length] if length is not None else []
-        if not all(math.isfinite(s) and s != 0 for s in lengths) or not max_length > 0:
-            raise ParameterError(
-                f"length = {length} must be finite and not zero, max_length = {max_length} positive"
-            )
-        if first == 0 or not math.isfinite(first) or target_iterations < 1:
-            raise ParameterError(
-                f"first = {first} must be finite and not zero, target_iterations = "
-                f"{target_iterations} at least 1"
-            )
-        constraint = Constraint(control, u, space.test, points)
+        increments = increments_of(increment, points)
+        u, spaces = increments[0], [v._dolfinmpm_space for v in increments]
+        bcs = check_conditions(bcs, spaces)
+        check_form(form)
+        updates = check_updates(options.pop("updates", None), points)
+        check_path(points, u, bcs, length, first, factor, max_length, target_iterations)
+        constraint = Constraint(control, u, spaces[0].test, points)
         if constraint.linear and length is None:
             raise ParameterError("displacement control needs the length of its first step (m)")
         if not constraint.linear and length is not None and length < 0:
@@ -154,17 +165,24 @@ class ArcLength(QuasiStatic):
         load_factor = LoadFactor(form, points.grid, constants, factor)
         # what a point did last goes with it from grid to grid and from rank to rank
         trail = points.add_field("arc_increment", (points.gdim,), "m")
-        updates = {**(options.pop("updates", None) or {}), "arc_increment": u}
+        updates["arc_increment"] = u
         super().__init__(form, increment, points, bcs, updates=updates, **options)
         self.path = PathBorder(load_factor, constraint, trail, self.form.spaces, points)
         self.form.also |= self.path.moving
         self.path.length, self.path.first = length, first
+        moved = self._moved()
+        if factor and moved:
+            self.path.speed = moved / abs(factor)
         self.solver = Bordered(self.newton, self.path)
         load_factor.set(factor)
         self._loads.release()
-        self.factor = float(factor)
+        self.path.factor = float(factor)
         self._pace = Pace(target_iterations, max_length)
-        self._travelled = 0.0
+
+    @property
+    def factor(self) -> float:
+        """Load factor λ of the present state."""
+        return self.path.factor
 
     def step(self) -> ArcRecord:
         """Take one step along the path. Collective.
@@ -199,14 +217,44 @@ class ArcLength(QuasiStatic):
         # of the attempt that succeeded alone: the predictor and the corrections
         last = len(record.residuals)
         path.last_change = path.load.value - self.factor
-        self.factor = record.factor = path.load.value
+        path.factor = record.factor = path.load.value
         record.parts, record.length = 1, path.length
-        self._travelled += path.length if path.constraint.linear else 0.0
-        record.displacement = self._travelled if path.constraint.linear else self._moved()
+        path.travelled += path.length if path.constraint.linear else 0.0
+        record.displacement = path.travelled if path.constraint.linear else self._moved()
         path.length = self._pace.next(path.length, last)
         record.seconds = time.perf_counter() - started
         self.history.append(record)
         return record
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        state, local, cells = super()._memory()
+        path = self.path
+        state |= {
+            "factor": self.factor,
+            "length": path.length,
+            "last_change": path.last_change,
+            "psi": path.constraint.psi,
+            "travelled": path.travelled,
+            "counts": np.array(self._pace.counts, np.int64),
+        }
+        return state, local, cells
+
+    def _remember(self, state, local, cells) -> None:
+        super()._remember(state, local, cells)
+        path = self.path
+        path.factor, path.travelled = state["factor"], state["travelled"]
+        self._pace.counts = state["counts"].tolist()
+        path.length, path.last_change = state["length"], state["last_change"]
+        path.constraint.psi = state["psi"]
+        path.load.set(self.factor)
+        self._loads.release()
+
+    def _problem(self) -> dict[str, Any]:
+        return {
+            **super()._problem(),
+            "load at factor 1": self.path.load.describe(),
+            "control": self.path.constraint.kind,
+        }
 
     def _moved(self) -> float:
         """Root mean square of the points' displacements (m). Collective."""
@@ -222,6 +270,6 @@ class ArcLength(QuasiStatic):
             f"step {len(self.history) + 1} of the path failed at the load factor {self.factor:.6g} "
             f"with a length of {self.path.length or math.nan:.3g} m: {failed.reason}; the relative "
             f"out-of-balance force is {last} (tolerance {self.newton.tolerance:g}), the worst is "
-            f"{failed.worst}. The state is that before the step: add stabilisation, or choose "
-            "another control"
+            f"{failed.worst}. The state is that before the step: choose another control, or "
+            f"{self._advice()}"
         )

@@ -13,14 +13,14 @@ from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 
-__all__ = ["LinearSolver"]
+__all__ = ["WORKSPACE", "LinearSolver"]
 
 Array = npt.NDArray[np.float64]
 
 # PETSc's numbers for an error in an external library and for a zero pivot
 _FACTORISATION = (76, 71)
 # MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
-_ORDERING, _WORKSPACE = 7, 14
+_ORDERING, WORKSPACE = 7, 14
 _SHORT_OF_WORKSPACE = (-8, -9, -17)
 
 
@@ -149,15 +149,15 @@ class LinearSolver:
         plastic tangent near a limit load needs pivots off the diagonal, and more room for
         what they fill in than the 20 % beyond its forecast that MUMPS takes.
         """
-        if not self._uses_mumps or self._given(_WORKSPACE):
+        if not self._uses_mumps or self._given(WORKSPACE):
             return False
         factors = self.snes.getKSP().getPC().getFactorMatrix()
         if factors.getMumpsInfog(1) not in _SHORT_OF_WORKSPACE:
             return False
-        share = 2 * self.mumps.get(_WORKSPACE, 50)
+        share = 2 * self.mumps.get(WORKSPACE, 50)
         if share > 1000:
             return False
-        self.mumps[_WORKSPACE] = share
+        self.mumps[WORKSPACE] = share
         self.snes.getKSP().getPC().reset()
         self._use_mumps()
         return True

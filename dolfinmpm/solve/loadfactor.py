@@ -75,6 +75,11 @@ class LoadFactor:
         """λ now."""
         return float(self._factor.value)
 
+    def describe(self) -> str:
+        """The load at λ = 1, for messages."""
+        values = [", ".join(f"{value:.9g}" for value in r.flat) for r in self._reference]
+        return " and ".join(f"({value})" for value in values)
+
     def set(self, factor: float) -> None:
         """Set λ, and with it the constants."""
         self._factor.value = factor

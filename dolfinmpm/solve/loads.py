@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem
+from mpi4py import MPI
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.analysis import extract_constants
 
-__all__ = ["Loads"]
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.grid.constants import is_own
+
+__all__ = ["Loads", "check_loads", "load_name", "loads_of"]
 
 
 class Loads:
@@ -18,16 +26,19 @@ class Loads:
     The user sets them to what the next step is to reach. A part of a step takes
     them that part of the way.
 
+    Attributes:
+        items: The constants and functions.
+
     Args:
         items: Constants and functions; each is taken once.
         increments: Functions that are solved for and carry no load.
     """
 
     def __init__(self, items: Sequence[Any], increments: Sequence[fem.Function]):
-        self._items: list[Any] = []
+        self.items: list[Any] = []
         for item in items:
-            if not any(item is known for known in (*self._items, *increments)):
-                self._items.append(item)
+            if not any(item is known for known in (*self.items, *increments)):
+                self.items.append(item)
         self._start = self._read()
         self._target = self._start
 
@@ -36,7 +47,7 @@ class Loads:
         return item.x.array if isinstance(item, fem.Function) else item.value
 
     def _read(self) -> list[npt.NDArray[np.float64]]:
-        return [np.array(self._array(item), copy=True) for item in self._items]
+        return [np.array(self._array(item), copy=True) for item in self.items]
 
     def aim(self) -> None:
         """Take the present values as those to reach."""
@@ -44,14 +55,83 @@ class Loads:
 
     def set(self, share: float) -> None:
         """Set the values at that share of the way."""
-        for item, start, target in zip(self._items, self._start, self._target):
+        for item, start, target in zip(self.items, self._start, self._target):
             self._array(item)[...] = target if share >= 1 else start + share * (target - start)
 
     def release(self) -> None:
         """Take the present values as those of a converged state."""
         self._start = self._read()
 
+    def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
+        """Each constant and function, with its values in the last converged state."""
+        return list(zip(self.items, self._start))
+
     def describe(self) -> str:
         """The constants' present values, for messages."""
-        values = [f"{item.value}" for item in self._items if isinstance(item, fem.Constant)]
+        values = [
+            f"{load_name(item)} = {item.value}"
+            for item in self.items
+            if isinstance(item, fem.Constant)
+        ]
         return "constants " + ", ".join(values) if values else "no constants"
+
+
+def loads_of(items: Iterable[Any]) -> list[Any]:
+    """Constants and functions of a form without those that the library put there."""
+    return [item for item in items if not is_own(item)]
+
+
+def load_name(item: Any) -> str:
+    """What messages call a constant or a function: its `name`, if the user gave it one.
+
+    A constant of DOLFINx has none, but takes one: `gravity.name = "gravity"`.
+    """
+    return str(getattr(item, "name", None) or item)
+
+
+def check_loads(
+    items: Sequence[Any], form: ufl.Form, bcs: Sequence[Condition], comm: MPI.Comm
+) -> None:
+    """Raise on all ranks if a load or a prescribed increment is not finite. Collective.
+
+    Args:
+        items: Constants and functions of the form.
+        form: The form; messages have the term that the load stands in.
+        bcs: Essential conditions.
+        comm: The ranks.
+
+    Raises:
+        ParameterError: One is not; the message has its name, its value and its term.
+    """
+    error: Exception | None = None
+    for item in items:
+        function = isinstance(item, fem.Function)
+        values = item.x.array if function else item.value
+        if error is None and not np.isfinite(values).all():
+            kind = "function" if function else "constant"
+            value = f" = {values}" if not function else ""
+            error = ParameterError(
+                f"the {kind} {load_name(item)}{value} is not finite{_where(item, form)}; set it to "
+                "the load that the step is to reach"
+            )
+    for condition in bcs:
+        if error is None and not np.isfinite(condition.increment).all():
+            error = ParameterError(
+                f"the increment prescribed at '{condition.where}' is {condition.increment} and "
+                "must be finite"
+            )
+    raise_together(comm, error)
+
+
+def _where(item: Any, form: ufl.Form) -> str:
+    """The first term that an item stands in, for messages."""
+    for integral in form.integrals():
+        integrand = integral.integrand()
+        terms = [integrand]
+        while isinstance(terms[0], ufl.classes.Sum):
+            terms = [*terms[0].ufl_operands, *terms[1:]]
+        for term in terms:
+            if any(item is c for c in (*extract_constants(term), *extract_coefficients(term))):
+                text = str(term)
+                return f" in the term '{text if len(text) <= 200 else text[:197] + '...'}'"
+    return ""

@@ -39,6 +39,7 @@ class WeakForm:
         softening: Terms of the tangent only, or None.
 
     Attributes:
+        given: The form as it was given.
         parts: The form, split.
         spaces: The spaces.
         points: The material points.
@@ -57,6 +58,7 @@ class WeakForm:
         points: MaterialPoints,
         softening: ufl.Form | None = None,
     ):
+        self.given = form
         self.parts: SplitForm = split(form, spaces, points)
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
@@ -99,8 +101,10 @@ class WeakForm:
 
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
         """Tangent of its terms over the grid, and of those of the tangent only. Collective."""
-        self.grid.attach(fields)
-        blocks = self.grid.tangent(fields)
+        blocks: list[Blocks] = []
+        if self.parts.grid:
+            self.grid.attach(fields)
+            blocks = self.grid.tangent(fields)
         if self.softening is None:
             return blocks, []
         self.softening.attach(fields)
@@ -146,7 +150,8 @@ class Operator:
         parts = here.regions
         if not self._main:
             parts = [region_on(r, form.points, here) for r in form.regions]
-            form.grid.attach(here.fields)
+            if form.parts.grid:
+                form.grid.attach(here.fields)
         self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
@@ -160,7 +165,8 @@ class Operator:
         here.unknowns.clear(out)
         self.points.update_constants()
         self.points.add_external(out.arrays)
-        self.form.grid.add_external(here.fields, out.arrays)
+        if self.form.parts.grid:
+            self.form.grid.add_external(here.fields, out.arrays)
         out.add_up()
 
     @property

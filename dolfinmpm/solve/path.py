@@ -36,6 +36,10 @@ class PathBorder:
         length: Length of the step (m), or None before the first, which then sets it.
         last_change: Change of the factor in the last step, or None before the first.
         first: What the first step is to add to the factor, where `length` is not set.
+        factor: λ of the present state.
+        travelled: Controlled displacement since the beginning (m).
+        speed: Root mean square displacement by load factor so far (m), infinite where there
+            is none; it bounds what the first step takes for the size of displacements.
         tolerance, unmet: See `Border`.
 
     Raises:
@@ -59,6 +63,9 @@ class PathBorder:
         self.length: float | None = None
         self.last_change: float | None = None
         self.first = 0.0
+        self.factor = load.value
+        self.travelled = 0.0
+        self.speed = math.inf
         self._trail = trail
         self._slope_form = WeakForm(load.derivative, spaces, points)
         self._control_form = WeakForm(constraint.form, spaces, points)
@@ -115,11 +122,13 @@ class PathBorder:
             assert self.length is not None
             change = self.length / along
         else:
+            # near a limit point the tangent's speed has no bound, the mean one so far has
+            usual = min(math.sqrt(along), self.speed)
             if constraint.psi is None:
-                constraint.psi = math.sqrt(along)
-            speed = math.sqrt(along + constraint.psi**2)
+                constraint.psi = usual
             if self.length is None:
-                self.length = abs(self.first) * speed
+                self.length = abs(self.first) * math.hypot(usual, constraint.psi)
+            speed = math.sqrt(along + constraint.psi**2)
             change = math.copysign(self.length / speed, self._side())
         self.load.set(self._start + change)
         return change * rate, abs(change) * math.sqrt(self._dot(q, q))

@@ -97,6 +97,9 @@ def observed_orders(
 
     Returns:
         One order fewer than sizes; NaN where an error is missing or both are zero.
+
+    >>> [round(order, 3) for order in observed_orders([0.4, 0.2, 0.1], [0.16, 0.04, 0.02])]
+    [2.0, 1.0]
     """
     h, e = np.asarray(sizes, float), np.asarray(errors, float)
     with np.errstate(divide="ignore", invalid="ignore"):

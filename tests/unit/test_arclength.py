@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
 from dolfinmpm.materials.base import lame
+from dolfinmpm.solve.arclength import Pace
 
 COMM = MPI.COMM_WORLD
 LOAD = 1e3
@@ -140,10 +141,11 @@ def test_neo_hookean_and_lengths_from_iterations():
     )  # fmt: skip
     factors = [problem.step().factor for _ in range(25)]
     lengths = [record.length for record in problem.history]
+    pace = Pace(4, 0.2)
     for a, b, record in zip(lengths[:-1], lengths[1:], problem.history):
-        if not problem.history[lengths.index(b)].halvings:
-            ratio = min(2.0, max(0.5, (4 / record.iterations) ** 0.5))
-            assert b == pytest.approx(min(0.2, a * ratio))
+        # of the attempt that succeeded
+        expected = pace.next(a, len(record.residuals))
+        assert b == pytest.approx(expected * 0.5 ** problem.history[lengths.index(b)].halvings)
     assert max(factors[:-1]) > 0.2
     assert min(np.diff(factors)) < 0
 
@@ -224,6 +226,52 @@ def test_a_path_starts_where_another_solver_ended():
     assert P.value == pytest.approx(0.1 * LOAD)
     assert problem.step().factor < 0.1
     assert arch.deflection < before
+
+
+@pytest.mark.parametrize("share", [0.9, 0.99, 0.999])
+@pytest.mark.parametrize("control", ["spherical", "cylindrical"])
+def test_a_path_may_start_near_its_limit_point(share, control):
+    """Loaded almost to the limit, from where the tangent's speed is no measure of a step."""
+    reference = pushed()
+    factor = CubicSpline(reference[:, 1], reference[:, 0])
+    top = reference[: len(reference) // 2, 0].max()
+    arch = Arch()
+    P = fem.Constant(arch.grid, 0.0)
+    F = arch.F - P * arch.down(arch.V.test)
+    loaded = mpm.QuasiStatic(F, arch.V.increment, arch.points, arch.bcs, stabilisation="ghost")
+    for k in range(1, 11):
+        P.value = LOAD * top * share * k / 10
+        loaded.step()
+    P.value = LOAD
+    problem = mpm.ArcLength(
+        F, arch.V.increment, arch.points, arch.bcs, load=P, control=control, factor=top * share,
+        first=0.03, stabilisation="ghost",
+    )  # fmt: skip
+    rows = []
+    for _ in range(5):
+        record = problem.step()
+        assert record.halvings == 0
+        assert record.iterations <= 5
+        rows.append((record.factor, arch.deflection))
+    rows = np.array(rows)
+    assert rows[-1, 0] < 0.9 * top
+    assert np.abs(rows[:, 0] - factor(rows[:, 1])).max() < 0.03 * top
+
+
+def test_the_pace_does_not_crawl():
+    """Where seven iterations are the least, lengths grow until it takes more, and stay there."""
+    pace, length = Pace(5, 10.0), 1.0
+    for _ in range(60):
+        length = pace.next(length, 7 if length < 3.0 else 9)
+    assert 2.0 < length < 5.0
+    # after a failure, too
+    length /= 64
+    for _ in range(40):
+        length = pace.next(length, 7 if length < 3.0 else 9)
+    assert 2.0 < length < 5.0
+    # and not beyond what is allowed, in either direction
+    assert Pace(5, 10.0).next(-9.0, 2) == -10.0
+    assert Pace(5, 10.0).next(1.0, 500) == pytest.approx(1.25)
 
 
 # -- failures -----------------------------------------------------------------

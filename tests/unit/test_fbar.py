@@ -15,7 +15,9 @@ from test_tangent import box, check, strained
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
-from dolfinmpm.cut.cellmeans import CellMeans
+from dolfinmpm.basis.stencils import gather
+from dolfinmpm.cut.cellmeans import CellMeans, layers_needed, sharing
+from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.forms import PointOperator
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.materials import Hencky, Tresca, VonMises
@@ -159,6 +161,13 @@ def test_tangent_of_two_laws_two_fields_and_a_nonlinear_form():
     check(problem, tolerance=1e-5)
 
 
+def means_of(points, basis):
+    """Means over cells, or over lower splines, as a problem takes them."""
+    where = points.placement()
+    shared = sharing(where, basis.stencils(where), basis)
+    return CellMeans(points["V"], where, shared, basis)
+
+
 @pytest.mark.parametrize("basis", BASES)
 def test_means_keep_constants_and_sums(basis):
     grid = mesh.create_rectangle(
@@ -168,9 +177,7 @@ def test_means_keep_constants_and_sums(basis):
     rng = np.random.default_rng(1)
     points["V"] *= rng.uniform(0.5, 2, len(points))
     V = mpm.Space(grid, basis)
-    means = CellMeans(
-        points["V"], points.placement(), V.basis.stencils(points.placement()), V.basis
-    )
+    means = means_of(points, V.basis)
     np.testing.assert_allclose(means.mean(np.full(len(points), 3.0)), 3.0, rtol=1e-14)
     m = rng.uniform(1, 2, len(points))
     mean = means.mean(m)
@@ -185,12 +192,62 @@ def test_means_of_overlapping_domains_by_hand():
     points["x"], points["l"] = [[0.8], [1.6]], [0.4]
     points["V"] = [2.0, 3.0]
     V = mpm.Space(grid, "gimp")
-    means = CellMeans(
-        points["V"], points.placement(), V.basis.stencils(points.placement()), V.basis
-    )
+    means = means_of(points, V.basis)
     second = (0.25 * 2 * 10 + 3 * 20) / (0.25 * 2 + 3)
     expected = [0.75 * 10 + 0.25 * second, second]
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0])), expected, rtol=1e-14)
+
+
+def test_means_over_lower_splines_by_hand():
+    """Of quadratic splines over hat functions: two points in one cell, one at the next knot."""
+    grid = mesh.create_interval(MPI.COMM_SELF, 3, [0.0, 3.0])
+    points = mpm.fill(grid, mpm.Box(0.0, 3.0), 1, 1.0)
+    points["x"], points["V"] = [[0.25], [0.75], [1.0]], [1.0, 2.0, 4.0]
+    V = mpm.Space(grid, "bspline2", averaged=False)
+    means = means_of(points, V.basis)
+    first = (0.75 * 1 * 10 + 0.25 * 2 * 20) / (0.75 * 1 + 0.25 * 2)
+    second = (0.25 * 1 * 10 + 0.75 * 2 * 20 + 4 * 30) / (0.25 * 1 + 0.75 * 2 + 4)
+    expected = [0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second, second]
+    np.testing.assert_allclose(means.mean(np.array([10.0, 20.0, 30.0])), expected, rtol=1e-14)
+
+
+def test_means_of_splines_see_what_alternates_within_two_cells():
+    """Quadratic splines whose coefficients alternate vanish at the knots: cells see no volume."""
+    n = 12
+    grid = mesh.create_interval(MPI.COMM_SELF, n, [0.0, float(n)])
+    points = mpm.fill(grid, mpm.Box(0.0, float(n)), 4, 1.0)
+    V = mpm.Space(grid, "bspline2", averaged=False)
+    s = V.basis.stencils(points.placement())
+    u = np.empty((V.basis.nodes.size, 1))
+    u[:, 0] = np.where(V.basis.halo.node_ijk[:, 0] % 2, 1.0, -1.0)
+    value, slope = np.empty((len(points), 1)), np.empty((len(points), 1, 1))
+    gather(s, u, value, slope)
+    # away from the ends, where the functions differ
+    inner = (points["x"][:, 0] > 3) & (points["x"][:, 0] < n - 3)
+    volume = slope[:, 0, 0]
+    size = np.abs(volume[inner]).max()
+    assert size > 1
+    share_start, shares = domain_shares(points.placement(), s, V.basis)
+    sums = np.bincount(s.cells[np.repeat(np.arange(n), 4)], shares * volume[s.order], n)
+    assert share_start[-1] == len(points)
+    assert np.abs(sums[3 : n - 3]).max() < 1e-12
+    mean = means_of(points, V.basis).mean(volume)
+    assert np.abs(mean[inner]).max() > 0.3 * size
+
+
+@pytest.mark.parametrize(
+    ("basis", "half", "layers"),
+    [("linear", 0.1, 0), ("gimp", 0.1, 1), ("bspline2", 0.1, 2), ("bspline3", 0.1, 2),
+     ("gimp", 0.3, 4), ("bspline2", 0.3, 5)],
+)  # fmt: skip
+def test_layers_that_means_need(basis, half, layers):
+    """As many as a domain spans beyond its first cell, and one for a spline's support."""
+    grid = unit_grid("quadrilateral", 6)
+    points = mpm.fill(grid, mpm.Box((0.3, 0.3), (0.7, 0.7)), 2, 1.0)
+    points["l"] = half, half
+    V = mpm.Space(grid, basis)
+    _, span = V.basis.reach(points.placement())
+    assert layers_needed(span, V.basis) == layers
 
 
 @pytest.mark.parametrize("basis", BASES)
@@ -249,8 +306,7 @@ def test_pressure_is_that_of_the_mean_volume(basis):
     law = FBar(problem.form.regions[0].operators[0].law.framework, points)
     rng = np.random.default_rng(2)
     H = rng.uniform(-0.05, 0.05, (len(points), 4))
-    where, basis_of = points.placement(), problem.fields[0].space.basis
-    means = CellMeans(points["V"], where, basis_of.stencils(where), basis_of)
+    means = means_of(points, problem.fields[0].space.basis)
     law.prepare(H, means.mean)
     S = np.empty_like(H)
     assert law.evaluate(H, S, None, np.arange(len(points), dtype=np.int32)) == -1
@@ -335,3 +391,25 @@ def test_what_f_bar_cannot_do_is_refused():
     form = ufl.inner(stress, ufl.grad(v)) * points.dX
     with pytest.raises(errors.FormError, match="takes the gradient of an increment"):
         mpm.QuasiStatic(form, u, points)
+
+
+@pytest.mark.parametrize("strain", ["large", "small"])
+@pytest.mark.parametrize(
+    ("law", "angle"),
+    [
+        (mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 5.0), "5"),
+        (mpm.materials.MohrCoulomb(10.0, 0.3, 1.0, 30.0, lambda x: 10 * x[0]), "9"),
+    ],
+)
+def test_dilation_is_refused(law, angle, strain):
+    """With the reason and the remedy, before the body is touched by a step."""
+    grid = unit_grid("quadrilateral", 5)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    with pytest.raises(errors.ParameterError, match=rf"dilation_angle = {angle} deg.*bspline2"):
+        mpm.QuasiStatic(mpm.momentum(law, points, u, v, strain=strain, fbar=True), u, points)
+    mpm.QuasiStatic(mpm.momentum(law, points, u, v, strain=strain), u, points)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
+    plain = mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 0.0)
+    mpm.QuasiStatic(mpm.momentum(plain, points, u, v, strain=strain, fbar=True), u, points)

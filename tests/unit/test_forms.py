@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import unit_grid
+from conftest import COMM, unit_grid
 from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
@@ -224,3 +224,28 @@ def test_impossible_ghost_penalties(scene):
         mpm.ghost(points, u, v, gamma=1.0, order=0)
     with pytest.raises(ParameterError, match="scaling = 'other'"):
         mpm.ghost(points, u, v, gamma=1.0, scaling="other")
+
+
+@pytest.mark.parametrize("measure", ["cells", "facets"])
+def test_grid_terms_keep_what_is_there_without_increments(measure):
+    """(u − c)·v is u·v − c·v, though all of it varies with u."""
+
+    def moved(joint):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (2, 4)], (2, 4), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 3)), 2, 1.0)
+        V = mpm.Space(grid, "linear")
+        u, v, c = V.increment, V.test, fem.Constant(grid, (0.2, -1.0))
+        where = points.dC
+        if measure == "facets":
+            u, v, where = u("+"), v("+"), points.dS
+        both = ufl.inner(u - c, v) * where
+        parts = ufl.inner(u, v) * where - ufl.inner(c, v) * where
+        F = ufl.inner(ufl.grad(V.increment), ufl.grad(V.test)) * points.dx
+        F += both if joint else parts
+        problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+        problem.step()
+        return points["x"] - points["x0"]
+
+    expected = moved(joint=False)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(moved(joint=True), expected, rtol=0, atol=1e-12)

@@ -309,6 +309,7 @@ def test_components():
         ({"view": ((0, 1),)}, "view = "),
         ({"view": ((5, 6), (5, 6))}, "no material point is in the view"),
         ({"path": "picture"}, r"ends in \.png"),
+        ({"path": "picture.xyz"}, r"ends in \.png, .*Matplotlib writes .*svg"),
     ],
 )
 def test_wrong_pictures(folder, options, message):
@@ -319,8 +320,8 @@ def test_wrong_pictures(folder, options, message):
 
 
 def test_errors_of_matplotlib_reach_all_ranks(folder):
-    with pytest.raises(ValueError, match="not supported"):
-        plot(quarter(), folder / "a.xyz")
+    with pytest.raises(ValueError, match="Unknown symbol"):
+        plot(quarter(), folder / "a.png", title=r"$\nosuchsymbol$")
 
 
 def test_figure_saves_in_one_look(folder):

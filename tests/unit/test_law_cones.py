@@ -230,13 +230,13 @@ def test_parameters_may_vary():
 
 
 def test_errors():
-    with pytest.raises(ParameterError, match="dilation = 31 degrees must not be larger than"):
+    with pytest.raises(ParameterError, match="dilation_angle = 31 degrees must not be larger than"):
         DruckerPrager(E, NU, 0.0, 30.0, 31.0)
-    with pytest.raises(ParameterError, match="'inner'"):
+    with pytest.raises(ParameterError, match='"inner"'):
         DruckerPrager(E, NU, 0.0, 30.0, 0.0, "outer")
     with pytest.raises(ParameterError, match="cohesion = -1"):
         DruckerPrager(E, NU, -1.0, 30.0, 0.0)
-    with pytest.raises(ParameterError, match="friction = 91"):
+    with pytest.raises(ParameterError, match="friction_angle = 91"):
         DruckerPrager(E, NU, 1.0, 91.0, 0.0)
     for bad in (np.inf, -np.inf, np.nan):
         with pytest.raises(StateError, match="DruckerPrager finds no stress at point 1"):

@@ -256,6 +256,8 @@ def test_new_points_have_the_first_state_of_the_law():
     problem = column(lower, law)
     problem.step()
     lower.add(upper)
+    # a problem gives them what its laws keep before it goes on
+    problem.activate()
     new = lower["tag"] == 2
     np.testing.assert_array_equal(lower["be"][new], [[1, 1, 1, 0, 0, 0]] * new.sum())
     parameters = lower["vonmises_parameters"]
@@ -271,9 +273,11 @@ def test_new_points_have_the_first_internal_variables_of_the_law():
         preconsolidation=lambda x: 50 + x[1],
     )  # fmt: skip
     V = mpm.Space(lower.grid, "gimp")
-    mpm.momentum(law, lower, V.increment, V.test)
+    F = mpm.momentum(law, lower, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, lower)
     lower["preconsolidation_pressure"] = 77.0
     lower.add(upper)
+    problem.activate()
     expected = np.where(lower["tag"] == 1, 77.0, 50 + lower["x0"][:, 1])
     np.testing.assert_array_equal(lower["preconsolidation_pressure"], expected)
 

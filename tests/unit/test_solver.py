@@ -139,7 +139,7 @@ def test_conflicting_conditions():
         mpm.QuasiStatic(
             F, V.increment, points, mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, 0.1)
         )
-    with pytest.raises(ParameterError, match="side 'north'"):
+    with pytest.raises(ParameterError, match="side = 'north'"):
         mpm.fixed(V, "north")
     with pytest.raises(ParameterError, match="component = 2"):
         mpm.prescribed(V, "left", 2)
@@ -276,7 +276,7 @@ def test_one_constant_for_two_purposes():
     F -= c * V.test[0] * points.dX
     with pytest.raises(ParameterError, match="use two constants"):
         mpm.QuasiStatic(F, V.increment, points, mpm.prescribed(V, "bottom", 0, c))
-    with pytest.raises(ParameterError, match="bcs holds a str"):
+    with pytest.raises(ParameterError, match="bcs holds 'bottom'"):
         mpm.QuasiStatic(F, V.increment, points, ["bottom"])
 
 

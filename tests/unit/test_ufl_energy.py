@@ -99,7 +99,9 @@ def test_agrees_with_kernels():
     phi = np.degrees(np.arcsin(sine))
     k = 6 * np.cos(np.radians(phi)) / (np.sqrt(3) * (3 - sine)) * 6e3
     round_cone = EnergyWithYield(hencky, cone, **ELASTIC, eta=eta, k=k, a=1.0)
-    pairs.append((round_cone, DruckerPrager(**ELASTIC, cohesion=6e3, friction=phi, dilation=phi)))
+    pairs.append(
+        (round_cone, DruckerPrager(**ELASTIC, cohesion=6e3, friction_angle=phi, dilation_angle=phi))
+    )
     for ours, known in pairs:
         here, there = ours.respond(strains), known.respond(strains)
         far = np.ptp(there.stress, axis=1) > 2e3

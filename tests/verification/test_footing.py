@@ -83,5 +83,16 @@ def test_f_bar_and_splines_are_softer():
         assert s["linear", "off"] < s["gimp", "off"] < s["bspline2", "off"]
         assert s["bspline2", "off"] > 1.05 * s["gimp", "off"]
         gain = {basis: s[basis, "on"] / s[basis, "off"] for basis in bases}
-        assert min(gain.values()) > 1.02
+        # splines hardly lock without it
+        assert min(gain["linear"], gain["gimp"]) > 1.02
+        assert gain["bspline2"] > 1.01
         assert gain["linear"] > max(gain["gimp"], gain["bspline2"])
+
+
+def test_f_bar_on_splines_leaves_a_change_of_volume_alone():
+    """Means over cells, blind to what alternates within two of them, settled 4 to 6 % more."""
+    figures = footing(f"{CLAY} --basis bspline2 --fbar on")
+    assert figures["halvings"] == 0
+    assert figures["max_deviation_centre"] < 0.01
+    assert figures["max_deviation_mean"] < 0.02
+    assert abs(figures["deviation_mean"]) < 0.005

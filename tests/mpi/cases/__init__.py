@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from . import bodies, failures, fbar, loads, plasticity, remedies, tables, transport
+from . import (
+    arguments,
+    bodies,
+    failures,
+    fbar,
+    loads,
+    plasticity,
+    remedies,
+    restart,
+    tables,
+    transport,
+)
 
 __all__ = ["CASES"]
 
@@ -33,6 +44,7 @@ CASES = {
         fbar.fbar_triangles,
         fbar.fbar_ties,
         fbar.fbar_tangent,
+        fbar.fbar_layers,
         plasticity.plastic,
         plasticity.law_in_ufl,
         bodies.points_from_data,
@@ -40,7 +52,17 @@ CASES = {
         bodies.staged,
         bodies.errors_of_bodies,
         plasticity.layers,
+        plasticity.wall,
         failures.errors_on_all_ranks,
+        arguments.bad_inputs,
+        arguments.of_one_rank,
+        arguments.of_few_cells,
         tables.tables,
+        restart.restart_ghost,
+        restart.restart_aggregation,
+        restart.restart_triangles,
+        restart.restart_splines,
+        restart.restart_arch,
+        restart.restart_errors,
     )
 }

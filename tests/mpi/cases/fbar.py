@@ -92,3 +92,26 @@ def fbar_tangent():
         assert error < 2e-6 * scale, (basis, remedy, error, scale)
         figures["norm " + basis + remedy] = COMM.allreduce(float(exact @ exact))
     return figures
+
+
+def fbar_layers():
+    """With the layers that means ask for, every rank knows what its couplings need at once."""
+    figures = {}
+    for basis in ("linear", "gimp", "bspline2", "bspline3"):
+        for half in (0.25, 0.85):
+            grid = mesh.create_rectangle(
+                COMM, [(0, 0), (9, 9)], (9, 9), mesh.CellType.quadrilateral
+            )
+            points = mpm.fill(grid, mpm.Box((1.3, 2), (6.2, 7.15)), 2, 1.0)
+            points["l"] = half, half
+            V = mpm.Space(grid, basis)
+            law = mpm.materials.Hencky(E=100.0, nu=0.3)
+            F = mpm.momentum(law, points, V.increment, V.test, fbar=True)
+            problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+            problem.activate()
+            (region,) = problem.here.regions
+            assert all(coupling.complete for coupling in region.couplings)
+            means = region.couplings[0].means
+            squares = points["V"] @ means.mean(points["x"][:, 0]) ** 2
+            figures[f"{basis} {half}"] = COMM.allreduce(float(squares), op=MPI.SUM)
+    return figures

@@ -113,3 +113,27 @@ def layers():
     assert yielded > 1e-4
     assert not points["plastic_strain"][points["tag"] == 2].any()
     return figures | sums(points, "plastic_strain", "be", "moved_under")
+
+
+def wall():
+    """An elastic wall holds up Mohr–Coulomb ground that yields; bodies of two tags, joined."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (8, 6)], (16, 12), mesh.CellType.quadrilateral)
+    pile = mpm.Box((3.5, 1.0), (4.0, 4.5))
+    ground = (mpm.Box((0, 0), (8, 2.5)) | mpm.Box((0, 2.5), (3.5, 4.0))) - pile
+    points = mpm.fill(grid, ground, 2, 1800.0, tag=1) + mpm.fill(grid, pile, 2, 2400.0, tag=2)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, 0.0))
+    soil = mpm.materials.MohrCoulomb(2e7, 0.3, 2e3, 28.0, 4.0)
+    F = mpm.momentum(soil, points, u, v, tag=1)
+    F += mpm.momentum(mpm.materials.Hencky(2e9, 0.2), points, u, v, tag=2)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    loads = [(0.0, -1.25 * k) for k in range(1, 9)]
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    _, figures = run(points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12)
+    of_wall, strain = points["tag"] == 2, points["plastic_strain"]
+    assert COMM.allreduce(strain[~of_wall].max(initial=0.0), MPI.MAX) > 1e-4
+    assert not strain[of_wall].any()
+    lean = (points["x"] - points["x0"])[of_wall, 0].max(initial=-1.0)
+    assert COMM.allreduce(lean, MPI.MAX) > 1e-3
+    return figures | sums(points, "plastic_strain", "be")

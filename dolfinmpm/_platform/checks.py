@@ -1,0 +1,147 @@
+"""Checks of single arguments; what they raise names the value, the limit and the remedy."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import numbers
+import operator
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfinmpm._platform.errors import ParameterError
+
+__all__ = ["check_kind", "choice", "file_path", "number", "shown", "whole"]
+
+
+# words that a message lists
+_MOST = 12
+
+
+def shown(value: Any) -> str:
+    """A value in a message: short, and never a page of an object's inside."""
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        value = value.item()
+    if isinstance(value, (list, tuple)):
+        parts = [shown(part) for part in value[:4]] + ["..."] * (len(value) > 4)
+        brackets = "[]" if isinstance(value, list) else "()"
+        comma = "," * (isinstance(value, tuple) and len(value) == 1)
+        return f"{brackets[0]}{', '.join(parts)}{comma}{brackets[1]}"
+    # the default texts of objects tell their address, those of UFL their whole construction
+    plain = isinstance(value, (str, bool, int, float, complex, type(None)))
+    if not plain and not (isinstance(value, np.ndarray) and value.size <= 9):
+        return f"a {type(value).__name__}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def check_kind(what: str, value: Any, kind: type, remedy: str) -> None:
+    """Raise ParameterError unless a value is of a kind.
+
+    Args:
+        what: Name of the argument.
+        value: What was given.
+        kind: What it must be an instance of.
+        remedy: What to give instead.
+    """
+    if not isinstance(value, kind):
+        raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {remedy}")
+
+
+def number(
+    what: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    unit: str = "",
+    closed: bool = False,
+) -> float:
+    """A real number that lies between two limits.
+
+    Args:
+        what: Name of the argument.
+        value: What was given; words and truth values are no numbers.
+        low: Lower limit.
+        high: Upper limit.
+        unit: Unit of all three.
+        closed: Whether the limits themselves are allowed; infinity never is, unless it
+            is the upper limit.
+
+    Raises:
+        ParameterError: It is no number, or out of the limits.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise ParameterError(f"{what} = {shown(value)} must be a number{unit and f' ({unit})'}")
+    given = float(value)
+    inside = low <= given <= high if closed else low < given < high
+    if not inside or (math.isinf(given) and not (closed and given == high)):
+        left = f"{'at least' if closed else 'above'} {low:g}" if low > -math.inf else ""
+        right = f"{'at most' if closed else 'below'} {high:g}" if high < math.inf else ""
+        limits = " and ".join(limit for limit in (left, right) if limit) or "finite"
+        raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}")
+    return given
+
+
+def whole(what: str, value: Any, least: int) -> int:
+    """A whole number of at least `least`.
+
+    Raises:
+        ParameterError: It is no whole number, or less.
+    """
+    try:
+        given = None if isinstance(value, (bool, np.bool_)) else operator.index(value)
+    except TypeError:
+        given = None
+    if given is None or given < least:
+        raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
+    return given
+
+
+def _plain(word: str) -> str:
+    """A word without what differs between spellings."""
+    plain = word.lower().replace("_", "-").replace(" ", "-")
+    for british, american in (("centre", "center"), ("isation", "ization"), ("ised", "ized")):
+        plain = plain.replace(british, american)
+    return plain.replace("our", "or").replace("-", "")
+
+
+def choice(what: str, value: Any, known: Iterable[str]) -> str:
+    """One of some words, as it is spelt here.
+
+    Capitals, hyphens, and British or American spelling make no difference.
+
+    Args:
+        what: Name of the argument.
+        value: What was given.
+        known: The words.
+
+    Raises:
+        ParameterError: It is none of them; the message has the first dozen, and the nearest.
+    """
+    words = list(known)
+    if isinstance(value, str):
+        for word in words:
+            if _plain(word) == _plain(value):
+                return word
+    near = difflib.get_close_matches(value, words, 1) if isinstance(value, str) else []
+    hint = f'; did you mean "{near[0]}"?' if near else ""
+    listed = ", ".join(f'"{word}"' for word in words[:_MOST])
+    listed += ", ..." if len(words) > _MOST else ""
+    raise ParameterError(f"{what} = {shown(value)} must be one of {listed}{hint}")
+
+
+def file_path(what: str, value: Any) -> Path:
+    """A path from what a user gave for one.
+
+    Raises:
+        ParameterError: It is neither text nor a path.
+    """
+    if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
+        raise ParameterError(f"{what} = {shown(value)} must be a path, such as 'output/name'")
+    return Path(value)

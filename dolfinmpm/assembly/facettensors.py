@@ -1,0 +1,360 @@
+"""Facet tensors of B-splines from one-dimensional ones, without a compiled kernel.
+
+On a facet of a rectangular grid a bilinear form is a sum of products of derivatives of
+splines, each of which is a product of derivatives along the axes: of values on the two
+sides across the facet, and of integrals over one edge of a cell in every direction along it.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from scipy.interpolate import BSpline
+from ufl import classes
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+from ufl.algorithms.apply_restrictions import apply_default_restrictions, apply_restrictions
+from ufl.algorithms.expand_indices import expand_indices
+from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
+from ufl.classes import Argument, FacetArea, FacetNormal, Grad, Indexed, Restricted
+from ufl.core.expr import Expr
+from ufl.corealg.map_dag import map_expr_dag
+from ufl.corealg.multifunction import MultiFunction
+from ufl.corealg.traversal import unique_pre_traversal
+
+__all__ = ["FacetPlace", "FacetTensors", "readable"]
+
+Array = npt.NDArray[np.float64]
+# what has one value on each side, and what is made of such values here
+# fmt: off
+_TERMINALS = (
+    Argument, classes.CellVolume, classes.ConstantValue, FacetArea, FacetNormal,
+    classes.MultiIndex, fem.Constant,
+)
+_OPERATORS = (
+    Grad, Indexed, Restricted, classes.Abs, classes.ComponentTensor, classes.Division,
+    classes.IndexSum, classes.ListTensor, classes.MathFunction, classes.Power, classes.Product,
+    classes.Sum,
+)
+# fmt: on
+
+
+@dataclass(frozen=True)
+class FacetPlace:
+    """Where a facet is in a lattice.
+
+    Attributes:
+        lines: Coordinates of the lattice's nodes in each direction (m).
+        low: Lattice position of the lower of its two cells.
+        direction: Direction from that to the other.
+        swapped: Whether the upper cell is the first one, "+".
+    """
+
+    lines: Sequence[Array]
+    low: tuple[int, ...]
+    direction: int
+    swapped: bool
+
+    def cell(self, side: str) -> tuple[int, ...]:
+        """Lattice position of the cell on a side."""
+        upper = (side == "+") == self.swapped
+        return tuple(i + (upper and d == self.direction) for d, i in enumerate(self.low))
+
+    def sizes(self, side: str) -> tuple[float, ...]:
+        """Edges of the cell on a side (m)."""
+        return tuple(float(x[i + 1] - x[i]) for x, i in zip(self.lines, self.cell(side)))
+
+
+class _Facing(MultiFunction):
+    """An expression with the normal of its facet as numbers, by which most of it vanishes."""
+
+    def __init__(self, place: FacetPlace):
+        super().__init__()
+        outwards = -1 if place.swapped else 1
+        along = [outwards * (d == place.direction) for d in range(len(place.lines))]
+        self._normal = ufl.as_vector(along)
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def restricted(self, o):
+        # that of the second side was made one of the first before
+        return self._normal if isinstance(o.ufl_operands[0], FacetNormal) else o
+
+
+def _restricted(form: ufl.Form) -> ufl.Form:
+    """The form with terminals restricted as FFCx restricts them."""
+    form = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
+    return apply_restrictions(apply_default_restrictions(form))
+
+
+def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
+    """Whether `FacetTensors` can read a form over ghost facets.
+
+    It must hold nothing that varies in space but arguments and the size of cells, and be
+    integrated by Gauss's rule of any degree.
+
+    Args:
+        form: The form.
+        size: The grid's `cell_size`.
+    """
+    if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
+        return False
+    try:
+        integrals = _restricted(form).integrals()
+    except ValueError:
+        # without a side where one is needed: FFCx says so
+        return False
+    return all(
+        node is size or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
+        for integral in integrals
+        for node in unique_pre_traversal(integral.integrand())
+    )
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """A component of a derivative of an argument on one side of a facet.
+
+    Attributes:
+        number: 0 for the test function, 1 for the increment.
+        component: Of the argument's value.
+        side: "+" or "-".
+        powers: How often it is differentiated along each direction.
+    """
+
+    number: int
+    component: int
+    side: str
+    powers: tuple[int, ...]
+
+
+def _split(o: Expr) -> tuple[Expr, tuple[int, ...], str, int]:
+    """A terminal without its index, its side and its derivatives, and these."""
+    side, order = "+", 0
+    index: tuple[int, ...] = ()
+    while isinstance(o, (Restricted, Indexed, Grad)):
+        if isinstance(o, Restricted):
+            side = o.side()
+        elif isinstance(o, Indexed):
+            index = tuple(int(i) for i in o.ufl_operands[1])
+        else:
+            order += 1
+        o = o.ufl_operands[0]
+    return o, index, side, order
+
+
+def _leaves(o: Expr) -> Iterator[Expr]:
+    """Terminals with their index and side."""
+    if isinstance(o, (Restricted, Indexed)) or o._ufl_is_terminal_:
+        yield o
+    else:
+        for operand in o.ufl_operands:
+            yield from _leaves(operand)
+
+
+def _factor(o: Expr) -> _Factor | None:
+    """What an indexed or restricted terminal says of an argument, or None."""
+    argument, index, side, order = _split(o)
+    if not isinstance(argument, Argument):
+        return None
+    shape = argument.ufl_shape
+    along = index[len(shape) :]
+    assert len(along) == order
+    component = int(np.ravel_multi_index(index[: len(shape)], shape)) if shape else 0
+    gdim = argument.ufl_function_space().ufl_domain().geometric_dimension()
+    powers = tuple(along.count(d) for d in range(gdim))
+    return _Factor(argument.number(), component, side, powers)
+
+
+class _Numbers(MultiFunction):
+    """The value of an integrand at a facet, the factors' being given."""
+
+    def __init__(self, place: FacetPlace, factors: dict[_Factor, Array]):
+        super().__init__()
+        self._place = place
+        self._factors = factors
+
+    def _value(self, o):
+        factor = _factor(o)
+        if factor is not None:
+            return self._factors[factor]
+        place = self._place
+        terminal, index, side, _ = _split(o)
+        if isinstance(terminal, fem.Constant):
+            return float(terminal.value[index])
+        sizes = place.sizes(side)
+        if isinstance(terminal, fem.Function):
+            return math.prod(sizes) ** (1 / len(sizes))
+        if isinstance(terminal, FacetArea):
+            sizes = tuple(h for d, h in enumerate(sizes) if d != place.direction)
+        return math.prod(sizes)
+
+    # handlers, named as UFL names its types; one without operands stops there
+
+    def terminal(self, o):
+        return self._value(o)
+
+    def indexed(self, o):
+        return self._value(o)
+
+    def restricted(self, o):
+        return self._value(o)
+
+    def zero(self, o):
+        return 0.0
+
+    def scalar_value(self, o):
+        return float(o)
+
+    def sum(self, o, a, b):
+        return a + b
+
+    def product(self, o, a, b):
+        return a * b
+
+    def division(self, o, a, b):
+        return a / b
+
+    def power(self, o, a, b):
+        return a**b
+
+    def abs(self, o, a):
+        return abs(a)
+
+    def math_function(self, o, a):
+        # UFL evaluates functions of numbers
+        return float(type(o)(ufl.as_ufl(a)))
+
+
+class _Integral:
+    """One integral of a form over facets that face one way, and the factors that are in it."""
+
+    def __init__(self, integral: ufl.Integral, facing: _Facing):
+        self.integrand = expand_indices(map_expr_dag(facing, integral.integrand()))
+        degree = integral.metadata().get("quadrature_degree")
+        self.gauss = None if degree is None else max(1, (int(degree) + 2) // 2)
+        found = {_factor(o) for o in _leaves(self.integrand)}
+        factors = sorted((f for f in found if f), key=lambda f: (f.side, f.powers, f.component))
+        # what differs in the component alone shares its matrices
+        self.keys = [
+            list(dict.fromkeys((f.side, f.powers) for f in factors if f.number == n))
+            for n in (0, 1)
+        ]
+        self.factors = [f for f in factors if f]
+
+    def weights(self, place: FacetPlace, components: int) -> Array:
+        """What each product of a factor of the test function and one of the increment counts.
+
+        Returns:
+            Shape (sides and derivatives of the test function, components, those of the
+            increment, components).
+        """
+        sizes = [len(keys) * components for keys in self.keys]
+        values: dict[_Factor, Array] = {}
+        for f in self.factors:
+            at = self.keys[f.number].index((f.side, f.powers)) * components + f.component
+            unit = np.zeros(sizes[f.number])
+            unit[at] = 1.0
+            values[f] = unit[:, None] if f.number == 0 else unit
+        numbers = _Numbers(place, values)
+        result = map_expr_dag(numbers, self.integrand, compress=False)
+        shape = len(self.keys[0]), components, len(self.keys[1]), components
+        return np.broadcast_to(result, sizes).reshape(shape)
+
+
+_gauss = functools.cache(np.polynomial.legendre.leggauss)
+
+
+def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
+    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions)."""
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    own = knots[cell : cell + 2 * degree + 2]
+    return BSpline(own, np.eye(degree + 1), degree)(x, nu=order)
+
+
+def _product(lines: Sequence[Array]) -> Array:
+    product: Array = np.ones((1, 1))
+    for matrix in lines:
+        product = np.asarray(np.kron(product, matrix))
+    return product
+
+
+class FacetTensors:
+    """Element tensors of a bilinear form over facets, between splines.
+
+    Args:
+        form: The form, which is `readable`.
+        degree: Degree of the splines.
+        components: Components of the arguments.
+    """
+
+    def __init__(self, form: ufl.Form, degree: int, components: int):
+        self._degree = degree
+        self._components = components
+        self._form = _restricted(form)
+        # by the facet's direction and whether its first cell is the upper one
+        self._facing: dict[tuple[int, bool], list[_Integral]] = {}
+
+    def __call__(self, place: FacetPlace) -> Array:
+        """The tensor of one facet, with the present values of the form's constants.
+
+        Returns:
+            Shape (splines, splines, n). The splines are those of the two cells, the last
+            direction running fastest; n is the number of pairs of components, or 1 if
+            components do not mix, as in a ghost penalty: then for all of them.
+        """
+        c = self._components
+        facing = place.direction, place.swapped
+        if facing not in self._facing:
+            integrals = self._form.integrals()
+            self._facing[facing] = [_Integral(i, _Facing(place)) for i in integrals]
+        parts = [(part, part.weights(place, c)) for part in self._facing[facing]]
+        diagonal = [weights[:, 0, :, 0] for _, weights in parts]
+        single = all(
+            np.array_equal(weights, scale[:, None, :, None] * np.eye(c)[:, None, :])
+            for (_, weights), scale in zip(parts, diagonal)
+        )
+        functions = [self._degree + 1 + (d == place.direction) for d in range(len(place.lines))]
+        total = np.zeros((math.prod(functions),) * 2 + (1 if single else c**2,))
+        for (part, weights), scale in zip(parts, diagonal):
+            blocks = scale[:, :, None] if single else weights.transpose(0, 2, 1, 3)
+            blocks = blocks.reshape(*scale.shape, -1)
+            for r, s in np.argwhere(blocks.any(axis=2)):
+                lines = self._lines(place, part.keys[0][r], part.keys[1][s], part.gauss)
+                total += _product(lines)[:, :, None] * blocks[r, s]
+        return total
+
+    def _lines(self, place: FacetPlace, first, second, gauss: int | None) -> list[Array]:
+        """Matrices between two derivatives on their sides, one a direction."""
+        matrices: list[Array] = []
+        for d, line in enumerate(place.lines):
+            low = place.low[d]
+            if d == place.direction:
+                a, b = (self._across(place, side, powers[d]) for side, powers in (first, second))
+                matrices.append(a[:, None] * b)
+                continue
+            points, weights = _gauss(gauss or self._degree + 1)
+            h = line[low + 1] - line[low]
+            x = line[low] + 0.5 * h * (points + 1)
+            a, b = (
+                _splines(line, self._degree, low, x, powers[d]) for _, powers in (first, second)
+            )
+            matrices.append((0.5 * h * weights * a.T) @ b)
+        return matrices
+
+    def _across(self, place: FacetPlace, side: str, order: int) -> Array:
+        """Derivatives at the facet of the splines across it; one is zero in the side's cell."""
+        line, cell = place.lines[place.direction], place.cell(side)[place.direction]
+        low = place.low[place.direction]
+        values = np.zeros(self._degree + 2)
+        at = line[low + 1 : low + 2]
+        own = slice(cell - low, cell - low + self._degree + 1)
+        values[own] = _splines(line, self._degree, cell, at, order)[0]
+        return values

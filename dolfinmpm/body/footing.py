@@ -1,0 +1,144 @@
+"""Rigid footings: a face of a body that follows a stiff plate, held by a penalty."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface, check_increment
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import cell_size
+
+__all__ = ["RigidFooting"]
+
+Array = npt.NDArray[np.float64]
+
+# The default penalty in units of E/h: ten times more changes the reaction by less than a thousandth
+# (cubic splines, which bend sharply at a footing's edge: by some per cent on few cells), and
+# the first out-of-balance force, which a step's tolerance is relative to, is not yet all penalty.
+_STIFFNESS = 1e4
+
+
+class RigidFooting:
+    """A rigid footing that is pressed into a face of the body by a given settlement.
+
+    The faces of the surface's points are held to the footing's motion by a penalty on
+    their *total* gap, g = n·(x_s − X_s) + s, where X_s is where the face was when the
+    footing was made: a gap that a step leaves is seen by the next one, so that nothing
+    accumulates. A rough footing holds the faces sideways as well, a smooth one does not.
+    Both keep hold of what they touch: they pull when they are lifted.
+
+    Adds to the points the field `<surface>_seat` (m), where the faces were; with a number
+    behind it if the surface had a footing before.
+
+    Args:
+        surface: What is under the footing, with an axis as its normal.
+        settlement: How far the footing has moved into the body (m) since it was made,
+            against the outward normal: a scalar DOLFINx constant. In parts of a step
+            the solver scales it like any load.
+        rough: Whether the faces are held sideways too.
+        E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h, h being
+            the size of the largest cell.
+        stiffness: Penalty (Pa/m), instead.
+
+    Raises:
+        ParameterError: The surface has no axis for its normal, the settlement is not a
+            scalar constant, or neither E nor the stiffness is positive and finite.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        settlement: fem.Constant,
+        rough: bool = True,
+        E: float | None = None,
+        stiffness: float | None = None,
+    ):
+        check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
+        points = surface.points
+        if surface.normal is None:
+            raise ParameterError(
+                f"the surface '{surface.name}' was made from arrays and has no single normal; make "
+                "it with Surface(points, where, normal)"
+            )
+        if not isinstance(settlement, fem.Constant) or settlement.ufl_shape != ():
+            raise ParameterError(
+                f"settlement = {settlement!r} must be a scalar dolfinx.fem.Constant (m), which "
+                "steps change"
+            )
+        if settlement.ufl_domain() != points.grid.ufl_domain():
+            raise ParameterError(
+                "the settlement is a constant of another mesh; make it with "
+                "dolfinx.fem.Constant(points.grid, 0.0)"
+            )
+        first = number("settlement", float(settlement.value), unit="m")
+        if stiffness is None:
+            if E is None:
+                raise ParameterError(
+                    "a footing needs the Young's modulus of the body, E = ... (Pa), for the "
+                    f"stiffness {_STIFFNESS:g} E/h by default, or stiffness = ... (Pa/m)"
+                )
+            stiffness = _STIFFNESS * number("E", E, 0.0, unit="Pa") / _largest_cell(points)
+        self.surface, self.settlement, self.rough = surface, settlement, rough
+        self.stiffness = number("stiffness", stiffness, 0.0, unit="Pa/m")
+        # constants of the form, for numbers would be compiled into it
+        self._k = own_constant(points.grid, self.stiffness)
+        self._first = own_constant(points.grid, first)
+        names = (f"{surface.name}_seat{k or ''}" for k in itertools.count())
+        seat = next(name for name in names if name not in points.fields)
+        self._seat = points.add_field(seat, (points.gdim,), "m")
+        points[self._seat.name] = self._faces()
+
+    def _faces(self) -> Array:
+        points, R = self.surface.points, self.surface.points[self.surface.offset.name]
+        return points["x"] + np.einsum("pij,pj->pi", points["F"], R)
+
+    def contact(self, u, v) -> ufl.Form:
+        """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.
+
+        Args:
+            u: Increment of the step, `Space.increment`.
+            v: Test function, `Space.test`.
+
+        Raises:
+            ParameterError: u is no increment, or v no test function.
+        """
+        surface = self.surface
+        check_increment(u, surface.points.gdim)
+        n = ufl.as_vector([float(c) for c in surface.normal])
+        gap = surface.position(u) - self._seat + (self.settlement - self._first) * n
+        if not self.rough:
+            gap = ufl.dot(gap, n) * n
+        name = f"the contact of a footing on '{surface.name}'"
+        return surface.virtual_work(-self._k * gap, v, name)
+
+    def gaps(self) -> Array:
+        """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""
+        n = self.surface.normal
+        gap = self._faces() - self.surface.points[self._seat.name]
+        gap += (float(self.settlement.value) - float(self._first.value)) * n
+        gap = gap if self.rough else np.outer(gap @ n, n)
+        return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
+
+    def reaction(self) -> Array:
+        """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective."""
+        force = -self.stiffness * (self.surface._sizes() @ self.gaps())
+        return self.surface.points.comm.allreduce(force, op=MPI.SUM)
+
+    def load(self) -> float:
+        """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
+        return float(-self.reaction() @ self.surface.normal)
+
+
+def _largest_cell(points: MaterialPoints) -> float:
+    h = cell_size(points.grid)
+    sizes = h.x.array if isinstance(h, fem.Function) else np.array([h.value])
+    return points.comm.allreduce(float(sizes.max(initial=0.0)), op=MPI.MAX)

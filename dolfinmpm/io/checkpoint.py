@@ -1,0 +1,240 @@
+"""Checkpoints: all that the points, and a solver, need to go on, in one HDF5 file.
+
+In the file, whose version is `VERSION`:
+
+- `points/<field>`: every field of the points, rank by rank;
+- `cells/<name>`: arrays of one row for every cell of the grid, rank by rank, with `cells/middle`;
+- `local/<name>`: what a rank keeps for itself;
+- `header`, as JSON and written last: fingerprint and partition of the grid, fields and laws of the
+  points, the solver's numbers, and its history.
+
+Every array has HDF5's checksums.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import CheckpointError, raise_together
+from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.location import destinations
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.fingerprint import differs, fingerprint, owned_corners, partition
+from dolfinmpm.io.rowfile import RowReader, RowWriter
+
+__all__ = ["VERSION", "Checkpoint", "read", "write"]
+
+Arrays = dict[str, npt.NDArray[Any]]
+State = dict[str, Any]
+
+FORMAT, VERSION = "dolfinmpm checkpoint", 1
+
+# Positions of which ranks ask each other at a time.
+_ASKED = 50_000
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a file holds for this rank; nothing is changed by reading it.
+
+    Attributes:
+        fields: Fields of the points by name, shape (points, ...).
+        state: What `write` was given as such.
+        local: Likewise; None if ranks or the partition of the grid are others.
+        cells: Rows of this rank's own cells, in their order.
+        history: Records of the steps.
+    """
+
+    fields: Arrays
+    state: State
+    local: Arrays | None
+    cells: Arrays
+    history: list[dict[str, Any]]
+
+    def put(self, points: MaterialPoints) -> None:
+        """Give the points what was read for them. Collective."""
+        for name in points.fields:
+            points.fields[name] = self.fields[name]
+        points.recount()
+
+
+def write(
+    path: str | os.PathLike[str],
+    points: MaterialPoints,
+    state: State,
+    local: Arrays,
+    history: list[dict[str, Any]],
+    cells: Arrays | None = None,
+    laws: Sequence[str] = (),
+) -> None:
+    """Write a checkpoint: beside the file of that name, which it replaces when whole. Collective.
+
+    Args:
+        path: File to write, in a folder that is there.
+        points: Material points.
+        state: Numbers, words, None and small arrays, the same on all ranks.
+        local: Arrays of this rank alone, of the same names on all ranks.
+        history: Records of the steps, the same on all ranks.
+        cells: Arrays of one row for every cell that this rank owns.
+        laws: What the laws at the points are, in words.
+
+    Raises:
+        CheckpointError: The file cannot be written, or h5py is missing. A file that had the
+            name before is as it was.
+    """
+    grid, cells = points.grid, dict(cells or {})
+    if cells:
+        cells["middle"] = owned_corners(grid).mean(axis=1)
+    header = {
+        "ranks": points.comm.size,
+        "grid": fingerprint(grid),
+        "partition": partition(grid),
+        "fields": _shapes(points),
+        "laws": sorted(laws),
+        "configuration": points.configuration,
+        "state": {name: _plain(value) for name, value in state.items()},
+        "history": [{k: _plain(v) for k, v in record.items()} for record in history],
+    }
+    with RowWriter(points.comm, path, FORMAT, VERSION) as file:
+        for group, arrays in (("points", points.fields), ("cells", cells), ("local", local)):
+            for name, values in arrays.items():
+                file.rows(f"{group}/{name}", values)
+        file.header(header)
+
+
+def read(
+    path: str | os.PathLike[str], points: MaterialPoints, laws: Sequence[str] = ()
+) -> Checkpoint:
+    """Read a checkpoint on any number of ranks. Collective.
+
+    On as many ranks as wrote it, and with the same partition of the grid, every rank
+    gets its own rows in their order; else those of the cells that it owns, by the points' id.
+
+    Args:
+        path: The file.
+        points: Points of the same grid, with the same fields; they are not changed.
+        laws: What the laws at the points are, as `write` was given them.
+
+    Raises:
+        CheckpointError: The file is missing, cut short, damaged, of a newer version, of
+            another grid, or of points with other fields or laws; or h5py is missing.
+    """
+    comm, grid = points.comm, points.grid
+    here, shares = fingerprint(grid), partition(grid)
+    with RowReader(comm, path, FORMAT, VERSION) as file:
+        header = file.header
+        raise_together(comm, _mismatch(str(file.path), header, points, here, laws))
+        kept = header["partition"] == shares
+        kept = kept and header["configuration"] == points.configuration
+
+        def rows(group: str) -> Arrays:
+            names = file.names(group)
+            counts = file.counts(f"{group}/{names[0]}") if names else []
+            counts = counts if kept else _even(sum(counts), comm.size)
+            return {name: file.rows(f"{group}/{name}", counts) for name in names}
+
+        fields, cells = rows("points"), rows("cells")
+        local: Arrays | None = None
+        error: CheckpointError | None = None
+        if kept:
+            names = file.names("local")
+            local = {name: file.rows(f"local/{name}", file.counts(f"local/{name}"))
+                     for name in names}  # fmt: skip
+        else:
+            position = "x0" if points.configuration == "total" else "x"
+            fields = _sent(grid, fields, position, str(file.path))
+            fields = _sorted(fields, "id")
+            if cells:
+                cells = _sorted(_sent(grid, cells, "middle", str(file.path)), "cell")
+                owned = grid.topology.index_map(grid.topology.dim).size_local
+                if not np.array_equal(cells.pop("cell"), np.arange(owned)):
+                    error = CheckpointError(f"{file.path} has not one row for each cell")
+                raise_together(comm, error)
+    cells.pop("middle", None)
+    state = {name: _value(value) for name, value in header["state"].items()}
+    return Checkpoint(fields, state, local, cells, header["history"])
+
+
+def _even(total: int, parts: int) -> list[int]:
+    return [total // parts + (rank < total % parts) for rank in range(parts)]
+
+
+def _sorted(rows: Arrays, key: str) -> Arrays:
+    order = np.argsort(rows[key], kind="stable")
+    return {name: values[order] for name, values in rows.items()}
+
+
+def _sent(grid, rows: Arrays, position: str, path: str) -> Arrays:
+    """Rows, each on the rank that owns the cell at its position, named in "cell". Collective."""
+    comm, x = grid.comm, rows[position]
+    rank, cell = np.empty(len(x), np.int32), np.empty(len(x), np.int64)
+    most = comm.allreduce(len(x), op=MPI.MAX)
+    # few at a time: ranks are told all positions that another one does not know
+    for begin in range(0, most, _ASKED):
+        some = slice(begin, begin + _ASKED)
+        to = destinations(grid, x[some])
+        rank[some], cell[some] = to.rank, to.cell
+    lost = np.flatnonzero(rank < 0)
+    error = None
+    if lost.size:
+        error = CheckpointError(f"{path} has {lost.size} points outside the grid: {x[lost[0]]} m")
+    raise_together(comm, error)
+    first = grid.topology.index_map(grid.topology.dim).local_range[0]
+    arrived = exchange(comm, {**rows, "cell": cell}, rank)
+    arrived["cell"] = (arrived["cell"] - first).astype(np.int32)
+    return arrived
+
+
+def _shapes(points: MaterialPoints) -> dict[str, Any]:
+    return {name: [a.dtype.str, list(a.shape[1:])] for name, a in points.fields.items()}
+
+
+def _mismatch(
+    path: str,
+    header: dict[str, Any],
+    points: MaterialPoints,
+    here: dict[str, Any],
+    laws: Sequence[str],
+) -> CheckpointError | None:
+    """What the file has that the points have not, or the other way round."""
+    apart = differs(header["grid"], here)
+    if apart:
+        return CheckpointError(f"{path} is of another grid: {apart} of this one; build the same")
+    for what, there, now in (
+        ("laws", header["laws"], laws),
+        ("fields", _listed(header["fields"]), _listed(_shapes(points))),
+    ):
+        more, less = sorted({*there} - {*now}), sorted({*now} - {*there})
+        if more or less:
+            return CheckpointError(
+                f"{path} is of another problem: of the points' {what} it has "
+                f"{', '.join(more) or 'nothing'} that the points have not, and lacks "
+                f"{', '.join(less) or 'none'}; build the same problem, with all its fields, "
+                "before you load"
+            )
+    return None
+
+
+def _listed(fields: dict[str, Any]) -> Sequence[str]:
+    return [f"{name} {np.dtype(kind).name}{tuple(shape)}" for name, (kind, shape) in fields.items()]
+
+
+def _plain(value: Any) -> Any:
+    """What JSON knows for a number of NumPy or a small array."""
+    if isinstance(value, np.ndarray):
+        return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _value(plain: Any) -> Any:
+    """The inverse of `_plain`."""
+    if isinstance(plain, dict):
+        return np.array(plain["values"], np.dtype(plain["dtype"])).reshape(plain["shape"])
+    return plain

@@ -1,0 +1,390 @@
+"""What a solver may be given: each check raises one named error, or returns what was meant.
+
+Nothing here is kept: functions of arguments alone, which every solver calls before it
+builds anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+from ufl.algorithms import extract_arguments
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import check_kind, choice, number, shown, whole
+from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
+from dolfinmpm.basis.conditions import Condition, free_motions
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.remedies import KINDS, Stabilisation
+
+__all__ = [
+    "advice",
+    "agree",
+    "check_callable",
+    "check_conditions",
+    "check_limits",
+    "check_path",
+    "check_petsc_options",
+    "check_points",
+    "check_spaces",
+    "check_updates",
+    "increments_of",
+    "remedies_of",
+    "remedy_of",
+]
+
+# What the solver itself sets at the end of a step, or may never be set
+_KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
+
+
+def check_points(points: Any) -> None:
+    """Raise ParameterError unless it is one set of material points."""
+    check_kind("points", points, MaterialPoints, "give one set, such as mpm.fill returns")
+
+
+def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:
+    """The functions that are solved for, of one or several.
+
+    Raises:
+        FormError: One is not the increment of a `Space`, or comes twice.
+        ParameterError: There is none, or one lives on another grid than the points.
+    """
+    check_points(points)
+    several = isinstance(increment, Sequence) and not isinstance(increment, str)
+    given = list(increment) if several else [increment]
+    if not given:
+        raise ParameterError("increment = [] names no function to solve for; give Space.increment")
+    for u in given:
+        if isinstance(u, Space):
+            raise FormError("increment is a Space; give its function, Space.increment")
+        if isinstance(u, ufl.Argument):
+            raise FormError(
+                f"increment is the test or trial function '{u}'; give the function that is solved "
+                "for, Space.increment"
+            )
+        space = getattr(u, "_dolfinmpm_space", None)
+        if space is None:
+            raise FormError(
+                f"increment = {shown(u)} is not the increment of a dolfinmpm.Space; a function of "
+                "DOLFINx's own has no basis for the points: give Space.increment"
+            )
+        if space.grid is not points.grid:
+            raise ParameterError(
+                "the material points live on another grid than the increment; make the Space on "
+                "points.grid"
+            )
+    for k, u in enumerate(given):
+        if any(u is other for other in given[:k]):
+            raise FormError(
+                f"increment {k + 1} of {len(given)} is there twice; each field needs a Space of "
+                "its own"
+            )
+    return given
+
+
+def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
+    """The essential conditions as a list.
+
+    Raises:
+        ParameterError: It is no list of conditions, or one is on a field that is not
+            solved for.
+    """
+    made = "make it with mpm.fixed, mpm.rollers and mpm.prescribed and join them with +"
+    if isinstance(bcs, (Condition, str)) or not isinstance(bcs, Iterable):
+        raise ParameterError(f"bcs = {shown(bcs)} must be a list of conditions: {made}")
+    given = list(bcs)
+    for condition in given:
+        if isinstance(condition, fem.DirichletBC):
+            raise ParameterError(
+                "bcs holds a dolfinx.fem.DirichletBC, which knows nothing of active nodes and "
+                "increments; use mpm.fixed, mpm.rollers or mpm.prescribed"
+            )
+        if not isinstance(condition, Condition):
+            raise ParameterError(f"bcs holds {shown(condition)}: {made}")
+        if not any(condition.space is space for space in spaces):
+            raise ParameterError(
+                f"the condition at '{condition.where}' is on a space that the problem does not "
+                "solve for; make it on the Space of the increment"
+            )
+    return given
+
+
+def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None:
+    """Raise ParameterError unless these are numbers that Newton's method can end with."""
+    number("tolerance", tolerance, 0.0, 1.0)
+    whole("max_iterations", max_iterations, 1)
+    whole("max_halvings", max_halvings, 0)
+
+
+def agree(comm: MPI.Comm, **arguments: Any) -> None:
+    """Raise on all ranks if an argument is not the same on them. Collective.
+
+    Conditions are compared by their places, components and kinds of values.
+
+    Args:
+        comm: The ranks.
+        arguments: Name → value; what it is compared by must be short.
+
+    Raises:
+        ParameterError: It differs; the message has the values of the first two ranks that do.
+    """
+    if comm.size == 1:
+        return
+    told = {name: _told(value) for name, value in arguments.items()}
+    ranks = comm.allgather(told)
+    for name, first in ranks[0].items():
+        for rank, other in enumerate(ranks):
+            if other[name] != first:
+                raise ParameterError(
+                    f"{name} differs between ranks: {first} on rank 0, {other[name]} on rank "
+                    f"{rank}; every rank must build the same problem"
+                )
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, Condition):
+        kind = "a constant" if isinstance(value.value, fem.Constant) else "numbers"
+        return f"component {value.component} at '{value.where}' by {kind}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_told(v) for v in value) + "]"
+    return repr(value)
+
+
+# -- options ------------------------------------------------------------------
+
+
+def remedy_of(stabilisation: Any) -> Stabilisation:
+    """The remedy that is meant by a word or a `Stabilisation`, with checked numbers.
+
+    Raises:
+        ParameterError: It is neither, or one of its numbers is not what it may be.
+    """
+    if isinstance(stabilisation, str):
+        return Stabilisation(choice("stabilisation", stabilisation, KINDS))
+    if stabilisation is None:
+        raise ParameterError('stabilisation = None must be a word; "none" is no stabilisation')
+    if isinstance(stabilisation, ufl.Form):
+        raise ParameterError(
+            "stabilisation is a form; add it to the weak form, or name a remedy as in "
+            'stabilisation="ghost"'
+        )
+    check_kind(
+        "stabilisation", stabilisation, Stabilisation,
+        'give a word such as "ghost", or mpm.Stabilisation("ghost", ...)',
+    )  # fmt: skip
+    remedy = stabilisation
+    if remedy.E is not None:
+        number("stabilisation's E", remedy.E, 0.0, unit="Pa")
+    if remedy.nu is not None:
+        number("stabilisation's nu", remedy.nu, -1.0, 0.5)
+    number("stabilisation's eta", remedy.eta, 0.0)
+    choice("stabilisation's scaling", remedy.scaling, ("scaled", "literal"))
+    return remedy
+
+
+def remedies_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation]:
+    """One remedy for every field: one for all is that of each of them.
+
+    Raises:
+        ParameterError: One is not a remedy, or they are not as many as fields.
+    """
+    if isinstance(stabilisation, (list, tuple)):
+        if len(stabilisation) != number_of_fields:
+            raise ParameterError(
+                f"stabilisation has {len(stabilisation)} entries for {number_of_fields} fields; "
+                "give one for each, or one for all"
+            )
+        return [remedy_of(one) for one in stabilisation]
+    return [remedy_of(stabilisation)] * number_of_fields
+
+
+def check_spaces(spaces: Sequence[Space]) -> None:
+    """Raise ParameterError unless fields are solved for in one configuration."""
+    if len({space.configuration for space in spaces}) > 1:
+        raise ParameterError(
+            "the fields' spaces are of several configurations; give all of them the same one"
+        )
+
+
+def check_callable(name: str, value: Any) -> None:
+    """Raise ParameterError unless it is a function or None."""
+    if value is not None and not callable(value):
+        raise ParameterError(f"{name} = {shown(value)} must be a function")
+
+
+def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:
+    """The expressions by which a step sets fields, by name.
+
+    Raises:
+        ParameterError: It is no dictionary, or a value is no UFL expression.
+        UnknownNameError: The points have no such field.
+        FormError: The field is one that the solver itself keeps, or the expression has a
+            test function.
+    """
+    if updates is None:
+        return {}
+    if not isinstance(updates, Mapping):
+        raise ParameterError(
+            f"updates = {shown(updates)} must be a dictionary, field name → UFL expression"
+        )
+    for name, expression in updates.items():
+        if not isinstance(name, str) or name not in points.fields:
+            raise UnknownNameError(
+                f"updates sets {shown(name)}, which is no field of the points; they have "
+                f"{', '.join(points.fields)}: add it with points.add_field"
+            )
+        if name in _KEPT:
+            raise FormError(
+                f"updates sets '{name}', which the solver itself keeps; choose another field, "
+                "added with points.add_field"
+            )
+        if not isinstance(expression, Expr):
+            raise ParameterError(
+                f"updates sets '{name}' to {shown(expression)}, which must be a UFL expression of "
+                "the points' fields and the increment; set numbers by points[name] = ..."
+            )
+        if extract_arguments(expression):
+            raise FormError(
+                f"updates sets '{name}' to an expression with the test function "
+                f"'{extract_arguments(expression)[0]}'; use Space.increment"
+            )
+    return dict(updates)
+
+
+def check_petsc_options(options: Any, prefix: Any, comm: MPI.Comm) -> dict[str, Any]:
+    """PETSc options without their prefix, tried out on a solver of their own. Collective.
+
+    Raises:
+        ParameterError: It is no dictionary of words and numbers, a name has a dash or the
+            prefix, or PETSc does not know a type.
+    """
+    if not isinstance(prefix, str):
+        raise ParameterError(f"options_prefix = {shown(prefix)} must be a word, such as 'mpm_'")
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ParameterError(
+            f"petsc_options = {shown(options)} must be a dictionary, such as "
+            '{"ksp_type": "cg", "pc_type": "gamg"}'
+        )
+    for name, value in options.items():
+        if not isinstance(name, str) or not name or name.startswith("-"):
+            raise ParameterError(
+                f"petsc_options names {shown(name)}; give names without a dash, such as 'ksp_type'"
+            )
+        if prefix and name.startswith(prefix):
+            raise ParameterError(
+                f"petsc_options names {name!r}; leave the prefix out: {name[len(prefix) :]!r}"
+            )
+        if value is not None and not isinstance(value, (str, bool, int, float, np.generic)):
+            raise ParameterError(
+                f"petsc_options gives {name} = {shown(value)}; values are words, numbers, truth "
+                "values, or None for a switch"
+            )
+        if name == "pc_factor_mat_solver_type" and not _has_package(str(value)):
+            raise ParameterError(
+                f"petsc_options gives {name} = {value!r}, which this PETSc was built without; "
+                '"mumps" and "petsc" are there'
+            )
+    if options and not _accepted(options, comm):
+        wrong = [(k, v) for k, v in options.items() if not _accepted({k: v}, comm)]
+        name, value = wrong[0] if wrong else next(iter(options.items()))
+        raise ParameterError(
+            f"petsc_options gives {name} = {value!r}, which PETSc does not accept; "
+            "its manual pages list the types"
+        )
+    return dict(options)
+
+
+def _has_package(name: str) -> bool:
+    return name in ("petsc", "bas") or PETSc.Sys.hasExternalPackage(name)
+
+
+def _accepted(options: Mapping[str, Any], comm: MPI.Comm) -> bool:
+    """Whether a solver can be set up from options, which leave the database again. Collective."""
+    database, prefix = PETSc.Options(), "dolfinmpm_try_"
+    for name, value in options.items():
+        database[prefix + name] = value
+    snes = PETSc.SNES().create(comm)
+    try:
+        snes.setOptionsPrefix(prefix)
+        snes.setFromOptions()
+    except PETSc.Error:
+        return False
+    finally:
+        for name in options:
+            database.delValue(prefix + name)
+        snes.destroy()
+    return True
+
+
+def check_path(
+    points: MaterialPoints,
+    u: fem.Function,
+    bcs: Sequence[Condition],
+    length: Any,
+    first: Any,
+    factor: Any,
+    max_length: Any,
+    target_iterations: Any,
+) -> None:
+    """Raise ParameterError unless these say how a path of equilibrium is followed."""
+    if u.ufl_shape != (points.gdim,):
+        raise ParameterError(
+            f"the first increment must be a displacement of {points.gdim} components, got "
+            f"shape {u.ufl_shape}"
+        )
+    for condition in bcs:
+        if condition.changes:
+            raise ParameterError(
+                f"the condition at '{condition.where}' prescribes an increment; under a load "
+                "factor only zero ones may be: press by the load or by a RigidFooting"
+            )
+    for name, value in (("length", length), ("first", first)):
+        if value is not None and number(name, value) == 0:
+            raise ParameterError(f"{name} = 0 must be finite and not zero")
+    number("factor", factor)
+    number("max_length", max_length, 0.0, math.inf, "m", closed=True)
+    if not max_length > 0:
+        raise ParameterError(f"max_length = {max_length} m must be above 0")
+    whole("target_iterations", target_iterations, 1)
+
+
+def advice(
+    stabilised: bool,
+    bcs: Sequence[Condition],
+    space: Space,
+    active: npt.NDArray[np.int32],
+) -> str:
+    """What to do about a step that failed. Collective.
+
+    Args:
+        stabilised: Whether a remedy against small cuts is at work.
+        bcs: Essential conditions.
+        space: Space of the first field.
+        active: Its active nodes.
+    """
+    text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
+    if space.increment.ufl_shape != (space.grid.geometry.dim,):
+        return text
+    free = free_motions(bcs, space, active)
+    if not free:
+        return text
+    if not bcs:
+        return (
+            "no boundary conditions are given, rigid motions are free: hold the body with "
+            f"mpm.fixed or mpm.rollers unless a term of the form does, or {text}"
+        )
+    return (
+        f"no condition holds the body's rigid motions {', '.join(free)}: add one unless a term of "
+        f"the form holds them, or {text}"
+    )

@@ -1,0 +1,415 @@
+"""Checkpoints: the same bits after a restart, named errors, and a file that is always whole."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM, figures_of
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import CheckpointError
+
+QUADRILATERAL = mesh.CellType.quadrilateral
+
+
+def block(law=None, basis="gimp", cells=(6, 4), kind=QUADRILATERAL, width=6.0, load=0.9, **options):
+    """A block under its weight; `step` takes the next one of a run."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (width, 4)], cells, kind)
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 2.7)), 2, 1000.0)
+    V = mpm.Space(grid, basis)
+    g = fem.Constant(grid, (0.0, 0.0))
+    law = law or mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 5e3 + 1e3 * x[1])
+    F = mpm.momentum(law, points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    options = {"stabilisation": mpm.Stabilisation("ghost", E=1e6), **options}
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left", "bottom"), **options)
+
+    def step():
+        g.value[1] = -load * (len(problem.history) + 1)
+        return problem.step()
+
+    return problem, step
+
+
+def hollow():
+    """A soft wall with hollows: points come into empty cells and leave them again."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (5, 12)], (5, 12), QUADRILATERAL)
+
+    def wall(x):
+        y = x[1] % 3
+        hole = (x[0] > 1) & (x[0] < 2) & (y > 1.02) & (y < 1.98)
+        return (x[0] < 3) & (x[1] < 9.01) & ~hole
+
+    points = mpm.fill(grid, mpm.Where(wall), 4, 80.0)
+    V = mpm.Space(grid, "linear")
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(mpm.materials.Hencky(E=1e4, nu=0.0), points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+
+    def step():
+        k = len(problem.history)
+        g.value[:] = 0.3 * (k % 2), -2.5 * np.sin(np.pi * k / 10) * (k < 10)
+        return problem.step()
+
+    return problem, step
+
+
+def arch(control="spherical"):
+    """A shallow arch under a load that is found with the increment."""
+    grid = mesh.create_rectangle(COMM, [(0, -2), (10, 2)], (20, 8), QUADRILATERAL)
+    shape = mpm.Where(lambda x: np.abs(x[1] - np.sin(0.05 * np.pi * x[0]) ** 2) < 0.4)
+    points = mpm.fill(grid, shape, 4, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    weight = fem.Constant(grid, (0.0, -100.0))
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.2), points, u, v)
+    F -= ufl.inner(weight, v) * points.dX
+    options = {"control": "spherical", "first": 1.0, "max_length": 0.08}
+    if control == "displacement":
+        volume = float(points["V0"].sum())
+        down = -v[1] / volume * points.dX
+        options = {"control": down, "length": 0.06, "max_length": 0.06}
+    bcs = mpm.fixed(V, "left") + mpm.rollers(V, "right")
+    problem = mpm.ArcLength(F, u, points, bcs, load=weight, stabilisation="ghost", **options)
+    return problem, problem.step
+
+
+def bits(problem):
+    """Fields, loads and records, all but the seconds."""
+    return {
+        "fields": {name: values.tobytes() for name, values in problem.points.fields.items()},
+        "loads": [value.tobytes() for _, value in problem._loads.converged()],
+        "history": [vars(record) | {"seconds": None} for record in problem.history],
+    }
+
+
+RUNS = {
+    "yielding with ghost penalty": (block, 8, (0, 3, 6)),
+    "yielding with aggregation": (lambda: block(stabilisation="aggregation"), 8, (3,)),
+    "splines": (lambda: block(mpm.materials.Hencky(E=1e6, nu=0.3), "bspline2"), 6, (0, 3)),
+    "triangles": (
+        lambda: block(
+            basis="linear", kind=mesh.CellType.triangle, stabilisation="weak-aggregation"
+        ), 8, (3,),
+    ),
+    "halved steps": (
+        lambda: block(mpm.materials.Hencky(E=1e5, nu=0.3), load=20.0, max_iterations=3), 4, (0, 1),
+    ),
+    "couplings kept": (hollow, 14, (2, 10)),
+    "arc length": (arch, 8, (0, 4)),
+    "displacement control": (lambda: arch("displacement"), 8, (4,)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_goes_on_bit_for_bit(name, tmp_path):
+    build, steps, stops = RUNS[name]
+    problem, step = build()
+    for k in range(steps):
+        step()
+        if k in stops:
+            problem.save(tmp_path / f"{k}.h5")
+        if name == "halved steps" and k == 0:
+            # the next step begins with half of its load, and with the other line search
+            assert (problem._share, problem.newton.search) == (0.5, "cp")
+    for k in stops:
+        again, step = build()
+        again.load(tmp_path / f"{k}.h5")
+        assert len(again.history) == k + 1
+        while len(again.history) < steps:
+            step()
+        assert bits(again) == bits(problem)
+
+
+def test_a_problem_goes_back_to_what_it_saved(tmp_path):
+    """Memory of the steps behind the checkpoint is gone too, that of a failed one as well."""
+    problem, step = block(max_halvings=0)
+    for _ in range(3):
+        step()
+    problem.save(tmp_path / "three.h5")
+    for _ in range(4):
+        step()
+    reached = bits(problem)
+    problem._loads.converged()[0][0].value[1] = -1e4
+    with pytest.raises(mpm.errors.ConvergenceError):
+        problem.step()
+    problem.load(tmp_path / "three.h5")
+    assert not problem.form.spaces[0].increment.x.array.any()
+    assert problem._loads.converged()[0][0].value[1] == pytest.approx(-2.7)
+    for _ in range(4):
+        step()
+    assert bits(problem) == reached
+
+
+def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
+    def build():
+        grid = mesh.create_rectangle(COMM, [(0, 0), (3, 4)], (3, 4), QUADRILATERAL)
+        points = mpm.fill(grid, mpm.Box((0, 0), (3, 3)), 2, 1.0, tag=3)
+        V = mpm.Space(grid, "gimp")
+        u, v = V.increment, V.test
+        top = mpm.Surface(points, lambda x: np.isclose(x[1], 3.0), (0, 1), name="top")
+        s, push = fem.Constant(grid, 0.0), fem.Constant(grid, 0.0)
+        foot = mpm.RigidFooting(top, s, E=1e3)
+        temperature = points.add_field("temperature", (2,), "K", 280.0)
+        F = mpm.momentum(mpm.materials.NeoHookean(E=1e3, nu=0.3), points, u, v)
+        F -= foot.contact(u, v)
+        bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, push)
+        updates = {"temperature": temperature + u}
+        return mpm.QuasiStatic(F, u, points, bcs, updates=updates), foot, s, push
+
+    problem, foot, s, push = build()
+    s.value, push.value = 0.1, 0.01
+    problem.step()
+    problem.points["temperature"][:, 1] += problem.points["id"]
+    problem.save(tmp_path / "a.h5")
+    again, foot_again, s_again, push_again = build()
+    again.load(tmp_path / "a.h5")
+    assert bits(again) == bits(problem)
+    assert (s_again.value, push_again.value) == (0.1, 0.01)
+    assert foot_again.load() == foot.load() > 0
+    np.testing.assert_array_equal(again.points["tag"], 3)
+    for one, settlement in ((problem, s), (again, s_again)):
+        settlement.value = 0.2
+        one.step()
+    assert bits(again) == bits(problem)
+
+
+def test_loads_that_vary_in_space_come_back_by_their_nodes(tmp_path):
+    """Of continuous and of discontinuous functions, vectors and scalars."""
+    kind = mesh.CellType.triangle
+
+    def build():
+        grid = mesh.create_rectangle(COMM, [(0, 0), (4, 4)], (4, 4), kind)
+        points = mpm.fill(grid, mpm.Box((0, 0), (3, 3)), 2, 1.0)
+        V = mpm.Space(grid, "linear")
+        body = fem.Function(fem.functionspace(grid, ("Lagrange", 2, (2,))))
+        more = fem.Function(fem.functionspace(grid, ("DG", 1)))
+        F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, V.increment, V.test)
+        F -= ufl.inner(body, V.test) * points.dX + more * V.test[0] * points.dX
+        return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")), body, more
+
+    problem, body, more = build()
+    body.interpolate(lambda x: (np.sin(x[0]), -(x[1] ** 2)))
+    more.interpolate(lambda x: np.cos(x[1]))
+    problem.step()
+    problem.save(tmp_path / "a.h5")
+    body.x.array[:] = 7.0  # after the last step: not of the saved state
+    again, body_again, more_again = build()
+    again.load(tmp_path / "a.h5")
+    body.interpolate(lambda x: (np.sin(x[0]), -(x[1] ** 2)))
+    for one, other in ((body, body_again), (more, more_again)):
+        np.testing.assert_array_equal(other.x.array, one.x.array)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A file of two steps, what it holds, and another problem of the same kind after one step."""
+    path = tmp_path_factory.mktemp("saved") / "two.h5"
+    problem, step = block()
+    step()
+    step()
+    problem.save(path)
+    other, step = block()
+    step()
+    return path, problem, other
+
+
+def refused(path, problem, match):
+    before = bits(problem), problem.points["cell"], problem._share
+    with pytest.raises(CheckpointError, match=match):
+        problem.load(path)
+    after = bits(problem), problem.points["cell"], problem._share
+    assert after[0] == before[0]
+    assert after[1] is before[1]
+    assert after[2] == before[2]
+
+
+def test_a_file_that_is_cut_short_is_refused(saved, tmp_path):
+    path, _, other = saved
+    data = path.read_bytes()
+    cut = tmp_path / "cut.h5"
+    for length in [0, 1, 7, 8, 100, 511, 512, 4000, *range(5000, len(data), 9973), len(data) - 1]:
+        cut.write_bytes(data[:length])
+        refused(cut, other, "cannot read .*cut short or damaged")
+
+
+def test_bytes_that_flip_are_found_or_change_nothing(saved, tmp_path):
+    path, problem, _ = saved
+    data, bad, fresh = path.read_bytes(), tmp_path / "bad.h5", block()[0]
+    rng = np.random.default_rng(1)
+    found = 0
+    for at in rng.integers(0, len(data), 150):
+        bad.write_bytes(data[:at] + bytes([data[at] ^ int(rng.integers(1, 256))]) + data[at + 1 :])
+        try:
+            fresh.load(bad)
+        except CheckpointError:
+            found += 1
+        else:
+            assert bits(fresh) == bits(problem)
+    # in a file this small much is empty room between arrays
+    assert found > 30
+    # what an array holds is never lost in silence
+    with h5py.File(path) as file:
+        start = file["points/x"].id.get_chunk_info(0).byte_offset
+        size = file["points/x"].id.get_chunk_info(0).size
+    for at in range(start, start + size, 37):
+        bad.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        refused(bad, fresh, "damaged")
+
+
+def test_what_is_no_checkpoint_is_refused(saved, tmp_path):
+    path, _, other = saved
+    refused(tmp_path / "none.h5", other, "there is no file .*none.h5")
+    refused(tmp_path, other, "there is no file")
+    (tmp_path / "text.h5").write_text("time,load\n" * 1000)
+    refused(tmp_path / "text.h5", other, "it is no HDF5 file")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = np.zeros(3)
+    refused(tmp_path / "other.h5", other, "is an HDF5 file, but no dolfinmpm checkpoint")
+    newer = tmp_path / "newer.h5"
+    newer.write_bytes(path.read_bytes())
+    with h5py.File(newer, "a") as file:
+        file.attrs["version"] = 2
+    refused(newer, other, "has version 2 .* reads up to 1: update it")
+    headless = tmp_path / "headless.h5"
+    headless.write_bytes(path.read_bytes())
+    with h5py.File(headless, "a") as file:
+        del file["header"]
+    refused(headless, other, "is not whole")
+    with h5py.File(newer, "a") as file:
+        file.attrs["version"] = 1
+        del file["points/x"]
+        file["points/x"] = np.zeros((3, 2))
+    refused(newer, other, "array points/x has not the 36 rows")
+
+
+def test_another_grid_is_refused(saved):
+    path, _, _ = saved
+    refused(path, block(cells=(6, 5))[0], "of another grid: 24 in place of 30 cells")
+    refused(path, block(width=6.5)[0], r"its highest corner at \[6.0, 4.0\] m in place of \[6.5")
+    triangles = block(basis="linear", kind=mesh.CellType.triangle, cells=(4, 3))[0]
+    refused(path, triangles, "quadrilateral in place of triangle as type of cell")
+
+
+@pytest.mark.parametrize("kind", ["vertex", "diagonals"])
+def test_a_grid_that_differs_inside_is_refused(kind, tmp_path):
+    def build(diagonal=mesh.DiagonalType.right, shift=0.0):
+        grid = mesh.create_rectangle(
+            COMM, [(0, 0), (4, 4)], (4, 4), mesh.CellType.triangle, diagonal=diagonal
+        )
+        inner = np.all((grid.geometry.x[:, :2] > 0.1) & (grid.geometry.x[:, :2] < 3.9), axis=1)
+        grid.geometry.x[np.flatnonzero(inner)[:1], 0] += shift
+        points = mpm.fill(grid, mpm.Box((0, 0), (3, 3)), 2, 1.0)
+        V = mpm.Space(grid, "linear")
+        F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, V.increment, V.test)
+        return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+
+    build().save(tmp_path / "a.h5")
+    build(shift=1e-15).load(tmp_path / "a.h5")  # rounding
+    other = {"shift": 1e-6} if kind == "vertex" else {"diagonal": mesh.DiagonalType.left}
+    refused(tmp_path / "a.h5", build(**other), "vertices or cells lie elsewhere in the same box")
+
+
+def test_another_problem_is_refused(saved, tmp_path):
+    path, _, _ = saved
+    hencky = mpm.materials.Hencky(E=1e6, nu=0.3)
+    refused(path, block(hencky)[0], "of the points' laws it has VonMises under large strain")
+    more = block()[0]
+    more.points.add_field("temperature")
+    refused(path, more, r"fields it has nothing .* lacks temperature float64\(\)")
+    problem_arch, step = arch()
+    step()
+    problem_arch.save(tmp_path / "arch.h5")
+    refused(tmp_path / "arch.h5", arch("displacement")[0], "its control is spherical")
+    heavier, _ = arch()
+    heavier.path.load._reference[0][1] = -200.0
+    refused(tmp_path / "arch.h5", heavier, r"load at factor 1 is \(0, -100\), .* \(0, -200\)")
+
+
+def test_another_number_of_unknown_fields_or_loads_is_refused(tmp_path):
+    def build(pressure=False, loads=1, arc=False):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (3, 3)], (3, 3), QUADRILATERAL)
+        points = mpm.fill(grid, mpm.Box((0, 0), (2, 2)), 2, 1.0)
+        points.add_field("arc_increment", (2,), "m")
+        U, P = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
+        u, v, p, q = U.increment, U.test, P.increment, P.test
+        F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, u, v)
+        forces = [fem.Constant(grid, (0.0, -1.0)) for _ in range(loads)]
+        for force in forces:
+            F -= ufl.inner(force, v) * points.dX
+        fields = [u]
+        if pressure:
+            F += (p * q - p * ufl.div(v)) * points.dX
+            fields = [u, p]
+        if arc:
+            return mpm.ArcLength(F, fields, points, mpm.fixed(U, "bottom"), load=forces)
+        return mpm.QuasiStatic(F, fields, points, mpm.fixed(U, "bottom"))
+
+    build().save(tmp_path / "a.h5")
+    build().load(tmp_path / "a.h5")
+    refused(tmp_path / "a.h5", build(pressure=True), r"unknown fields is \[\(2,\)\], .*, \(\)\]")
+    refused(tmp_path / "a.h5", build(loads=2), r"its loads is \[\(2,\)\], that of this one")
+    refused(tmp_path / "a.h5", build(arc=True), "solver is QuasiStatic, that of this one ArcLength")
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(saved, tmp_path):
+    path, problem, other = saved
+    with pytest.raises(CheckpointError, match=r"cannot write .*is its folder there"):
+        problem.save(tmp_path / "missing" / "a.h5")
+    (tmp_path / "folder.h5").mkdir()
+    with pytest.raises(CheckpointError, match=r"cannot write .*folder\.h5"):
+        problem.save(tmp_path / "folder.h5")
+    target = tmp_path / "a.h5"
+    target.write_bytes(path.read_bytes())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for size in (0, 3000, 20_000):
+        # the disk is full, as far as this process can tell
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+        try:
+            with pytest.raises(CheckpointError, match="A file that had this name before is as"):
+                other.save(target)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert target.read_bytes() == path.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5", "folder.h5"]
+
+
+def test_a_save_replaces_the_file_and_clears_what_killed_ones_left(saved, tmp_path):
+    _, problem, other = saved
+    real = tmp_path / "scratch" / "a.h5"
+    real.parent.mkdir()
+    (tmp_path / "a.h5").symlink_to(real)
+    problem.save(tmp_path / "a.h5")
+    (real.parent / "a.h5.part-99").write_bytes(b"half")
+    (real.parent / "b.h5.part-99").write_bytes(b"of another file")
+    other.save(os.fspath(tmp_path / "a.h5"))
+    assert (tmp_path / "a.h5").is_symlink()
+    assert sorted(p.name for p in real.parent.iterdir()) == ["a.h5", "b.h5.part-99"]
+    fresh = block()[0]
+    fresh.load(real)
+    assert bits(fresh) == bits(other)
+
+
+def test_a_missing_h5py_is_told(saved, tmp_path, monkeypatch):
+    path, _, other = saved
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(CheckpointError, match="checkpoints need h5py; install python3-h5py"):
+        other.save(tmp_path / "a.h5")
+    refused(path, other, "checkpoints need h5py")
+
+
+def test_a_run_that_is_killed_goes_on_bit_for_bit():
+    """The limit is there for hangs alone; the script takes seconds."""
+    figures = figures_of("tests/kill_and_go_on.py", "20", timeout=1200)
+    assert figures["kills"] == 20
+    assert figures["in writing"] > 0
+    assert figures["same bits"]
