@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import ufl
+from mpi4py import MPI
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -24,14 +25,17 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError
 
-__all__ = ["Program", "compile_program"]
+__all__ = ["Program", "call_tabulate", "compile_here", "compile_program"]
 
 Array = npt.NDArray[np.float64]
 
 
 @intrinsic
-def _call_tabulate(typingctx, function, out, constants):
-    """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation)` at an address."""
+def call_tabulate(typingctx, function, out, constants):
+    """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation)` at an address.
+
+    For compiled loops, with the addresses of A, to which it adds, and of the constants c.
+    """
     signature = types.void(types.intp, types.intp, types.intp)
 
     def generate(context, builder, sig, args):
@@ -72,7 +76,7 @@ def _run(function, addresses, strides, sizes, out):
             at += sizes[s]
         for i in range(out.shape[1]):
             out[p, i] = 0.0
-        _call_tabulate(function, out.ctypes.data + 8 * p * out.shape[1], constants.ctypes.data)
+        call_tabulate(function, out.ctypes.data + 8 * p * out.shape[1], constants.ctypes.data)
 
 
 @dataclass(frozen=True)
@@ -124,11 +128,29 @@ def compile_program(
     Raises:
         FormError: FFCx cannot compile an expression.
     """
+    return _compile(grid.comm, grid.topology.dim, expressions, sources)
+
+
+def compile_here(expressions: Sequence[Expr], sources: Mapping[ufl.Constant, Any]) -> Program:
+    """As `compile_program`, by this rank alone; others that compile the same wait for one.
+
+    Args:
+        expressions: What the function writes.
+        sources: For every constant in the expressions the key of its data; the constants live on
+            an interval, so that grids of all kinds share what is compiled.
+
+    Raises:
+        FormError: FFCx cannot compile an expression.
+    """
+    return _compile(MPI.COMM_SELF, 1, expressions, sources)
+
+
+def _compile(comm: MPI.Comm, tdim: int, expressions, sources) -> Program:
     vector = ufl.as_vector(list(expressions))
     inputs = tuple(sources[c] for c in extract_constants(vector))
-    middle = np.full((1, grid.topology.dim), 0.25)
+    middle = np.full((1, tdim), 0.25)
     try:
-        function, keep = jit_expression(grid.comm, vector, middle)
+        function, keep = jit_expression(comm, vector, middle)
     except Exception as error:
         raise FormError(
             f"FFCx cannot compile the pointwise integrand {str(vector)[:500]}: {error}"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters
+from dolfinmpm.kinematics.spectral import components, stress_kernel
 from dolfinmpm.materials.base import Law
 
-__all__ = ["Framework", "symmetric", "widened"]
+__all__ = ["Framework", "symmetric"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -23,14 +23,6 @@ def symmetric(components: Array) -> Array:
     return components[..., [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 
 
-def widened(tensor: Array) -> Array:
-    """Tensors of shape (n, d, d) as (n, 3, 3), with zeros across."""
-    d = tensor.shape[-1]
-    wide = np.zeros((len(tensor), 3, 3))
-    wide[:, :d, :d] = tensor
-    return wide
-
-
 class Framework:
     """A law under one measure of strain, as an operator of the increment's gradient.
 
@@ -39,13 +31,12 @@ class Framework:
     its name; and those of `PointParameters`. Laws with other tags share the fields, each
     with values at its own points only; the internal variables of others are 0 there.
 
-    A subclass gives `kernel`, a compiled loop over the points for every dimension:
-
-    `kernel(law, parameters, H, F_n, state_n, internal_n, S, A, want_tangent, commit,
-    state, internal, sigma) -> first point without a stress, or -1`.
+    A subclass names its `StrainMeasure`, from which all else follows: the gradient makes a trial
+    tensor, `stress_kernel` makes the law's stress of it, and that makes the flux.
 
     Attributes:
         measure: Name of the measure of strain.
+        kinematics: The measure itself.
         multiplicative: Whether increments of deformation are multiplied and the law's
             stress is Kirchhoff's, rather than added and Cauchy's.
         state: Name of the field.
@@ -61,15 +52,15 @@ class Framework:
     multiplicative: bool
     state: str
     rest: tuple[float, ...]
-    kernel: Callable[[int], Callable]
-    _takes_F = False
+    kinematics: type[StrainMeasure]
 
     def __init__(self, law: Law, points: MaterialPoints, tags: Tags = None):
         self.law = law
         self.points = points
         self.tags = tags
         self._parameters = PointParameters(law, points, tags)
-        self._kernel = type(self).kernel(points.gdim)
+        self._measure = measure_in(self.kinematics, points.gdim)
+        self._kernel = stress_kernel(points.gdim)
 
     @property
     def rows(self) -> Rows:
@@ -111,37 +102,37 @@ class Framework:
             return np.empty((len(self.points["id"][rows]), 0))
         return np.stack(columns, axis=1)
 
-    def _run(self, operand, S, A, want_tangent, rows, new, internal, sigma) -> int:
-        points = self.points
-        F = points["F"].take(rows, axis=0) if self._takes_F or len(sigma) else points["F"]
+    def _run(self, operand: Array, rows: Rows, S, A, new, internal, sigma) -> int:
+        points, measure = self.points, self._measure
+        n, ending = len(rows), len(new) > 0
         return self._kernel(
-            self.law.address, self.parameters(rows), operand, F,
-            points[self.state].take(rows, axis=0), self.internal(rows),
-            S, A, want_tangent, len(sigma) > 0, new, internal, sigma,
+            self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
+            measure.checks, measure.logarithmic, np.ascontiguousarray(operand),
+            points["F"].take(rows, axis=0).reshape(n, points.gdim**2),
+            points[self.state].take(rows, axis=0), self.internal(rows), S, A, new, internal, sigma,
         )  # fmt: skip
 
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
         """Flux S and its derivative by ∇ũ; see `PointwiseLaw`."""
-        nothing = np.empty((0, 6)), np.empty((0, 0)), np.empty((0, 3, 3))
+        if len(rows) == 0:
+            return -1
         A = np.empty((0, 1, 1)) if tangent is None else tangent
-        return self._run(operand, value, A, tangent is not None, rows, *nothing)
+        return self._run(operand, rows, value, A, *[np.empty((0, 6))] * 3)
 
     def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
         n = len(rows)
-        new = {self.state: np.empty((n, 6)), "stress": np.empty((n, 3, 3))}
+        new, sigma = np.empty((n, 6)), np.empty((n, 6))
         internal = np.empty((n, len(self.law.internal)))
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
-            operand = np.ascontiguousarray(operand)
-            bad = self._run(operand, *none, False, rows, new[self.state], internal, new["stress"])
+            bad = self._run(operand, rows, *none, new, internal, sigma)
             if bad >= 0:
-                for values in new.values():
-                    values[bad:] = np.nan
-        new |= {name: internal[:, k].copy() for k, name in enumerate(self.law.internal)}
-        return new
+                new[bad:] = sigma[bad:] = np.nan
+        fields = {self.state: new, "stress": symmetric(sigma)}
+        return fields | {name: internal[:, k].copy() for k, name in enumerate(self.law.internal)}
 
-    def trial_strain(self, operand: Array, rows: npt.NDArray[np.int32]) -> Array:
+    def trial_strain(self, operand: Array, rows: Rows) -> Array:
         """Trial elastic strain tensors of some points, as the law sees them.
 
         Args:
@@ -151,7 +142,21 @@ class Framework:
         Returns:
             Shape (n, 3, 3); not a number where the increment admits none.
         """
-        raise NotImplementedError
+        H = np.array(operand, float).reshape(len(rows), self.points.gdim**2)
+        state = self.points[self.state][rows]
+        trial, good = self._measure.trials(H, state)
+        six = components(3)
+        for k, index in enumerate(components(self.points.gdim)):
+            state[:, six.index(index)] = trial[:, k]
+        tensor = symmetric(state)
+        good &= np.isfinite(trial).all(axis=1)
+        tensor[~good] = np.eye(3)
+        if self._measure.logarithmic:
+            values, Q = np.linalg.eigh(tensor)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                tensor = (Q * (0.5 * np.log(values))[:, None, :]) @ np.swapaxes(Q, -1, -2)
+        tensor[~good] = np.nan
+        return tensor
 
     def describe(self, operand: Array, row: int) -> str:
         """What is known of a point at which there is no stress, for messages.

@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+import ufl
+from ufl.core.expr import Expr
 
-from dolfinmpm.kinematics.additive import additive_kernel
-from dolfinmpm.kinematics.frameworks import Array, Framework, symmetric, widened
+from dolfinmpm.kinematics.frameworks import Framework
+from dolfinmpm.kinematics.measures import StrainMeasure
 
 __all__ = ["Jaumann"]
+
+
+class _Jaumann(StrainMeasure):
+    logarithmic = False
+
+    def rate(self, H: Expr) -> Expr:
+        return H * ufl.inv(ufl.Identity(self.d) + 0.5 * H)
+
+    def trial(self, G: Expr, old: Expr) -> Expr:
+        W = ufl.skew(G)
+        # (1 − W/2)⁻¹ (1 + W/2) without the inverse: W³ = −½ (W : W) W in up to three dimensions
+        R = ufl.Identity(self.d) + (W + 0.5 * W * W) / (1 + ufl.inner(W, W) / 8)
+        return R * old * R.T + ufl.sym(G)
+
+    def flux(self, stress: Expr, H: Expr, F: Expr) -> Expr:
+        dF = ufl.Identity(self.d) + H
+        return ufl.det(dF) * ufl.det(F) * stress * ufl.inv(dF).T
+
+    def positive(self, H: Expr) -> list[Expr]:
+        one = ufl.Identity(self.d)
+        return [ufl.det(one + H), ufl.det(one + 0.5 * H)]
 
 
 class Jaumann(Framework):
@@ -37,22 +58,4 @@ class Jaumann(Framework):
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6
-    _takes_F = True
-
-    @staticmethod
-    def kernel(d: int):
-        """The loop over the points in d dimensions."""
-        return additive_kernel(d, True)
-
-    def trial_strain(self, operand: Array, rows: npt.NDArray[np.int32]) -> Array:
-        """R ε_e,n Rᵀ + sym G; see `Framework.trial_strain`."""
-        H, one = widened(operand), np.eye(3)
-        inside_out = ~((np.linalg.det(one + H) > 0) & (np.linalg.det(one + 0.5 * H) > 0))
-        H[inside_out] = 0.0
-        G = H @ np.linalg.inv(one + 0.5 * H)
-        half = 0.25 * (G - np.swapaxes(G, -1, -2))
-        R = np.linalg.solve(one - half, one + half)
-        turned = R @ symmetric(self.points[self.state][rows]) @ np.swapaxes(R, -1, -2)
-        trial = turned + 0.5 * (G + np.swapaxes(G, -1, -2))
-        trial[inside_out] = np.nan
-        return trial
+    kinematics = _Jaumann

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+import ufl
+from ufl.core.expr import Expr
 
-from dolfinmpm.kinematics.additive import additive_kernel
-from dolfinmpm.kinematics.frameworks import Array, Framework, symmetric, widened
+from dolfinmpm.kinematics.frameworks import Framework
+from dolfinmpm.kinematics.measures import StrainMeasure
 
 __all__ = ["SmallStrain"]
+
+
+class _Small(StrainMeasure):
+    logarithmic = False
+
+    def trial(self, G: Expr, old: Expr) -> Expr:
+        return old + ufl.sym(G)
+
+    def flux(self, stress: Expr, H: Expr, F: Expr) -> Expr:
+        return stress
 
 
 class SmallStrain(Framework):
@@ -28,13 +38,4 @@ class SmallStrain(Framework):
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6
-
-    @staticmethod
-    def kernel(d: int):
-        """The loop over the points in d dimensions."""
-        return additive_kernel(d, False)
-
-    def trial_strain(self, operand: Array, rows: npt.NDArray[np.int32]) -> Array:
-        """ε_e,n + sym ∇ũ; see `Framework.trial_strain`."""
-        strain = 0.5 * (operand + np.swapaxes(operand, -1, -2))
-        return symmetric(self.points[self.state][rows]) + widened(strain)
+    kinematics = _Small

@@ -11,7 +11,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from dolfinmpm.forms.pointwise import _call_tabulate
+from dolfinmpm.forms.pointwise import call_tabulate
 from dolfinmpm.materials.base import KERNEL_SIGNATURE, Array
 
 __all__ = ["return_kernel", "yield_values"]
@@ -44,7 +44,7 @@ def _call_long(typingctx, function, energy, value, full, count, *arguments):
 def _evaluate(function, z, out):
     for i in range(out.size):
         out[i] = 0.0
-    _call_tabulate(function, out.ctypes.data, z.ctypes.data)
+    call_tabulate(function, out.ctypes.data, z.ctypes.data)
 
 
 @numba.njit(error_model="numpy")
@@ -316,7 +316,7 @@ def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
 def _values(function, z, out):
     for p in range(z.shape[0]):
         out[p] = 0.0
-        _call_tabulate(function, out.ctypes.data + 8 * p, z.ctypes.data + 8 * p * z.shape[1])
+        call_tabulate(function, out.ctypes.data + 8 * p, z.ctypes.data + 8 * p * z.shape[1])
 
 
 def yield_values(function: int, z: Array) -> Array:

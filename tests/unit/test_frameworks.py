@@ -13,6 +13,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.kinematics import (
+    Framework,
     Jaumann,
     LargeStrain,
     SmallStrain,
@@ -21,6 +22,7 @@ from dolfinmpm.kinematics import (
     update_domains,
 )
 from dolfinmpm.kinematics.frameworks import symmetric
+from dolfinmpm.kinematics.measures import StrainMeasure
 from dolfinmpm.materials.base import lame
 
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
@@ -445,3 +447,87 @@ def test_stabilisation_takes_the_largest_of_moduli_that_vary(kind):
     remedy = mpm.QuasiStatic(F, V.increment, points, stabilisation=kind).stabilisation
     np.testing.assert_allclose(remedy.E, 10 + 5 * points["x0"][:, 0].max())
     assert remedy.nu == 0.25
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_stage_of_its_own_changes_nothing(d):
+    """Large strain with ΔF as a first stage, whose derivatives are multiplied as numbers."""
+
+    class Staged(LargeStrain.kinematics):
+        def rate(self, H):
+            return H + ufl.Identity(self.d)
+
+        def trial(self, G, old):
+            return G * old * G.T
+
+    class StagedFramework(LargeStrain):
+        kinematics = Staged
+
+    law, found = LAWS["VonMises"], []
+    for kind in (LargeStrain, StagedFramework):
+        operator = kind(law, some_points(d))
+        operator.bind()
+        rng = with_history(operator)
+        H = rng.uniform(-0.05, 0.05, (len(operator.points), d, d))
+        end = ended(operator, H.reshape(-1, d * d))
+        found.append((*flux(operator, H, tangent=True), *end.values()))
+    for one, other in zip(*found):
+        np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-12 * np.abs(one).max())
+
+
+def test_a_measure_is_a_few_lines_of_ufl():
+    """Green's strain with its own flux: a St Venant–Kirchhoff body, tangent and commit included."""
+
+    class Green(StrainMeasure):
+        logarithmic = False
+
+        def trial(self, G, old):
+            return old + ufl.sym(G) + 0.5 * G.T * G
+
+        def flux(self, stress, H, F):
+            return (ufl.Identity(self.d) + H) * stress
+
+        def volume(self, H, F):
+            # second Piola's stress has other axes; its first invariant is all that is compared
+            return ufl.det(ufl.Identity(self.d) + H)
+
+    class GreenStrain(Framework):
+        measure, state, rest = "large", "green_strain", (0.0,) * 6
+        multiplicative, kinematics = False, Green
+
+    points = some_points(2)
+    operator = GreenStrain(LAWS["Hencky"], points)
+    operator.bind()
+    H = np.random.default_rng(3).uniform(-0.2, 0.2, (len(points), 2, 2))
+    S, A = flux(operator, H, tangent=True)
+    lmbda, mu = lame(1e6, 0.3)
+    E = 0.5 * (H + np.swapaxes(H, 1, 2) + np.swapaxes(H, 1, 2) @ H)
+    second = lmbda * np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 2 * mu * E
+    exact = (np.eye(2) + H) @ second
+    np.testing.assert_allclose(S.reshape(-1, 2, 2), exact, atol=1e-9 * np.abs(exact).max())
+    t, k = 1e-6, 1
+    ahead, behind = (flux(operator, H + s * t * np.eye(4)[k].reshape(2, 2)) for s in (1, -1))
+    np.testing.assert_allclose((ahead - behind) / (2 * t), A[:, :, k], atol=1e-7 * np.abs(A).max())
+    new = ended(operator, H.reshape(-1, 4))
+    np.testing.assert_allclose(symmetric(new["green_strain"])[:, :2, :2], E, atol=1e-12)
+    J = np.linalg.det(np.eye(2) + H)[:, None, None]
+    np.testing.assert_allclose(new["stress"][:, :2, :2], second / J, rtol=1e-9, atol=1e-3)
+
+
+def test_without_a_tangent_none_is_compiled():
+    class Fresh(LargeStrain.kinematics):
+        pass
+
+    class FreshFramework(LargeStrain):
+        kinematics = Fresh
+
+    operator = FreshFramework(LAWS["Hencky"], some_points(2))
+    operator.bind()
+    H = np.zeros((len(operator.points), 2, 2))
+    flux(operator, H)
+    made = operator._measure.__dict__
+    assert "_flux" in made
+    assert "_slopes" not in made
+    assert "_volume" not in made
+    flux(operator, H, tangent=True)
+    assert "_slopes" in made

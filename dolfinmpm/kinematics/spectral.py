@@ -1,0 +1,240 @@
+"""The one loop over the points: isotropic laws in the principal axes of their trial tensors.
+
+A law is a function of three principal strains. An isotropic function of a symmetric tensor
+has the tensor's axes, and its derivative follows from that of the principal values: along
+the axes n_a ⊗ n_a the law's own tangent, between two axes the secant of the values (Ogden
+1984, Non-Linear Elastic Deformations, §6.1.4; de Souza Neto, Perić & Owen 2008,
+Computational Methods for Plasticity, appendix A). What comes before and after, from the
+increment to the trial tensor and from the law's stress to the flux, are functions that FFCx
+has compiled, see `dolfinmpm.kinematics.measures`; the loop calls them by their addresses,
+so that nothing between them leaves the cache.
+
+Symmetric tensors are rows of numbers, xx, yy, zz, xy, yz, xz of points' fields, and of trial
+tensors and stresses those of them that lie within the dimensions of the points. What is
+beyond these stands in its own axes.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from dolfinmpm.forms.pointwise import call_tabulate
+from dolfinmpm.grid.tensors import eigen
+from dolfinmpm.materials.base import call_law
+
+__all__ = ["Layout", "components", "layout", "stress_kernel"]
+
+
+def components(d: int) -> list[tuple[int, int]]:
+    """Indices of the independent components of a symmetric tensor in d dimensions, in order."""
+    return [*((i, i) for i in range(d)), *[(0, 1), (1, 2), (0, 2)][: d * (d - 1) // 2]]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the data of a point stand in the one array that all compiled functions take.
+
+    Attributes:
+        H: Gradient of the increment, d² numbers.
+        F: Deformation gradient at the start of the step, d².
+        state: State then, 6.
+        G: First stage of the kinematics, d².
+        stress: The law's stress, m.
+        law: Its derivative by the trial tensor, m².
+        slope: Derivative of the trial tensor by H, m d², where there are two stages.
+        size: Numbers in all.
+    """
+
+    H: int
+    F: int
+    state: int
+    G: int
+    stress: int
+    law: int
+    slope: int
+    size: int
+
+
+def layout(d: int) -> Layout:
+    """The layout in d dimensions."""
+    m = len(components(d))
+    sizes = [d * d, d * d, 6, d * d, m, m * m, m * d * d]
+    return Layout(*(sum(sizes[:k]) for k in range(len(sizes) + 1)))
+
+
+@functools.cache
+def stress_kernel(d: int):
+    """The loop in d dimensions, which Numba unrolls for that d.
+
+    `kernel(law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, S, A,
+    state, internal, stress) -> first point without a stress, or -1`, with m components of a
+    symmetric tensor in d dimensions:
+
+    - law, parameters: address of the law's kernel; shape (1, parameters) or (n, parameters);
+    - programs: addresses of the compiled functions, see `StrainMeasure.programs`;
+    - checks: how many numbers that must be positive the first of them writes;
+    - logarithmic: whether ε = ½ ln b of the trial tensor b, which else is the strain;
+    - H, F_n, state_n, internal_n: the increment's gradient, shape (n, d²); deformation
+      gradient, state and internal variables at the start of the step, shapes (n, d²), (n, 6)
+      and (n, variables);
+    - S: written unless state is, the flux (Pa), shape (n, d²);
+    - A: written unless empty, its derivative by H, shape (n, d², d²);
+    - state, internal, stress: written unless empty, all at the end of the step, shapes
+      (n, 6), (n, variables) and, Cauchy's (Pa), (n, 6).
+    """
+    index = components(d)
+    m, dd, at = len(index), d * d, layout(d)
+    rows, columns = tuple(i for i, _ in index), tuple(j for _, j in index)
+    first = tuple(a for a, b in index[d:])
+    second = tuple(b for a, b in index[d:])
+    if d == 1:
+        first = second = (0,)  # Numba knows no empty tuple of integers
+    at_H, at_F, at_state, at_G = at.H, at.F, at.state, at.G
+    at_stress, at_law, at_slope, size = at.stress, at.law, at.slope, at.size
+
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(
+        law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, S, A, state,
+        internal, stress,
+    ):  # fmt: skip
+        z, out = np.zeros(size), np.empty(checks + max(m, dd))
+        tensor, Q, value = np.empty((d, d)), np.eye(3), np.ones(3)
+        strain, given, tau = np.empty(3), np.empty(3), np.empty(3)
+        C, N, W = np.empty((3, 3)), np.empty((m, m)), np.empty((m, m))
+        by_H, by_G = np.empty((dd, dd)), np.empty((m, dd))
+        ratio_of = np.empty(1)
+        scratch = np.empty(max(internal_n.shape[1], 1))
+        ending, sloping = state.shape[0] > 0, A.shape[0] > 0
+        trial_of, second_of, flux_of, volume_of, tangent_of, slope_of, second_slope_of = programs
+        staged = second_of != 0
+        data = z.ctypes.data
+        for p in range(H.shape[0]):
+            for k in range(dd):
+                z[at_H + k] = H[p, k]
+                z[at_F + k] = F_n[p, k]
+            for k in range(6):
+                z[at_state + k] = state_n[p, k]
+            out[:] = 0.0
+            call_tabulate(trial_of, out.ctypes.data, data)
+            for k in range(checks):
+                if not out[k] > 0.0:
+                    return p
+            start = checks
+            if staged:
+                for k in range(dd):
+                    z[at_G + k] = out[checks + k]
+                out[:] = 0.0
+                start = 0
+                call_tabulate(second_of, out.ctypes.data, data)
+            for k in range(m):
+                i, j = rows[k], columns[k]
+                tensor[i, j] = tensor[j, i] = out[start + k]
+            for i in range(d, 3):
+                value[i] = state_n[p, i]
+            eigen(d, tensor, value, Q)
+            for i in range(3):
+                given[i] = value[i]
+                if logarithmic:
+                    if not value[i] > 0.0:
+                        return p
+                    given[i] = 0.5 * math.log(value[i])
+                strain[i] = given[i]
+            new = scratch.ctypes.data
+            if ending:
+                new = internal.ctypes.data + 8 * p * internal.shape[1]
+            row = p if parameters.shape[0] > 1 else 0
+            status = call_law(
+                law, parameters.ctypes.data + 8 * row * parameters.shape[1], strain.ctypes.data,
+                internal_n.ctypes.data + 8 * p * internal_n.shape[1], new, tau.ctypes.data,
+                C.ctypes.data,
+            )  # fmt: skip
+            if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
+                return p
+            for a in range(d):
+                for k in range(m):
+                    N[a, k] = Q[rows[k], a] * Q[columns[k], a]
+            if ending:
+                ratio_of[0] = 0.0
+                call_tabulate(volume_of, ratio_of.ctypes.data, data)
+                for i in range(3):
+                    value[i] = math.exp(2.0 * strain[i]) if logarithmic else strain[i]
+                for i in range(6):
+                    state[p, i] = stress[p, i] = 0.0
+                for i in range(d, 3):
+                    state[p, i], stress[p, i] = value[i], tau[i] / ratio_of[0]
+                for k in range(m):
+                    to = k if k < d else 3 + k - d
+                    for a in range(d):
+                        state[p, to] += value[a] * N[a, k]
+                        stress[p, to] += tau[a] / ratio_of[0] * N[a, k]
+                continue
+            for k in range(m):
+                z[at_stress + k] = 0.0
+                for a in range(d):
+                    z[at_stress + k] += tau[a] * N[a, k]
+            for k in range(dd):
+                S[p, k] = 0.0
+            call_tabulate(flux_of, S.ctypes.data + 8 * p * dd, data)
+            if not sloping:
+                continue
+            # in the symmetric basis n_a ⊗ n_a, and n_a ⊗ n_b + n_b ⊗ n_a between two axes
+            for a in range(d):
+                for k in range(m):
+                    W[a, k] = 0.0
+                    for b in range(d):
+                        slope = 0.5 / value[b] if logarithmic else 1.0
+                        W[a, k] += C[a, b] * slope * N[b, k]
+            for r in range(d, m):
+                a, b = first[r - d], second[r - d]
+                gap = given[a] - given[b]
+                if logarithmic:
+                    apart = abs(gap) > 1e-8
+                else:
+                    # a difference of stresses tells nothing where rounding has made it
+                    stiff = abs(C[a, a]) + abs(C[b, b])
+                    apart = abs(gap) * stiff > 1e-8 * (abs(tau[a]) + abs(tau[b]))
+                if apart:
+                    secant = (tau[a] - tau[b]) / gap
+                else:
+                    secant = 0.5 * (C[a, a] - C[a, b] - C[b, a] + C[b, b])
+                if logarithmic:
+                    # (ε_a − ε_b)/(λ_a − λ_b), free of cancellation where stretches meet
+                    t = (value[a] - value[b]) / value[b]
+                    ratio = 0.5 / value[b]
+                    if abs(t) > 1e-12:
+                        ratio *= math.log1p(t) / t
+                    secant *= ratio
+                for k in range(m):
+                    i, j = rows[k], columns[k]
+                    N[r, k] = 0.5 * (Q[i, a] * Q[j, b] + Q[j, a] * Q[i, b])
+                    W[r, k] = 2.0 * secant * N[r, k]
+            for k in range(m):
+                for j in range(m):
+                    total = 0.0
+                    for r in range(m):
+                        total += N[r, k] * W[r, j]
+                    # a component off the diagonal stands at two places
+                    z[at_law + k * m + j] = total if j < d else 2.0 * total
+            if staged:
+                by_H[:] = 0.0
+                by_G[:] = 0.0
+                call_tabulate(slope_of, by_H.ctypes.data, data)
+                call_tabulate(second_slope_of, by_G.ctypes.data, data)
+                for k in range(m):
+                    for j in range(dd):
+                        total = 0.0
+                        for i in range(dd):
+                            total += by_G[k, i] * by_H[i, j]
+                        z[at_slope + k * dd + j] = total
+            for i in range(dd):
+                for j in range(dd):
+                    A[p, i, j] = 0.0
+            call_tabulate(tangent_of, A.ctypes.data + 8 * p * dd * dd, data)
+        return -1
+
+    return kernel
