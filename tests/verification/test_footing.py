@@ -58,7 +58,7 @@ def test_newton_converges_in_every_step():
 def test_prandtl_with_f_bar(strain):
     figures = footing(f"--law tresca-perfect --basis gimp --h 0.1 --fbar on --strain {strain}")
     # near the limit load the factorisation may need more room than MUMPS foresees; in the linear
-    # theory one step takes some 36 of 40 iterations there, and rounding decides whether it is halved
+    # theory a step takes some 36 of 40 iterations there, and rounding decides if it is halved
     assert figures["halvings"] == 0 or strain == "small"
     assert figures["completed"]
     assert 0 < figures["bearing_error"] < 0.03
