@@ -15,7 +15,6 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import (
-    ConflictingConditionsError,
     IdleConditionWarning,
     ParameterError,
     call_together,
@@ -335,49 +334,3 @@ def free_motions(
     along = [f"along {'xyz'[i]}" for i in range(gdim) if abs(np.linalg.norm(free[:, i]) - 1) < 1e-9]
     turning = len(free) - len(along)
     return along + ([f"{turning} with a turn"] if turning else [])
-
-
-def apply_conditions(
-    conditions: Sequence[Condition], spaces: Sequence[Space], fixed_, values, scale: float
-) -> None:
-    """Mark and set what the conditions prescribe at this rank's nodes. Collective.
-
-    Args:
-        conditions: The conditions.
-        spaces: Spaces of the fields, in the order in which they are stacked.
-        fixed_: Written, shape (nodes, components).
-        values: Written, likewise.
-        scale: Share of the step's increments.
-
-    Raises:
-        ConflictingConditionsError: An unknown is given two values.
-        ParameterError: A condition is on a field that is not solved for.
-    """
-    starts = np.cumsum([0] + [space.components for space in spaces])
-    error: Exception | None = None
-    fixed_[:] = False
-    owner = np.full(fixed_.shape, -1, np.int32)
-    for at, condition in enumerate(conditions):
-        matching = [k for k, space in enumerate(spaces) if space is condition.space]
-        if not matching:
-            raise ParameterError(
-                f"the condition at '{condition.where}' is on a space that the problem does not "
-                "solve for"
-            )
-        column = starts[matching[0]] + condition.component
-        nodes = condition.nodes
-        value = np.broadcast_to(scale * condition.increment, nodes.shape)
-        differs = fixed_[nodes, column] & (values[nodes, column] != value)
-        clash = nodes[differs]
-        if clash.size and error is None:
-            x = _node_coordinates(condition.space)[clash[0]]
-            other = conditions[owner[clash[0], column]]
-            error = ConflictingConditionsError(
-                f"component {condition.component} of the node at {x} m is prescribed as "
-                f"{values[clash[0], column]} by '{other.where}' and as {value[differs][0]} by "
-                f"'{condition.where}'; keep one of them"
-            )
-        fixed_[nodes, column] = True
-        values[nodes, column] = value
-        owner[nodes, column] = at
-    raise_together(spaces[0].grid.comm, error)

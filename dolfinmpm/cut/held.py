@@ -8,11 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import (
-    ConflictingConditionsError,
-    ParameterError,
-    raise_together,
-)
+from dolfinmpm._platform.errors import ConflictingConditionsError, raise_together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
@@ -36,19 +32,12 @@ class Held:
         changing: Whether values may differ from zero in some step.
 
     Raises:
-        ParameterError: A condition is on a field that is not solved for.
         ConflictingConditionsError: An unknown is given two values.
     """
 
     def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
         self.conditions = list(conditions)
         self._spaces = list(spaces)
-        for condition in conditions:
-            if not any(space is condition.space for space in spaces):
-                raise ParameterError(
-                    f"the condition at '{condition.where}' is on a space that the problem does not "
-                    "solve for"
-                )
         comm = spaces[0].grid.comm
         changing = any(condition.changes for condition in conditions)
         self.changing: bool = comm.allreduce(changing, op=MPI.LOR)

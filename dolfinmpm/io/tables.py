@@ -14,7 +14,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm.io.plots import figure
+from dolfinmpm.io.figures import figure
 
 __all__ = [
     "draw_convergence",

@@ -92,7 +92,8 @@ class QuasiStatic:
         points: The material points.
         fields: The fields, with their spaces and remedies.
         form: The weak form, made ready.
-        solver: What solves a step's equations.
+        newton: Newton's method, which has the tolerances and the linear solver.
+        solver: What solves a step's equations: it, or it with a border.
         here: What took part in the last step, or None before the first.
 
     Raises:
@@ -147,9 +148,8 @@ class QuasiStatic:
         self._updates = updates_of(self.form, updates)
         options = Options(self, options_prefix, own)
         softened = self.form.softening is not None
-        self.solver = self._solver_of(
-            Newton(points.comm, points.gdim, softened, options, tolerance, max_iterations)
-        )
+        self.newton = Newton(points.comm, points.gdim, softened, options, tolerance, max_iterations)
+        self.solver: Solver = self.newton
         loads = loads_of(self.form.loads)
         for condition in self.bcs:
             if any(condition.value is load for load in loads):
@@ -161,10 +161,6 @@ class QuasiStatic:
         self._share = 1.0
         self._record = StepRecord()
         settle(points, self.configuration)
-
-    def _solver_of(self, newton: Newton) -> Solver:
-        """What solves a step; problems with more equations put a border around it."""
-        return newton
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -186,12 +182,6 @@ class QuasiStatic:
     def configuration(self) -> str:
         """Configuration that stencils and gradients are taken in."""
         return self.fields[0].space.configuration
-
-    @property
-    def newton(self) -> Newton:
-        """Newton's method, which has the tolerances and the linear solver."""
-        solver: Any = self.solver
-        return getattr(solver, "newton", solver)
 
     @property
     def _moves(self) -> bool:

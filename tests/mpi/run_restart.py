@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
+
+# what cases share with the other tests is in the folder above
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
 from cases.restart import block, varying
 from mpi4py import MPI
 

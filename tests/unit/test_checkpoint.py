@@ -12,6 +12,7 @@ import pytest
 import ufl
 from conftest import COMM, figures_of
 from dolfinx import fem, mesh
+from scenes import arch
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import CheckpointError
@@ -61,26 +62,6 @@ def hollow():
         return problem.step()
 
     return problem, step
-
-
-def arch(control="spherical"):
-    """A shallow arch under a load that is found with the increment."""
-    grid = mesh.create_rectangle(COMM, [(0, -2), (10, 2)], (20, 8), QUADRILATERAL)
-    shape = mpm.Where(lambda x: np.abs(x[1] - np.sin(0.05 * np.pi * x[0]) ** 2) < 0.4)
-    points = mpm.fill(grid, shape, 4, 1.0)
-    V = mpm.Space(grid, "gimp")
-    u, v = V.increment, V.test
-    weight = fem.Constant(grid, (0.0, -100.0))
-    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.2), points, u, v)
-    F -= ufl.inner(weight, v) * points.dX
-    options = {"control": "spherical", "first": 1.0, "max_length": 0.08}
-    if control == "displacement":
-        volume = float(points["V0"].sum())
-        down = -v[1] / volume * points.dX
-        options = {"control": down, "length": 0.06, "max_length": 0.06}
-    bcs = mpm.fixed(V, "left") + mpm.rollers(V, "right")
-    problem = mpm.ArcLength(F, u, points, bcs, load=weight, stabilisation="ghost", **options)
-    return problem, problem.step
 
 
 def bits(problem):

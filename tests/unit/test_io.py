@@ -23,7 +23,8 @@ from vtkmodules.vtkIOXML import (
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io import ParaView, figure, plot
-from dolfinmpm.io.plots import _grid_lines, _label, _scalar, _stretched
+from dolfinmpm.io.plots import _grid_lines, _label, _scalar
+from dolfinmpm.io.scene import _stretched
 
 COMM = MPI.COMM_WORLD
 

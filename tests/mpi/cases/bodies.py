@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from scenes import expect
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
@@ -135,13 +136,6 @@ def staged():
 
 def errors_of_bodies():
     """What is wrong with a body on one rank is raised on all."""
-
-    def expect(kind, call):
-        try:
-            call()
-        except kind as error:
-            return str(error)
-        raise AssertionError(f"rank {COMM.rank} saw no {kind.__name__}")
 
     grid, last = square(), COMM.rank == COMM.size - 1
     x = np.array([[0.1, 0.1], [0.9, 0.8]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from scenes import expect
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
@@ -14,13 +15,6 @@ from .common import COMM, hencky
 
 def errors_on_all_ranks():
     """What goes wrong on one rank is raised on all, and nobody waits."""
-
-    def expect(kind, call):
-        try:
-            call()
-        except kind as error:
-            return str(error)
-        raise AssertionError(f"rank {COMM.rank} saw no {kind.__name__}")
 
     grid = mesh.create_unit_square(COMM, 6, 6, mesh.CellType.quadrilateral)
     box = mpm.Box((0, 0), (1, 1))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import ufl
 from dolfinx import fem, mesh
+from scenes import arch
 
 import dolfinmpm as mpm
 
@@ -40,21 +40,8 @@ def snap_through():
     """A shallow arch past its limit point, the load factor found with the increment."""
     figures = {}
     for control in ("spherical", "displacement"):
-        grid = mesh.create_rectangle(COMM, [(0, -2), (10, 2)], (20, 8), mesh.CellType.quadrilateral)
-        arch = mpm.Where(lambda x: np.abs(x[1] - np.sin(0.05 * np.pi * x[0]) ** 2) < 0.4)
-        points = mpm.fill(grid, arch, 4, 1.0)
-        V = mpm.Space(grid, "gimp")
-        u, v = V.increment, V.test
-        weight = fem.Constant(grid, (0.0, -100.0))
-        F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.2), points, u, v)
-        F -= ufl.inner(weight, v) * points.dX
-        volume = COMM.allreduce(float(points["V0"].sum()))
-        options = {"control": control, "first": 1.0, "max_length": 0.08}
-        if control == "displacement":
-            down = -v[1] / volume * points.dX
-            options = {"control": down, "length": 0.06, "max_length": 0.06}
-        bcs = mpm.fixed(V, "left") + mpm.rollers(V, "right")
-        problem = mpm.ArcLength(F, u, points, bcs, load=weight, stabilisation="ghost", **options)
+        problem, _ = arch(control)
+        points = problem.points
         for _ in range(16):
             problem.step()
         records = problem.history

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from scenes import arch
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import CheckpointError
@@ -51,23 +52,6 @@ def block(stabilisation="ghost", basis="gimp", body=False, **options):
         return problem.step()
 
     return (problem, step, b) if body else (problem, step)
-
-
-def arch(**options):
-    """A shallow arch whose load is found with its increment."""
-    grid = mesh.create_rectangle(COMM, [(0, -2), (10, 2)], (20, 8), mesh.CellType.quadrilateral)
-    shape = mpm.Where(lambda x: np.abs(x[1] - np.sin(0.05 * np.pi * x[0]) ** 2) < 0.4)
-    points = mpm.fill(grid, shape, 4, 1.0)
-    V = mpm.Space(grid, "gimp")
-    u, v = V.increment, V.test
-    weight = fem.Constant(grid, (0.0, -100.0))
-    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.2), points, u, v)
-    F -= ufl.inner(weight, v) * points.dX
-    bcs = mpm.fixed(V, "left") + mpm.rollers(V, "right")
-    problem = mpm.ArcLength(
-        F, u, points, bcs, load=weight, first=1.0, max_length=0.08, stabilisation="ghost", **options
-    )
-    return problem, problem.step
 
 
 def _folder():
