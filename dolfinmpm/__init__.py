@@ -12,6 +12,7 @@ from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
+from dolfinmpm.dynamics import GeneralisedAlpha, Mapping, Newmark, times
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
@@ -26,8 +27,11 @@ __all__ = [
     "Ball",
     "Box",
     "Disc",
+    "GeneralisedAlpha",
     "History",
+    "Mapping",
     "MaterialPoints",
+    "Newmark",
     "ParaView",
     "PointChange",
     "Polygon",
@@ -57,4 +61,5 @@ __all__ = [
     "steps",
     "stress",
     "study",
+    "times",
 ]

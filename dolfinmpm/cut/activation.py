@@ -63,6 +63,9 @@ class Terms(Protocol):
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
         """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
 
+    def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+        """The mass, if there are inertial forces. Collective."""
+
 
 @dataclass(frozen=True)
 class Field:
@@ -160,6 +163,7 @@ class Activation(Participants):
         grid: Tangent of terms over the grid at the start of the step, between the nodes
             that remain behind C.
         soft: The same of terms of the tangent only.
+        mass: The mass between these nodes (kg), if there are inertial forces.
         pattern: Where the matrix has entries, on this rank.
     """
 
@@ -169,6 +173,7 @@ class Activation(Participants):
     regions: list[ActiveRegion]
     grid: list[Blocks]
     soft: list[Blocks]
+    mass: list[Blocks]
     pattern: Pattern
 
     @property
@@ -275,7 +280,8 @@ def activate(
     grid, soft = terms.grid_blocks(active)
     here = Participants(where, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
-    pairs = _pairs([*grid, *soft, *(f.penalty for f in active if f.penalty)], unknowns)
+    mass = terms.mass_blocks(active)
+    pairs = _pairs([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
     pattern = Pattern.build(
         _lists(regions, active, unknowns),
         unknowns,
@@ -284,8 +290,9 @@ def activate(
     )
     driven = held.changing and held.driven
     return Activation(
-        where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, pattern
-    )
+        where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
+        pattern,
+    )  # fmt: skip
 
 
 def region_on(region: Region, points: MaterialPoints, here: Participants) -> ActiveRegion:

@@ -86,6 +86,7 @@ class Declaration:
             Called again it does what is left to do; raises on all ranks together. Collective.
         parameters: Gives its parameters once bound, shape (1, parameters), or (its points on
             this rank, parameters) if any varies.
+        energy: Gives the elastic energy per initial volume at its points (J/m³), or None.
     """
 
     points: MaterialPoints
@@ -100,6 +101,7 @@ class Declaration:
     mark: int
     bind: Callable[[], None]
     parameters: Callable[[], npt.NDArray[np.float64]]
+    energy: Callable[[], npt.NDArray[np.float64] | None]
 
     @property
     def rows(self) -> npt.NDArray[np.int32]:

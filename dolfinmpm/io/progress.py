@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import operator
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["progress", "steps"]
+__all__ = ["progress", "progress_to", "steps"]
 
 Item = TypeVar("Item")
 
@@ -46,7 +47,7 @@ def steps(number: int, label: str = "") -> Iterator[float]:
 
 def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:
     """The items one after the other, with a progress bar on rank 0 as `steps` draws it."""
-    bar = _bar(len(items), label)
+    bar = _bar(len(items), label, "step")
     try:
         for item in items:
             yield item
@@ -57,7 +58,28 @@ def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:
             bar.close()
 
 
-def _bar(number: int, label: str):
+@contextlib.contextmanager
+def progress_to(duration: float, label: str = "") -> Iterator[Callable[[float], None]]:
+    """A progress bar in simulated time, as `steps` draws it.
+
+    Args:
+        duration: Time to be simulated (s).
+        label: What is computed.
+
+    Returns:
+        A context with a function of the time since the start (s), which moves the bar there.
+    """
+    bar = _bar(duration, label, "s")
+    if bar is None:
+        yield lambda t: None
+        return
+    try:
+        yield lambda t: bar.update(t - bar.n)
+    finally:
+        bar.close()
+
+
+def _bar(number: float, label: str, unit: str):
     """A tqdm bar where one is to be seen, else None."""
     forced = os.environ.get("DOLFINMPM_PROGRESS", "")
     shown = forced == "1" or (forced != "0" and sys.stderr is not None and sys.stderr.isatty())
@@ -67,4 +89,4 @@ def _bar(number: int, label: str):
         from tqdm import tqdm
     except ImportError:
         return None
-    return tqdm(total=number, desc=label or None, unit="step", file=sys.stderr)
+    return tqdm(total=number, desc=label or None, unit=unit, file=sys.stderr)

@@ -112,6 +112,15 @@ class Framework:
             points[self.state].take(rows, axis=0), self.internal(rows), S, A, new, internal, sigma,
         )  # fmt: skip
 
+    def energy(self) -> Array | None:
+        """Elastic energy per initial volume of the law's points (J/m³); None if it cannot tell."""
+        rows = self.rows
+        tensor = symmetric(self.points[self.state][rows])
+        strain = np.linalg.eigvalsh(tensor) if len(rows) else np.empty((0, 3))
+        if self._measure.logarithmic:
+            strain = 0.5 * np.log(strain)
+        return self.law.energy(strain, self.parameters(rows))
+
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
         """Flux S and its derivative by ∇ũ; see `PointwiseLaw`."""
         if len(rows) == 0:

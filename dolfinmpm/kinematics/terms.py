@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import basix.ufl
+import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
@@ -23,6 +25,7 @@ from dolfinmpm.forms.declarations import (
     rows_within,
 )
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
+from dolfinmpm.forms.pointwise import compile_here
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history
@@ -121,7 +124,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Decl
     declaration = Declaration(
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
-        parameters=lambda: inner.parameters(inner.rows),
+        parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
     )  # fmt: skip
     operator.declaration = declaration
     return declaration
@@ -147,10 +150,27 @@ def _declare_energy(law, points, u, tags: Tags) -> Declaration:
         operator=None, updates={"stress": law.cauchy_stress(_end(points, u), **given)},
         mark=MARKS[ENERGY], bind=bind,
         parameters=lambda: parameters.at(rows_within(points, tags)),
+        energy=lambda: _energy_at(law, points, parameters, tags),
     )  # fmt: skip
     for holder in holders:
         holder.declaration = declaration
     return declaration
+
+
+def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """The law's energy per initial volume at its points (J/m³)."""
+    rows, d = rows_within(points, tags), points.gdim
+    number = len(law.parameters)
+    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
+    z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(d * d + number,))
+    F = ufl.as_tensor([[z[d * i + j] for j in range(d)] for i in range(d)])
+    program = compile_here([law.energy(F, *(z[d * d + k] for k in range(number)))], {z: "z"})
+    values = np.empty((len(rows), d * d + number))
+    values[:, : d * d] = points["F"][rows].reshape(len(rows), d * d)
+    values[:, d * d :] = parameters.at(rows)
+    out = np.empty((len(rows), 1))
+    program.run({"z": values}, out)
+    return out[:, 0]
 
 
 def momentum(

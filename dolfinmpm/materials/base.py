@@ -305,6 +305,21 @@ class Law(Parametrised):
         """
         return np.full(len(stress), -np.inf)
 
+    def energy(self, strain: Array, parameters: Array) -> Array | None:
+        """Elastic energy per initial volume (J/m³), shape (n,); None if the law cannot tell.
+
+        By default ½ λ (tr ε)² + μ ε : ε for laws with Young's modulus and Poisson's ratio.
+
+        Args:
+            strain: Elastic principal strains, shape (n, 3).
+            parameters: Parameters, shape (1, parameters) or (n, parameters).
+        """
+        names = list(self.parameters)
+        if "E" not in names or "nu" not in names:
+            return None
+        lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+        return 0.5 * lmbda * strain.sum(axis=1) ** 2 + mu * np.sum(strain**2, axis=1)
+
     def unyielding(self, internal: Array) -> Array:
         """Internal variables with which the elastic response goes on beyond the yield surface.
 

@@ -292,6 +292,14 @@ class CamClay(Law):
                     f"{right} = {known[right][at]:g}"
                 )
 
+    def energy(self, strain: Array, parameters: Array) -> Array:
+        """Ψ = |p0| κ̂ e^Ω + 3/2 (μ0 + α |p0| e^Ω) ε_s² (J/m³); see `Law.energy`."""
+        swelling, mu0, alpha, p0, volume = (parameters[:, k] for k in (0, 3, 4, 5, 6))
+        trace = strain.sum(axis=1)
+        shear = 2.0 / 3.0 * np.sum((strain - trace[:, None] / 3) ** 2, axis=1)
+        x = p0 * np.exp((volume - trace) / swelling)
+        return swelling * x + 1.5 * (mu0 + alpha * x) * shear
+
     def unyielding(self, internal: Array) -> Array:
         """A yield surface without end; see `Law.unyielding`."""
         return np.full_like(internal, np.inf)

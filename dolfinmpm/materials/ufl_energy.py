@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError, ParameterError, StateError
+from dolfinmpm.forms.pointwise import compile_here
 from dolfinmpm.materials.base import Array, Law, Parameter, Value
 from dolfinmpm.materials.return_mapping import return_kernel, yield_values
 
@@ -171,6 +172,19 @@ class EnergyWithYield(Law):
     def address(self) -> int:
         """Address of the compiled kernel."""
         return self._own_kernel.address
+
+    def energy(self, strain: Array, parameters: Array) -> Array:
+        """ψ (J/m³), without what hardening stores; see `Law.energy`."""
+        if HARDENING in _names(self._functions["energy"]):
+            return np.full(len(strain), np.nan)
+        if not hasattr(self, "_energy_program"):
+            expression, _ = self._of(self._functions["energy"], "energy")
+            self._energy_program = compile_here([expression], {self._inputs(): "z"})
+        z = np.zeros((len(strain), 4 + len(self.parameters)))
+        z[:, :3], z[:, 4:] = strain, parameters
+        out = np.empty((len(strain), 1))
+        self._energy_program.run({"z": z}, out)
+        return out[:, 0]
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses, shape (n,); see `Law`."""

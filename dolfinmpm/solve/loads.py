@@ -41,6 +41,7 @@ class Loads:
                 self.items.append(item)
         self._start = self._read()
         self._target = self._start
+        self._change: list[float] = []
 
     @staticmethod
     def _array(item: Any) -> npt.NDArray[np.float64]:
@@ -65,6 +66,21 @@ class Loads:
     def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
         """Each constant and function, with its values in the last converged state."""
         return list(zip(self.items, self._start))
+
+    def jumps(self) -> bool:
+        """Whether a load jumps from the last converged state to what is set now.
+
+        It does where it changes by more than half of the larger of the two values, and
+        changed by less than a tenth of that in the step before.
+        """
+        before, self._change = self._change, []
+        jumped = False
+        for k, (start, target) in enumerate(zip(self._start, self._read())):
+            change = float(np.abs(target - start).max(initial=0.0))
+            size = max(np.abs(start).max(initial=0.0), np.abs(target).max(initial=0.0))
+            self._change.append(change)
+            jumped |= change > 0.5 * size > 0 and (not before or before[k] < 0.1 * change)
+        return bool(jumped)
 
     def describe(self) -> str:
         """The constants' present values, for messages."""

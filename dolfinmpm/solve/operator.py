@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,17 @@ __all__ = ["Operator", "Residual", "WeakForm"]
 Array = npt.NDArray[np.float64]
 
 
+class Inertia(Protocol):
+    """What the mass of a problem is made of."""
+
+    @property
+    def moving(self) -> set[int]:
+        """Subdomain ids of the facets that it integrates over."""
+
+    def blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+        """The mass between the nodes that remain behind C, this rank's share. Collective."""
+
+
 class WeakForm:
     """A weak form over points and grid, made ready to be put on activations. Collective.
 
@@ -46,6 +57,7 @@ class WeakForm:
         grid: What DOLFINx assembles.
         softening: The same of the terms of the tangent only, or None.
         also: Subdomain ids that further forms need on the same activations.
+        inertia: What the mass is made of, or None without inertial forces.
 
     Raises:
         FormError: A term cannot be evaluated where it stands.
@@ -63,6 +75,7 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.also: set[int] = set()
+        self.inertia: Inertia | None = None
         self._revision = points.revision
         self.softening: GridAssembler | None = None
         if softening is not None:
@@ -87,7 +100,7 @@ class WeakForm:
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
         own = self.grid.moving | (self.softening.moving if self.softening else set())
-        return own | self.also
+        return own | self.also | (self.inertia.moving if self.inertia else set())
 
     @property
     def loads(self) -> list[Any]:
@@ -109,6 +122,10 @@ class WeakForm:
             return blocks, []
         self.softening.attach(fields)
         return blocks, self.softening.tangent(fields)
+
+    def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+        """The mass, if there are inertial forces. Collective."""
+        return [] if self.inertia is None else self.inertia.blocks(fields)
 
     def on(self, here: Activation) -> Operator:
         """The form on an activation. Collective."""
@@ -170,18 +187,56 @@ class Operator:
         out.add_up()
 
     @property
+    def loads(self) -> Sequence[Array]:
+        """What of the external forces the form's loads make."""
+        return self._external.arrays
+
+    @property
     def external(self) -> Sequence[Array]:
         """Nodal forces that do not depend on the increments (N), (nodes, components) each field."""
         return self._external.arrays
 
-    def move(self, x: Array) -> None:
+    def move(self, x: Array, scale: float = 1.0) -> None:
         """Evaluate the increments at nodes and points. Collective.
 
         Args:
             x: Owned unknowns, shape (owned,).
+            scale: Factor of them and of prescribed increments.
         """
-        self.here.unknowns.expand(x, self.here.prescribed, self._u)
+        prescribed = self.here.prescribed
+        if scale != 1.0:
+            x, prescribed = scale * x, [scale * values for values in prescribed]
+        self.here.unknowns.expand(x, prescribed, self._u)
         self.points.interpolate(self._u.arrays)
+
+    @property
+    def increments(self) -> Sequence[Array]:
+        """The increments moved to, (nodes, components) each field."""
+        return self._u.arrays
+
+    def forces(self) -> list[Array]:
+        """Internal and external forces at the increments moved to (N), each field's. Collective.
+
+        Returns:
+            Shapes (nodes, components), summed over ranks at the nodes' owners.
+        """
+        internal = self._internal().arrays
+        return [a + b for a, b in zip(internal, self.external)]
+
+    def external_work(self) -> float:
+        """Work of loads, and of what moves prescribed components, on the increments. Collective.
+
+        Loads are taken as they are now.
+        """
+        unknowns, work = self.here.unknowns, 0.0
+        forces = self.forces() if self.here.driven else None
+        for k, field in enumerate(unknowns.fields):
+            u, owned = self.increments[k], field.owned_nodes
+            work -= float(np.sum(self.loads[k][owned] * u[owned]))
+            if forces is not None:
+                held = field.places[1]
+                work += float(forces[k].reshape(-1)[held] @ u.reshape(-1)[held])
+        return unknowns.comm.allreduce(work)
 
     def rest(self) -> None:
         """Evaluate no increment at all, not even those prescribed. Collective."""

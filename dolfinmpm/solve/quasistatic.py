@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -53,6 +54,8 @@ from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedi
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["QuasiStatic"]
+
+Array = npt.NDArray[np.float64]
 
 
 class QuasiStatic:
@@ -200,15 +203,15 @@ class QuasiStatic:
         part of the step.
         """
         started = time.perf_counter()
-        self._record = record = StepRecord()
+        self._record = record = self._of_step()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         self._loads.aim()
         done, share = 0.0, self._share
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
-                step = Step(done + share, share, share)
-                self._loads.set(step.t)
+                step = self._part(done, share)
+                self._loads.set(done + share)
                 failed = self._attempt(step)
                 if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
@@ -216,7 +219,7 @@ class QuasiStatic:
                     share = min(1.0, 2.0 * share)
                     continue
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
-                    raise ConvergenceError(self._failure(failed, step))
+                    raise ConvergenceError(self._failure(failed, done, share))
                 record.halvings += 1
                 share *= 0.5
         except BaseException:
@@ -353,26 +356,44 @@ class QuasiStatic:
         operator.tangent(matrix)
         return matrix.petsc
 
+    def _part(self, done: float, share: float) -> Step:
+        """What is asked for of a part of a step."""
+        return Step(done + share, share, share)
+
+    def _operator(self, step: Step) -> Operator:
+        """The equations of a step. Collective."""
+        return self.form.on(self.activate(step))
+
     def _attempt(self, step: Step) -> Failed | None:
         """Solve and commit a step; returns why not, the state being untouched."""
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
-        operator = self.form.on(self.activate(step))
+        operator = self._operator(step)
         outcome = self.solver.solve(operator)
         record.iterations += outcome.iterations
         record.residuals = outcome.residuals
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:
-            state = advance(
-                operator, self._updates, self._moves, largest_cell(points.grid),
-                len(self.history) + 1,
-            )  # fmt: skip
+            state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
         record.migrated += commit(points, state)
         operator.fill_functions()
         return None
+
+    def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
+        """The state at the end of a step, or why there is none. Collective.
+
+        Args:
+            operator: The step's equations, moved to their solution.
+            x: The owned unknowns, shape (owned,).
+            step: What was asked for.
+        """
+        return advance(
+            operator, self._updates, self._moves, largest_cell(self.points.grid),
+            len(self.history) + 1,
+        )  # fmt: skip
 
     def _worst(self, operator: Operator) -> str:
         """The point whose law failed, or that is compressed most, for messages. Collective."""
@@ -389,15 +410,15 @@ class QuasiStatic:
         candidates = [c for c in self.comm.allgather(found) if c is not None]
         return min(candidates)[2] if candidates else "none"
 
-    def _failure(self, failed: Failed, step: Step) -> str:
+    def _failure(self, failed: Failed, done: float, share: float) -> str:
         residuals = self._record.residuals
         last = f"{residuals[-1]:.3g}" if residuals else "none"
         return (
-            f"step {len(self.history) + 1} failed at {step.t:.4g} of its load "
-            f"({self._loads.describe()}) with parts of {step.share:.3g}: SNES says "
+            f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
+            f"({self._loads.describe()}) with parts of {share:.3g}: SNES says "
             f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
             f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
-            f"{step.t - step.share:.4g} of the step: {self._advice()}"
+            f"{done:.4g} of the step: {self._advice()}"
         )
 
     def _advice(self) -> str:

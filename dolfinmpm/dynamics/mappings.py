@@ -1,0 +1,177 @@
+"""How velocities go from the points to the grid, and what comes back.
+
+Every mapping starts from mass-weighted sums at the nodes, and the mass that divides them decides
+most: behind a consistent (ghosted) mass PIC is a projection, which damps nothing; behind a lumped
+one it loses a share of what varies from node to node in every step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.checks import choice, number, whole
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
+
+__all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
+
+Array = npt.NDArray[np.float64]
+KINDS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
+
+
+@dataclass(frozen=True)
+class NodalMotion:
+    """Motion of the nodes at the start and at the end of a step.
+
+    Attributes:
+        V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
+        V_end, A_end: Those at its end.
+    """
+
+    V: Array
+    A: Array
+    V_end: Array
+    A_end: Array
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A velocity mapping.
+
+    - "pic": the points take the grid's velocity (Harlow 1964);
+    - "flip": they add its change (Brackbill & Ruppel 1986, doi 10.1016/0021-9991(86)90211-1), or
+      the share of "pic" that `share` leaves;
+    - "accel": they integrate its accelerations (Xie's implicit algorithm, doi 10.1002/nag.3599);
+    - "apic": "pic" with an affine part that keeps angular momentum (Jiang et al. 2015, doi
+      10.1145/2766996);
+    - "tpic": the same with the velocity's gradient as affine part (Nakamura et al. 2023, doi
+      10.1016/j.cma.2022.115720);
+    - "xpic": "flip" whose old velocity has been filtered in `order` stages (Hammerquist & Nairn
+      2017, doi 10.1016/j.cma.2017.01.035);
+    - "fmpm": "pic" of the new velocity filtered so (Nairn & Hammerquist 2021, doi
+      10.1016/j.cma.2021.113997).
+
+    Args:
+        kind: Its name.
+        share: Of "flip", the share of the change; the rest is "pic".
+        order: Of "xpic" and "fmpm", the number of stages; 1 is "pic".
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+    """
+
+    kind: str = "flip"
+    share: float = 1.0
+    order: int = 2
+
+    def __post_init__(self):
+        object.__setattr__(self, "kind", choice("mapping", self.kind, KINDS))
+        number("share", self.share, 0.0, 1.0, closed=True)
+        whole("order", self.order, 1)
+
+    @property
+    def affine(self) -> bool:
+        """Whether the points carry an affine part of the velocity."""
+        return self.kind in ("apic", "tpic")
+
+    def add_fields(self, points: MaterialPoints) -> None:
+        """Add the fields that it needs of the points. Collective."""
+        d = points.gdim
+        points.add_field("velocity", (d,), "m/s")
+        points.add_field("acceleration", (d,), "m/s^2")
+        if self.affine:
+            points.add_field("velocity_gradient", (d, d), "1/s")
+
+    def to_grid(self, points: MaterialPoints, s: Stencils, x_node: Array, out: Nodal) -> None:
+        """Add the momenta of the points to nodal sums (kg m/s), and sum over ranks. Collective."""
+        m, v = point_masses(points), points["velocity"]
+        if self.affine:
+            C = points["velocity_gradient"]
+            scatter_affine(s, x_node, points["x"], m, v, C, out.arrays[0])
+        else:
+            scatter(s, m, v, out.arrays[0])
+        out.add_up()
+
+    def to_points(
+        self,
+        points: MaterialPoints,
+        s: Stencils,
+        x_node: Array,
+        motion: NodalMotion,
+        mass: Mass,
+        dt: float,
+        gamma: float,
+        gradient: Array,
+    ) -> dict[str, Array]:
+        """New velocities, accelerations and affine parts of the points. Collective.
+
+        Args:
+            points: The points at the start of the step.
+            s: Their stencils.
+            x_node: Positions of the nodes (m).
+            motion: Motion of the nodes.
+            mass: Mass at the nodes.
+            dt: The step (s).
+            gamma: Newmark's γ, by which "accel" weighs the new acceleration.
+            gradient: ∇V at the end of the step (1/s), for "tpic", shape (points, d, d).
+        """
+        v, a_new = points["velocity"], collect(s, motion.A_end)
+        new = {"acceleration": a_new}
+        if self.kind == "accel":
+            old = points["acceleration"]
+            new["velocity"] = v + dt * ((1 - gamma) * old + gamma * a_new)
+        elif self.kind == "flip":
+            velocity = v + collect(s, motion.V_end - motion.V)
+            if self.share < 1.0:
+                velocity = self.share * velocity + (1 - self.share) * collect(s, motion.V_end)
+            new["velocity"] = velocity
+        elif self.kind == "xpic":
+            filtered = self._filtered(points, s, motion.V, mass)
+            new["velocity"] = collect(s, filtered + motion.V_end - motion.V)
+        elif self.kind == "fmpm":
+            new["velocity"] = collect(s, self._filtered(points, s, motion.V_end, mass))
+        else:
+            new["velocity"] = collect(s, motion.V_end)
+            if self.kind == "apic":
+                B, D = moments(s, x_node, points["x"], motion.V_end)
+                new["velocity_gradient"] = B @ np.linalg.pinv(D, rcond=1e-9, hermitian=True)
+            elif self.kind == "tpic":
+                new["velocity_gradient"] = gradient.copy()
+        return new
+
+    def _filtered(self, points: MaterialPoints, s: Stencils, V: Array, mass: Mass) -> Array:
+        """V_k with V_{j+1} = V_j + M_L⁻¹ (M_L V − M V_j), V_1 = V. Collective."""
+        m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
+        filtered, weights = V, point_masses(points)
+        for _ in range(self.order - 1):
+            product = mass.nodal()
+            scatter(s, weights, collect(s, filtered), product.arrays[0])
+            product.add_up()
+            product.spread()
+            filtered = filtered + V - product.arrays[0] / m
+        return filtered
+
+
+def mapping_of(given: Any, default: str) -> Mapping:
+    """The mapping that an argument names.
+
+    Raises:
+        ParameterError: It names none.
+    """
+    if given is None:
+        return Mapping(default)
+    if isinstance(given, Mapping):
+        return given
+    if isinstance(given, str):
+        return Mapping(given)
+    raise ParameterError(
+        f"mapping = {given!r} must be a dolfinmpm.Mapping or one of {', '.join(KINDS)}"
+    )

@@ -1,0 +1,222 @@
+"""The mass at the nodes: lumped or consistent, with a ghost penalty, behind any C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinmpm._platform.errors import ConvergenceError, raise_together
+from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation, ActiveField
+from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.unknowns import Nodal, Unknowns
+from dolfinmpm.dynamics.transfer import mass_entries, scatter
+from dolfinmpm.solve.operator import WeakForm
+
+__all__ = ["KINDS", "Mass", "MassTerms", "point_masses"]
+
+Array = npt.NDArray[np.float64]
+KINDS = ("consistent", "lumped")
+
+# CG ends at this share of the right-hand side: an affine velocity is to come back to ten digits
+_TOLERANCE, _MOST = 1e-14, 2000
+
+
+def point_masses(points: MaterialPoints) -> Array:
+    """Masses of this rank's points (kg), shape (points,)."""
+    return points["density"] * points["V0"]
+
+
+class MassTerms:
+    """What the mass of the first field is made of, on any activation.
+
+    Args:
+        points: Material points.
+        kind: "consistent" or "lumped" by row sums. Behind a C that ties nodes, where row sums may
+            turn negative, the diagonal is scaled instead as Hinton, Rock & Zienkiewicz (1976,
+            doi 10.1002/eqe.4290040305) do.
+        ghost: Ghost penalty of the mass, γ_M J, or None.
+    """
+
+    def __init__(self, points: MaterialPoints, kind: str, ghost: WeakForm | None):
+        self.points, self.kind, self.ghost = points, kind, ghost
+        self._matrix: Matrix | None = None
+
+    @property
+    def moving(self) -> set[int]:
+        """Subdomain ids of the facets that it integrates over."""
+        return set() if self.ghost is None else self.ghost.moving
+
+    def blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
+        """The mass between the nodes that remain behind C, this rank's share. Collective."""
+        field, mass = fields[0], point_masses(self.points)
+        unit = np.eye(field.space.components)
+        if self.kind == "lumped":
+            share = self._lumped(field, mass)
+            nodes = field.nodes
+            return [Blocks(0, 0, nodes, nodes, share[nodes, None, None] * unit)]
+        rows, columns, values = mass_entries(field.stencils, mass)
+        found = [Blocks(0, 0, rows, columns, values[:, None, None] * unit)]
+        if self.ghost is not None:
+            grid, _ = self.ghost.grid_blocks(fields)
+            found += [b for b in grid if b.row_field == b.column_field == 0]
+        return found
+
+    def _lumped(self, field: ActiveField, mass: Array) -> Array:
+        """This rank's share of the nodes' masses, shape (nodes,). Collective."""
+        comm = self.points.comm
+        sums = np.zeros((field.basis.nodes.size, 1))
+        scatter(field.stencils, mass, np.ones((len(mass), 1)), sums)
+        if field.C is None:
+            return sums[:, 0]
+        total = Nodal([field.basis.nodes], [1])
+        total.arrays[0][:] = sums
+        total.add_up()
+        total.spread()
+        lowest = total.arrays[0][field.nodes].min(initial=np.inf)
+        if comm.allreduce(lowest, op=MPI.MIN) > 0.0:
+            return sums[:, 0]
+        rows, columns, values = mass_entries(field.stencils, mass)
+        own = rows == columns
+        diagonal = np.zeros(len(sums))
+        np.add.at(diagonal, rows[own], values[own])
+        both = comm.allreduce(np.array([mass.sum(), diagonal.sum()]), op=MPI.SUM)
+        return diagonal * (both[0] / both[1])
+
+    def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
+        """A matrix of that pattern, the same as long as the pattern is. Collective."""
+        kept = self._matrix is not None and self._matrix.pattern is pattern
+        if self._matrix is None or not unknowns.comm.allreduce(kept, op=MPI.LAND):
+            self._matrix = Matrix(pattern, unknowns)
+        return self._matrix
+
+
+class Mass:
+    """The mass of the first field on an activation. Collective.
+
+    Args:
+        terms: What it is made of.
+        here: The activation.
+
+    Attributes:
+        lumped: Its row sums (kg), shape (nodes,), on all ranks that know the nodes.
+        iterations: CG iterations of the last solution.
+    """
+
+    def __init__(self, terms: MassTerms, here: Activation):
+        self._terms, self._here = terms, here
+        self._field = here.fields[0]
+        self.blocks = list(here.mass)
+        self.iterations = 0
+        sums = Nodal([self._field.basis.nodes], [1])
+        for b in self.blocks:
+            if terms.kind == "lumped":
+                np.add.at(sums.arrays[0][:, 0], b.rows, b.values[:, 0, 0])
+        if terms.kind != "lumped":
+            ones = np.ones((len(point_masses(terms.points)), 1))
+            scatter(self._field.stencils, point_masses(terms.points), ones, sums.arrays[0])
+        sums.add_up()
+        sums.spread()
+        self.lumped = sums.arrays[0][:, 0]
+        self._solver: PETSc.KSP | None = None
+
+    def nodal(self) -> Nodal:
+        """Zeros at the nodes. Collective."""
+        return Nodal([self._field.basis.nodes], [self._field.space.components])
+
+    def times(self, v: Array) -> Nodal:
+        """Product with nodal values, summed over ranks at the nodes' owners. Collective.
+
+        Args:
+            v: Shape (nodes, components).
+        """
+        out = self.nodal()
+        for b in self.blocks:
+            add_product(b, [v], out.arrays)
+        out.add_up()
+        return out
+
+    def solve(self, right: Nodal, held: Array) -> Nodal:
+        """Nodal values v with M v = right, those of held components being given. Collective.
+
+        Args:
+            right: Right-hand side, summed at the nodes' owners.
+            held: Values of prescribed components, shape (nodes, components).
+
+        Returns:
+            The values, on all ranks that know the nodes.
+
+        Raises:
+            ConvergenceError: The mass is singular.
+        """
+        unknowns, out = self._unknowns, self.nodal()
+        m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
+        (p,) = right.arrays
+        guess = unknowns.restrict([p / m])
+        if self._terms.kind != "lumped":
+            fixed = np.where(unknowns.fields[0].fixed, held, 0.0)
+            given = unknowns.restrict([p]) - unknowns.restrict(self.times(fixed).arrays)
+            guess = self._cg(given, guess)
+        unknowns.expand(guess, [held], out)
+        return out
+
+    @property
+    def _unknowns(self) -> Unknowns:
+        here = self._here
+        if len(here.fields) == 1:
+            return here.unknowns
+        if not hasattr(self, "_own"):
+            first = here.unknowns.fields[0]
+            self._own = Unknowns([first.numbering], [first.nodes], [first.fixed])
+        return self._own
+
+    def _cg(self, right: Array, guess: Array) -> Array:
+        """Conjugate gradients with the diagonal of the ghosted matrix. Collective."""
+        unknowns = self._unknowns
+        if unknowns.total == 0:
+            return guess
+        if self._solver is None:
+            self._solver = self._solver_of(unknowns)
+        ksp = self._solver
+        matrix, _ = ksp.getOperators()
+        b, x = matrix.createVecRight(), matrix.createVecRight()
+        b.getArray()[:], x.getArray()[:] = right, guess
+        ksp.solve(b, x)
+        self.iterations = ksp.getIterationNumber()
+        error = None
+        if ksp.getConvergedReason() <= 0:
+            error = ConvergenceError(
+                f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
+                'iterations; give ghost_mass, or mass="lumped"'
+            )
+        raise_together(unknowns.comm, error)
+        return np.array(x.getArray(readonly=True))
+
+    def _solver_of(self, unknowns: Unknowns) -> PETSc.KSP:
+        here = self._here
+        if unknowns is here.unknowns:
+            pattern = here.pattern
+        else:
+            pairs = [(b.rows, b.columns) for b in self.blocks]
+            lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
+            pattern = Pattern.build(lists, unknowns, pairs, None)
+        matrix = self._terms.matrix(pattern, unknowns)
+        matrix.data[:] = 0.0
+        (first,) = unknowns.fields
+        zero = np.zeros(first.row_of.shape)
+        entries = Entries(first, first, pattern, matrix.data, zero, np.zeros_like(zero))
+        for b in self.blocks:
+            add_blocks(b, entries)
+        matrix.finish()
+        ksp = PETSc.KSP().create(unknowns.comm)
+        ksp.setType("cg")
+        ksp.getPC().setType("jacobi")
+        ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
+        ksp.setInitialGuessNonzero(True)
+        ksp.setOperators(matrix.petsc)
+        return ksp

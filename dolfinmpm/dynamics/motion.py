@@ -1,0 +1,209 @@
+"""The motion of the nodes in a step in time, from the points and back to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.dynamics.energies import Work
+from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
+from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
+from dolfinmpm.dynamics.transfer import scatter
+from dolfinmpm.solve.advance import NewState
+from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.step import Step
+
+__all__ = ["Motion", "Rule"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Parameters of a rule of Newmark's family, with α_m = α_f = 0 Newmark's own."""
+
+    beta: float
+    gamma: float
+    alpha_m: float = 0.0
+    alpha_f: float = 0.0
+
+    def acceleration(self, u: Array, V: Array, A: Array, dt: float) -> Array:
+        """a' at the nodes (m/s²)."""
+        return (u - dt * V) / (self.beta * dt**2) - (0.5 / self.beta - 1.0) * A
+
+    def velocity(self, V: Array, A: Array, A_end: Array, dt: float) -> Array:
+        """v' at the nodes (m/s)."""
+        return V + dt * ((1 - self.gamma) * A + self.gamma * A_end)
+
+    def known(self, V: Array, A: Array, dt: float) -> Array:
+        """What of the accelerations at the level of balance does not depend on the increment."""
+        start = V / (self.beta * dt) + (0.5 / self.beta - 1.0) * A
+        return self.alpha_m * A - (1 - self.alpha_m) * start
+
+    def factor(self, dt: float) -> float:
+        """Its derivative by the increment at that level (1/s²)."""
+        return (1 - self.alpha_m) / (self.beta * dt**2 * (1 - self.alpha_f))
+
+
+class Motion:
+    """What moves, and how it moved last.
+
+    Args:
+        points: Material points.
+        rule: The rule of the steps.
+        mapping: The velocity mapping.
+        terms: What the mass is made of.
+        error: Bound of a step's error, see `Newmark`, or None.
+        clock: DOLFINx constant that holds the time (s), or None.
+
+    Attributes:
+        rule, mapping, terms: The arguments.
+        mass: Mass at the nodes in the last step.
+        V, A: Velocities (m/s) and accelerations (m/s²) of the nodes at its start.
+        start, end: Times between which the step asked for goes (s).
+        time: Time that the state is of (s).
+        last, wanted: Length of the last part of a step, and of the next where it is free (s).
+        work: Work done so far.
+    """
+
+    mass: Mass
+    V: Array
+    A: Array
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        rule: Rule,
+        mapping: Mapping,
+        terms: MassTerms,
+        error: float | None,
+        clock: fem.Constant | None,
+    ):
+        self.rule, self.mapping, self.terms = rule, mapping, terms
+        self._points, self._error, self._clock = points, error, clock
+        self.time = self.start = self.end = 0.0
+        self.last = self.wanted = 0.0
+        self.work = Work()
+        # whether the next step begins with M a = f
+        self._starting = True
+        self._largest = 0.0
+
+    def begin(self, end: float, jumped: bool) -> None:
+        """Begin a step to a time (s), a load having jumped or not."""
+        self.start, self.end = self.time, end
+        self._starting |= jumped
+
+    def set_time(self, t: float) -> None:
+        """Tell the form the time (s)."""
+        if self._clock is not None:
+            self._clock.value = t
+
+    def to_grid(self, here: Activation, form: WeakForm, dt: float) -> None:
+        """Velocities and accelerations of the nodes at the start of a step. Collective.
+
+        Args:
+            here: What is active.
+            form: The weak form, for M a = f.
+            dt: Length of the step (s).
+        """
+        points, field = self._points, here.fields[0]
+        self.mass = mass = Mass(self.terms, here)
+        momenta = mass.nodal()
+        x_node = field.basis.node_coordinates()
+        self.mapping.to_grid(points, field.stencils, x_node, momenta)
+        self.V = mass.solve(momenta, here.prescribed[0] / dt).arrays[0]
+        forces = mass.nodal()
+        if self._starting:
+            plain = form.on(here)
+            plain.rest()
+            forces.arrays[0][:] = -plain.forces()[0]
+        else:
+            m = point_masses(points)
+            scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
+            forces.add_up()
+        self.A = mass.solve(forces, np.zeros_like(self.V)).arrays[0]
+
+    def to_points(self, operator: Operator, state: NewState, step: Step) -> str | None:
+        """Add the points' new motion to a new state. Collective.
+
+        Args:
+            operator: The step's equations, moved to their solution.
+            state: The new state, which is added to.
+            step: The step.
+
+        Returns:
+            Why the step is not to be taken, or None.
+        """
+        points, here, dt, rule = self._points, operator.here, step.dt, self.rule
+        field = here.fields[0]
+        u = operator.increments[0]
+        A_end = rule.acceleration(u, self.V, self.A, dt)
+        reason = self._judge(A_end, u, field.nodes, dt)
+        if reason is not None:
+            return reason
+        V_end = rule.velocity(self.V, self.A, A_end, dt)
+        motion = NodalMotion(self.V, self.A, V_end, A_end)
+        s, x_node = field.stencils, field.basis.node_coordinates()
+        if self._starting and self.mapping.kind == "accel":
+            points["acceleration"] = self._collected(s, self.A)
+        gradient = operator.points.gradient[0] / dt
+        new = self.mapping.to_points(
+            points, s, x_node, motion, self.mass, dt, rule.gamma, gradient
+        )
+        self.work.add(points, state.fields, operator, dt)
+        state.fields.update(new)
+        self._starting = False
+        self.time, self.last = step.t, dt
+        return None
+
+    def _collected(self, s, values: Array) -> Array:
+        from dolfinmpm.dynamics.transfer import collect
+
+        return collect(s, values)
+
+    def _judge(self, A_end: Array, u: Array, nodes, dt: float) -> str | None:
+        """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.
+
+        Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
+        """
+        if self._error is None:
+            return None
+        change = np.abs(A_end[nodes] - self.A[nodes]).max(initial=0.0)
+        both = np.array([change, np.abs(u[nodes]).max(initial=0.0)])
+        self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+        found = abs(self.rule.beta - 1 / 6) * dt**2 * both[0]
+        allowed = self._error * max(self._largest, both[1])
+        ratio = (allowed / found) ** (1 / 3) if found > 0 else 2.0
+        self.wanted = dt * min(max(0.9 * ratio, 0.2), 2.0)
+        if found > allowed:
+            return (
+                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
+            )
+        self._largest = max(self._largest, both[1])
+        return None
+
+    def memory(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {
+            "time": self.time,
+            "last part": self.last,
+            "wanted part": self.wanted,
+            "starting": int(self._starting),
+            "largest": self._largest,
+            "work": np.array([self.work.external, self.work.internal]),
+        }
+
+    def remember(self, state: dict[str, Any]) -> None:
+        """Take what `memory` returned."""
+        self.time, self.last = state["time"], state["last part"]
+        self.wanted, self._largest = state["wanted part"], state["largest"]
+        self._starting = bool(state["starting"])
+        self.work.external, self.work.internal = state["work"]
+        self.set_time(self.time)

@@ -1,0 +1,310 @@
+"""Implicit steps in time: Newmark's rule and the generalised-α method around a weak form.
+
+A step solves f(w) + M a_α = 0 for the increment w at the time level where forces balance, with
+the accelerations that the rule gives for it; f is the quasi-static form, and the mass is that of
+`dolfinmpm.dynamics.mass`. Newmark's rule (1959) is, with the increment u of the whole step,
+
+    a' = (u − Δt v) / (β Δt²) − (1/(2β) − 1) a,    v' = v + Δt ((1 − γ) a + γ a'),
+
+and the generalised-α method (Chung & Hulbert 1993, doi 10.1115/1.2900803) balances the forces at
+w = (1 − α_f) u with the acceleration (1 − α_m) a' + α_m a.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.assembly.points import add_product
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
+from dolfinmpm.dynamics.energies import Energies
+from dolfinmpm.dynamics.mappings import Mapping, mapping_of
+from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms
+from dolfinmpm.dynamics.motion import Motion, Rule
+from dolfinmpm.dynamics.times import Time
+from dolfinmpm.solve.advance import NewState
+from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.step import Step, StepRecord
+
+__all__ = ["GeneralisedAlpha", "MotionRecord", "Newmark", "TimeStepping"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class MotionRecord(StepRecord):
+    """What one step in time did.
+
+    Attributes:
+        time: Where it ended (s).
+        dt: Length of its last part (s).
+    """
+
+    time: float = 0.0
+    dt: float = 0.0
+
+
+class InertialOperator(Operator):
+    """A weak form with inertial forces, on an activation. Collective.
+
+    Args:
+        form, here: See `Operator`.
+        mass: The mass.
+        factor: Derivative of the accelerations by the increments (1/s²).
+        known: The rest of them (m/s²), shape (nodes, d).
+    """
+
+    def __init__(self, form: WeakForm, here: Activation, mass: Mass, factor: float, known: Array):
+        self.mass, self._known = mass, known
+        self._inertia = [dataclasses.replace(b, values=factor * b.values) for b in mass.blocks]
+        super().__init__(form, here)
+
+    def renew_external(self) -> None:
+        super().renew_external()
+        # M times what is known acts as a load does
+        forces = self.here.unknowns.nodal()
+        for b in self.mass.blocks:
+            add_product(b, [self._known], forces.arrays)
+        forces.add_up()
+        self._loads = [np.array(values) for values in self._external.arrays]
+        self._external.arrays[0][...] += forces.arrays[0]
+
+    @property
+    def loads(self) -> Sequence[Array]:
+        return self._loads
+
+    def _linear(self) -> list[Blocks]:
+        return [*super()._linear(), *self._inertia]
+
+
+class TimeStepping(QuasiStatic):
+    """A weak form in time, by a rule of Newmark's family; see `Newmark` for the arguments."""
+
+    history: list[MotionRecord]  # type: ignore[assignment]
+    _of_step = MotionRecord
+
+    def __init__(
+        self,
+        rule: Rule,
+        form: ufl.Form,
+        increment: fem.Function | Sequence[fem.Function],
+        points: MaterialPoints,
+        bcs: Sequence[Condition] = (),
+        *,
+        mass: str = "consistent",
+        mapping: Mapping | str | None = None,
+        ghost_mass: float | None = None,
+        error: float | None = None,
+        time: fem.Constant | None = None,
+        **options: Any,
+    ):
+        mass = choice("mass", mass, KINDS)
+        chosen = mapping_of(mapping, "pic" if mass == "consistent" else "accel")
+        u = increments_of(increment, points)[0]
+        if u.ufl_shape != (points.gdim,):
+            raise ParameterError(
+                f"the first increment must be a displacement of {points.gdim} components, got "
+                f"shape {u.ufl_shape}: it moves the points"
+            )
+        if error is not None:
+            number("error", error, 0.0)
+        if u._dolfinmpm_space.configuration != "updated":
+            raise ParameterError(
+                'steps in time need Space(..., configuration="updated"), got "total": velocities '
+                "are mapped where the points are now"
+            )
+        chosen.add_fields(points)
+        super().__init__(form, increment, points, bcs, **options)
+        terms = self._mass_terms(mass, ghost_mass)
+        self.motion = Motion(points, rule, chosen, terms, error, time)
+        self.form.inertia = terms
+
+    def _mass_terms(self, mass: str, ghost_mass: float | None) -> MassTerms:
+        """What the mass is made of, with γ_M of its ghost penalty in units of the density."""
+        points, space = self.points, self.fields[0].space
+        if mass == "lumped":
+            if ghost_mass:
+                raise ParameterError(
+                    f"ghost_mass = {ghost_mass} is of a consistent mass, and lumping takes away "
+                    'what a ghost penalty adds; give mass="consistent"'
+                )
+            return MassTerms(points, mass, None)
+        if ghost_mass is None:
+            tied = self.fields[0].remedy.kind in ("aggregation", "extended")
+            ghost_mass = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
+        factor = number("ghost_mass", ghost_mass, 0.0, closed=True)
+        if factor == 0:
+            return MassTerms(points, mass, None)
+        density = points.comm.allreduce(points["density"].max(initial=0.0), op=MPI.MAX)
+        J = ghost(points, space.increment, space.test, factor * density, scaling="literal")
+        return MassTerms(points, mass, WeakForm(J, self.form.spaces, points))
+
+    @property
+    def time(self) -> float:
+        """Time that the state is of (s)."""
+        return self.motion.time
+
+    def energies(self) -> Energies:
+        """Energies of the body now, and work done since the first step. Collective."""
+        return Energies.of(self.points, self.form.parts.declarations, self.motion.work)
+
+    def step(self, t: float | None = None) -> MotionRecord:
+        """Go to a time. Collective.
+
+        Args:
+            t: The time (s), later than `time`; or one of `times(end, dt="auto")`, for a step
+                whose length follows from the error of the last one.
+
+        Raises:
+            ParameterError: The time is not later.
+            ConvergenceError, PointsOutsideGridError: See `QuasiStatic.step`. The state, and
+                `time`, are those of the last converged part of the step.
+        """
+        motion = self.motion
+        if t is None:
+            raise ParameterError("step(t) needs the time to go to (s)")
+        end = number("t", t, unit="s")
+        if isinstance(t, Time) and t.open:
+            end = min(t.end, motion.time + (motion.wanted or math.inf))
+        if not end > motion.time:
+            raise ParameterError(
+                f"t = {end:g} s must be later than the time of the state, {motion.time:g} s"
+            )
+        motion.begin(end, self._loads.jumps())
+        record = super().step()
+        assert isinstance(record, MotionRecord)
+        record.time, record.dt = motion.time, motion.last
+        if isinstance(t, Time):
+            t.reached = motion.time
+        return record
+
+    def _part(self, done: float, share: float) -> Step:
+        motion = self.motion
+        whole = motion.end - motion.start
+        return Step(motion.start + (done + share) * whole, share * whole, share)
+
+    def _operator(self, step: Step) -> Operator:
+        motion, rule = self.motion, self.motion.rule
+        motion.set_time(step.t - rule.alpha_f * step.dt)
+        here = self.activate(step)
+        motion.to_grid(here, self.form, step.dt)
+        if rule.alpha_f and here.driven:
+            level = [(1 - rule.alpha_f) * g for g in here.prescribed]
+            here = dataclasses.replace(here, prescribed=level)
+        known = rule.known(motion.V, motion.A, step.dt)
+        return InertialOperator(self.form, here, motion.mass, rule.factor(step.dt), known)
+
+    def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
+        motion = self.motion
+        # forces balance at a level within the step, the state is that at its end
+        operator.move(x, 1.0 / (1.0 - motion.rule.alpha_f))
+        state = super()._advance(operator, x, step)
+        if isinstance(state, str):
+            return state
+        reason = motion.to_points(operator, state, step)
+        return state if reason is None else reason
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        state, local, cells = super()._memory()
+        return {**state, **self.motion.memory()}, local, cells
+
+    def _remember(self, state, local, cells) -> None:
+        super()._remember(state, local, cells)
+        self.motion.remember(state)
+
+    def _problem(self) -> dict[str, Any]:
+        return {**super()._problem(), "mapping": repr(self.motion.mapping)}
+
+
+class Newmark(TimeStepping):
+    """A weak form in time, by Newmark's rule; the trapezoidal one by default.
+
+    The form is that of the quasi-static problem: internal forces less loads. What it moves
+    has mass, the points' `density`, and the points carry `velocity` (m/s) and `acceleration`
+    (m/s²), which may be set before the first step. All else is as with `QuasiStatic`.
+
+    The first step begins with the acceleration that the loads give the body, M a₀ = f, and so
+    does every step at whose start a load jumps: free fall is exact from the first step.
+
+    Args:
+        form, increment, points, bcs, options: See `QuasiStatic`. The first field moves the points.
+        beta, gamma: β and γ.
+        mass: "consistent" or "lumped".
+        mapping: How velocities go to the grid and come back: a `Mapping` or the name of one.
+            By default "pic" with a consistent mass, which is then a projection and damps
+            nothing, and "accel" with a lumped one.
+        ghost_mass: γ_M of the ghost penalty of a consistent mass, in units of the largest density;
+            by default 1/4, on quadratic and cubic splines 100 and 10⁴ times that, and 0 where
+            aggregation ties nodes. Without it nodes with small shares of points make the
+            mass singular.
+        error: Largest error of a step's displacement, as a share of the largest displacement of a
+            step so far; a step that exceeds it is halved. None for no bound.
+        time: DOLFINx constant that holds the time (s), for forms that depend on it.
+
+    Attributes:
+        history: One record a step.
+        motion: What the grid's motion was in the last step.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+    """
+
+    def __init__(
+        self,
+        form: ufl.Form,
+        increment: fem.Function | Sequence[fem.Function],
+        points: MaterialPoints,
+        bcs: Sequence[Condition] = (),
+        *,
+        beta: float = 0.25,
+        gamma: float = 0.5,
+        **options: Any,
+    ):
+        rule = Rule(number("beta", beta, 0.0), number("gamma", gamma, 0.0))
+        super().__init__(rule, form, increment, points, bcs, **options)
+
+
+class GeneralisedAlpha(TimeStepping):
+    """A weak form in time, by the generalised-α method: second order, and damped where it rings.
+
+    Args:
+        form, increment, points, bcs, options: See `Newmark`, also for what options there are.
+        rho_inf: ρ∞ in [0, 1], the share of the highest frequencies' amplitudes that a step keeps;
+            1 is the midpoint rule, which keeps all.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+    """
+
+    def __init__(
+        self,
+        form: ufl.Form,
+        increment: fem.Function | Sequence[fem.Function],
+        points: MaterialPoints,
+        bcs: Sequence[Condition] = (),
+        *,
+        rho_inf: float = 0.8,
+        **options: Any,
+    ):
+        r = number("rho_inf", rho_inf, 0.0, 1.0, closed=True)
+        alpha_m, alpha_f = (2 * r - 1) / (r + 1), r / (r + 1)
+        beta, gamma = 0.25 * (1 - alpha_m + alpha_f) ** 2, 0.5 - alpha_m + alpha_f
+        rule = Rule(beta, gamma, alpha_m, alpha_f)
+        super().__init__(rule, form, increment, points, bcs, **options)

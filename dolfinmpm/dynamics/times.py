@@ -1,0 +1,86 @@
+"""Times of a computation in time, with a progress bar in simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.io.progress import progress_to
+
+__all__ = ["Time", "times"]
+
+
+class Time(float):
+    """A time (s) to step to; an open one lets the solver choose where its step ends.
+
+    Attributes:
+        open: Whether this is the time at the start of a step whose length the solver chooses.
+        end: Latest time that the step may end at.
+        reached: Where a solver ended the step, or None before.
+    """
+
+    def __new__(cls, value: float, end: float | None = None):
+        made = super().__new__(cls, value)
+        made.open = end is not None
+        made.end = value if end is None else end
+        made.reached = None
+        return made
+
+    open: bool
+    end: float
+    reached: float | None
+
+
+def times(
+    end: float, dt: float | str = "auto", start: float = 0.0, label: str = ""
+) -> Iterator[Time]:
+    """Times to step to, with a progress bar in simulated time on rank 0, as `steps` draws it.
+
+    `for t in mpm.times(0.6, dt=2.5e-4): problem.step(t)`. With `dt="auto"` the solver chooses
+    each step: `t` is then the time at its start, and the loop ends when the end is reached.
+
+    Args:
+        end: The last time (s), which the last step ends at exactly.
+        dt: Length of the steps (s), made a little shorter if the whole is no multiple of it; or
+            "auto".
+        start: Time before the first step (s).
+        label: What is computed, written before the bar.
+
+    Raises:
+        ParameterError: The times do not rise, or a step was not taken in an automatic loop.
+    """
+    start = number("start", start, unit="s")
+    end = number("end", end, start, math.inf, "s")
+    if isinstance(dt, str):
+        if dt != "auto":
+            raise ParameterError(f'dt = {shown(dt)} must be a time in s or "auto"')
+        return _chosen(start, end, label)
+    step = number("dt", dt, 0.0, math.inf, "s")
+    # rounding must not add a step
+    count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
+    listed = [start + (end - start) * k / count for k in range(1, count)] + [end]
+    return _given(start, end, listed, label)
+
+
+def _given(start: float, end: float, listed: list[float], label: str) -> Iterator[Time]:
+    with progress_to(end - start, label) as show:
+        for t in listed:
+            yield Time(t)
+            show(t - start)
+
+
+def _chosen(start: float, end: float, label: str) -> Iterator[Time]:
+    with progress_to(end - start, label) as show:
+        t = start
+        while t < end:
+            now = Time(t, end)
+            yield now
+            if now.reached is None:
+                raise ParameterError(
+                    f'no step was taken from t = {t:g} s: in a loop over times(..., dt="auto") call '
+                    "problem.step(t) with the t of the loop, which the solver chooses its step from"
+                )
+            t = now.reached
+            show(t - start)

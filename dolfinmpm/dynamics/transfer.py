@@ -1,0 +1,182 @@
+"""Sums from the points to the nodes and back, along their stencils.
+
+Σ_p S_ap w_p q_p hands to node a what the points carry, and Σ_a S_ap q_a gives it back. With
+an affine part, a point carries q_p + C_p (x_a − x_p) to node a.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.basis.stencils import Stencils
+
+__all__ = ["collect", "mass_entries", "moments", "scatter", "scatter_affine"]
+
+Array = npt.NDArray[np.float64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _scatter(order, groups, node_start, nodes, value_start, N, weight, q, out):
+    components = q.shape[1]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for a in range(m):
+                w = N[at + a] * weight[p]
+                for i in range(components):
+                    out[nodes[first + a], i] += w * q[p, i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _scatter_affine(order, groups, node_start, nodes, value_start, N, x_node, x, weight, q, C, out):
+    d = x.shape[1]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for a in range(m):
+                node = nodes[first + a]
+                w = N[at + a] * weight[p]
+                for i in range(d):
+                    value = q[p, i]
+                    for j in range(d):
+                        value += C[p, i, j] * (x_node[node, j] - x[p, j])
+                    out[node, i] += w * value
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _collect(order, groups, node_start, nodes, value_start, N, q, out):
+    components = q.shape[1]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for i in range(components):
+                out[p, i] = 0.0
+            for a in range(m):
+                for i in range(components):
+                    out[p, i] += N[at + a] * q[nodes[first + a], i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _moments(order, groups, node_start, nodes, value_start, N, x_node, x, q, B, D):
+    d = x.shape[1]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for i in range(d):
+                for j in range(d):
+                    B[p, i, j] = D[p, i, j] = 0.0
+            for a in range(m):
+                node = nodes[first + a]
+                for j in range(d):
+                    arm = N[at + a] * (x_node[node, j] - x[p, j])
+                    for i in range(d):
+                        B[p, i, j] += q[node, i] * arm
+                        D[p, i, j] += (x_node[node, i] - x[p, i]) * arm
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mass_entries(order, groups, node_start, nodes, value_start, N, mass, rows, columns, values):
+    to = 0
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for a in range(m):
+            for b in range(m):
+                total = 0.0
+                for position in range(groups[g], groups[g + 1]):
+                    at = value_start[g] + (position - groups[g]) * m
+                    total += mass[order[position]] * N[at + a] * N[at + b]
+                rows[to], columns[to], values[to] = nodes[first + a], nodes[first + b], total
+                to += 1
+
+
+def _rows(s: Stencils):
+    return s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N
+
+
+def scatter(s: Stencils, weight: Array, q: Array, out: Array) -> None:
+    """Add Σ_p S_ap w_p q_p to nodal sums.
+
+    Args:
+        s: Stencils.
+        weight: w, shape (points,).
+        q: What the points carry, shape (points, components).
+        out: Sums, shape (nodes, components).
+    """
+    _scatter(*_rows(s), weight, q, out)
+
+
+def scatter_affine(
+    s: Stencils, x_node: Array, x: Array, weight: Array, q: Array, C: Array, out: Array
+) -> None:
+    """Add Σ_p S_ap w_p (q_p + C_p (x_a − x_p)) to nodal sums.
+
+    Args:
+        s: Stencils.
+        x_node: Positions of the nodes (m), shape (nodes, at least d).
+        x: Positions of the points (m), shape (points, d).
+        weight: w, shape (points,).
+        q: Shape (points, d).
+        C: Shape (points, d, d).
+        out: Sums, shape (nodes, d).
+    """
+    _scatter_affine(*_rows(s), x_node, x, weight, q, C, out)
+
+
+def collect(s: Stencils, q: Array) -> Array:
+    """Σ_a S_ap q_a at the points, shape (points, components).
+
+    Args:
+        s: Stencils.
+        q: Nodal values, shape (nodes, components).
+    """
+    out = np.empty((s.order.size, q.shape[1]))
+    _collect(*_rows(s), q, out)
+    return out
+
+
+def moments(s: Stencils, x_node: Array, x: Array, q: Array) -> tuple[Array, Array]:
+    """B = Σ_a S_ap q_a ⊗ (x_a − x_p) and D = Σ_a S_ap (x_a − x_p) ⊗ (x_a − x_p).
+
+    B D⁻¹ is the affine part of APIC (Jiang et al. 2015, doi 10.1145/2766996). Of splines D is
+    h²/4 and h²/3 times the identity for the degrees two and three; that of linear functions is
+    singular where a point is at a node.
+
+    Returns:
+        Both of shape (points, d, d).
+    """
+    d = x.shape[1]
+    B, D = np.empty((len(x), d, d)), np.empty((len(x), d, d))
+    _moments(*_rows(s), x_node, x, q, B, D)
+    return B, D
+
+
+def mass_entries(s: Stencils, mass: Array) -> tuple[npt.NDArray, npt.NDArray, Array]:
+    """Entries Σ_p m_p S_ap S_bp of the consistent mass, group by group.
+
+    Args:
+        s: Stencils.
+        mass: m (kg), shape (points,).
+
+    Returns:
+        Nodes of the rows, of the columns and values (kg), shape (n,) each.
+    """
+    number = int(np.sum(np.diff(s.node_start).astype(np.int64) ** 2))
+    rows, columns = np.empty(number, np.int32), np.empty(number, np.int32)
+    values = np.empty(number)
+    _mass_entries(*_rows(s), mass, rows, columns, values)
+    return rows, columns, values
