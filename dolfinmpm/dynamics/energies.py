@@ -28,17 +28,13 @@ def momentum_of(points: MaterialPoints) -> Array:
 def angular_momentum(points: MaterialPoints) -> Array:
     """Angular momentum about the origin (kg m²/s): shape (1,) in 2D, (3,) in 3D. Collective.
 
-    Affine parts of the velocities count with what they carry to the grid,
-    m (B_yx − B_xy) of APIC's B, which is C times the second moments of its functions: a point's
-    spin by itself is left out here.
+    It is that of the points' velocities; what affine mappings keep besides, the spin
+    m (C D − D Cᵀ) of each point, is left out.
     """
     m = points["density"] * points["V0"]
-    x, v = points["x"], points["velocity"]
-    if points.gdim == 2:
-        turn = (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])[:, None]
-    else:
-        turn = np.cross(x, v)
-    return points.comm.allreduce(m @ turn, op=MPI.SUM)
+    x, v = (np.pad(points[name], ((0, 0), (0, 3 - points.gdim))) for name in ("x", "velocity"))
+    total = points.comm.allreduce(m @ np.cross(x, v), op=MPI.SUM)
+    return total[2:] if points.gdim == 2 else total
 
 
 @dataclass

@@ -15,7 +15,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.energies import Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
-from dolfinmpm.dynamics.transfer import scatter
+from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.operator import Operator, WeakForm
 from dolfinmpm.solve.step import Step
@@ -118,7 +118,8 @@ class Motion:
         momenta = mass.nodal()
         x_node = field.basis.node_coordinates()
         self.mapping.to_grid(points, field.stencils, x_node, momenta)
-        self.V = mass.solve(momenta, here.prescribed[0] / dt).arrays[0]
+        rates: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        self.V = mass.solve(momenta, rates).arrays[0]
         forces = mass.nodal()
         if self._starting:
             plain = form.on(here)
@@ -152,21 +153,14 @@ class Motion:
         motion = NodalMotion(self.V, self.A, V_end, A_end)
         s, x_node = field.stencils, field.basis.node_coordinates()
         if self._starting and self.mapping.kind == "accel":
-            points["acceleration"] = self._collected(s, self.A)
+            points["acceleration"] = collect(s, self.A)
         gradient = operator.points.gradient[0] / dt
-        new = self.mapping.to_points(
-            points, s, x_node, motion, self.mass, dt, rule.gamma, gradient
-        )
+        new = self.mapping.to_points(points, s, x_node, motion, self.mass, dt, rule.gamma, gradient)
         self.work.add(points, state.fields, operator, dt)
         state.fields.update(new)
         self._starting = False
         self.time, self.last = step.t, dt
         return None
-
-    def _collected(self, s, values: Array) -> Array:
-        from dolfinmpm.dynamics.transfer import collect
-
-        return collect(s, values)
 
     def _judge(self, A_end: Array, u: Array, nodes, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.

@@ -32,11 +32,11 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
-from dolfinmpm.dynamics.energies import Energies
+from dolfinmpm.dynamics.clock import Time
+from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms
 from dolfinmpm.dynamics.motion import Motion, Rule
-from dolfinmpm.dynamics.times import Time
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.operator import Operator, WeakForm
@@ -164,6 +164,14 @@ class TimeStepping(QuasiStatic):
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
         return Energies.of(self.points, self.form.parts.declarations, self.motion.work)
+
+    def momentum(self) -> Array:
+        """Linear momentum of the body (kg m/s), shape (d,). Collective."""
+        return momentum_of(self.points)
+
+    def angular_momentum(self) -> Array:
+        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective."""
+        return angular_momentum(self.points)
 
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.

@@ -116,7 +116,9 @@ class Framework:
         """Elastic energy per initial volume of the law's points (J/m³); None if it cannot tell."""
         rows = self.rows
         tensor = symmetric(self.points[self.state][rows])
-        strain = np.linalg.eigvalsh(tensor) if len(rows) else np.empty((0, 3))
+        strain: Array = np.empty((0, 3))
+        if len(rows):
+            strain = np.asarray(np.linalg.eigvalsh(tensor), np.float64)
         if self._measure.logarithmic:
             strain = 0.5 * np.log(strain)
         return self.law.energy(strain, self.parameters(rows))

@@ -175,10 +175,12 @@ class EnergyWithYield(Law):
 
     def energy(self, strain: Array, parameters: Array) -> Array:
         """ψ (J/m³), without what hardening stores; see `Law.energy`."""
-        if HARDENING in _names(self._functions["energy"]):
+        energy = self._functions["energy"]
+        assert energy is not None
+        if HARDENING in _names(energy):
             return np.full(len(strain), np.nan)
         if not hasattr(self, "_energy_program"):
-            expression, _ = self._of(self._functions["energy"], "energy")
+            expression, _ = self._of(energy, "energy")
             self._energy_program = compile_here([expression], {self._inputs(): "z"})
         z = np.zeros((len(strain), 4 + len(self.parameters)))
         z[:, :3], z[:, 4:] = strain, parameters

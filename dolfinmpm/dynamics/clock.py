@@ -21,7 +21,7 @@ class Time(float):
         reached: Where a solver ended the step, or None before.
     """
 
-    def __new__(cls, value: float, end: float | None = None):
+    def __new__(cls, value: float, end: float | None = None):  # noqa: D102
         made = super().__new__(cls, value)
         made.open = end is not None
         made.end = value if end is None else end
@@ -79,8 +79,8 @@ def _chosen(start: float, end: float, label: str) -> Iterator[Time]:
             yield now
             if now.reached is None:
                 raise ParameterError(
-                    f'no step was taken from t = {t:g} s: in a loop over times(..., dt="auto") call '
-                    "problem.step(t) with the t of the loop, which the solver chooses its step from"
+                    f'no step was taken from t = {t:g} s: with dt = "auto" call problem.step(t) with '
+                    "the t of the loop, which tells the solver to choose"
                 )
             t = now.reached
             show(t - start)
