@@ -79,8 +79,8 @@ def _chosen(start: float, end: float, label: str) -> Iterator[Time]:
             yield now
             if now.reached is None:
                 raise ParameterError(
-                    f'no step was taken from t = {t:g} s: with dt = "auto" call problem.step(t) with '
-                    "the t of the loop, which tells the solver to choose"
+                    f"no step was taken from t = {t:g} s: call problem.step(t) with the t of the "
+                    "loop, which lets the solver choose the step"
                 )
             t = now.reached
             show(t - start)

@@ -25,6 +25,7 @@ from dolfinmpm.solve.arguments import (
 )
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
+from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.path import PathBorder
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Failed, Step, StepRecord
@@ -178,6 +179,11 @@ class ArcLength(QuasiStatic):
         self._loads.release()
         self.path.factor = float(factor)
         self._pace = Pace(target_iterations, max_length)
+
+    @property
+    def newton(self) -> Newton:
+        """Newton's method within the one that has the load factor as an unknown."""
+        return self.solver.newton if isinstance(self.solver, Bordered) else super().newton
 
     @property
     def factor(self) -> float:

@@ -95,8 +95,7 @@ class QuasiStatic:
         points: The material points.
         fields: The fields, with their spaces and remedies.
         form: The weak form, made ready.
-        newton: Newton's method, which has the tolerances and the linear solver.
-        solver: What solves a step's equations: it, or it with a border.
+        solver: What solves a step's equations.
         here: What took part in the last step, or None before the first.
 
     Raises:
@@ -151,8 +150,9 @@ class QuasiStatic:
         self._updates = updates_of(self.form, updates)
         options = Options(self, options_prefix, own)
         softened = self.form.softening is not None
-        self.newton = Newton(points.comm, points.gdim, softened, options, tolerance, max_iterations)
-        self.solver: Solver = self.newton
+        self.solver: Solver = Newton(
+            points.comm, points.gdim, softened, options, tolerance, max_iterations
+        )
         loads = loads_of(self.form.loads)
         for condition in self.bcs:
             if any(condition.value is load for load in loads):
@@ -185,6 +185,12 @@ class QuasiStatic:
     def configuration(self) -> str:
         """Configuration that stencils and gradients are taken in."""
         return self.fields[0].space.configuration
+
+    @property
+    def newton(self) -> Newton:
+        """Newton's method, which has the tolerances and the linear solver."""
+        assert isinstance(self.solver, Newton)
+        return self.solver
 
     @property
     def _moves(self) -> bool:
