@@ -151,6 +151,27 @@ class Participants:
     unknowns: Unknowns
 
 
+class Later:
+    """The pattern of a matrix, made when it is first asked for.
+
+    Args:
+        build: What makes it.
+    """
+
+    def __init__(self, build: Callable[[], Pattern]):
+        self._build: Callable[[], Pattern] | None = build
+        self.known: Pattern | None = None
+
+    @property
+    def pattern(self) -> Pattern:
+        """The pattern."""
+        if self.known is None:
+            assert self._build is not None
+            # with it goes what it is made of
+            self.known, self._build = self._build(), None
+        return self.known
+
+
 @dataclass(frozen=True)
 class Activation(Participants):
     """What takes part in a step.
@@ -164,7 +185,7 @@ class Activation(Participants):
             that remain behind C.
         soft: The same of terms of the tangent only.
         mass: The mass between these nodes (kg), if there are inertial forces.
-        pattern: Where the matrix has entries, on this rank.
+        later: What is made when it is first asked for.
     """
 
     terms: Terms
@@ -174,7 +195,12 @@ class Activation(Participants):
     grid: list[Blocks]
     soft: list[Blocks]
     mass: list[Blocks]
-    pattern: Pattern
+    later: Later
+
+    @property
+    def pattern(self) -> Pattern:
+        """Where the matrix has entries, on this rank; explicit steps never ask."""
+        return self.later.pattern
 
     @property
     def active_cells(self) -> int:
@@ -282,16 +308,13 @@ def activate(
     regions = [region_on(region, points, here) for region in terms.regions]
     mass = terms.mass_blocks(active)
     pairs = _pairs([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
-    pattern = Pattern.build(
-        _lists(regions, active, unknowns),
-        unknowns,
-        pairs if kept is None else [*pairs, *kept.pairs(unknowns)],
-        None if old is None else old.pattern,
-    )
+    pairs += [] if kept is None else kept.pairs(unknowns)
+    former = None if old is None else old.later.known
+    later = Later(lambda: Pattern.build(_lists(regions, active, unknowns), unknowns, pairs, former))
     driven = held.changing and held.driven
     return Activation(
         where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        pattern,
+        later,
     )  # fmt: skip
 
 

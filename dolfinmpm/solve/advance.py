@@ -40,6 +40,7 @@ def advance(
     moves: bool,
     cell_size: float,
     step: int,
+    x: Array | None = None,
 ) -> NewState | str:
     """The new state that goes with the increments an operator was moved to. Collective.
 
@@ -51,6 +52,7 @@ def advance(
         moves: Whether the first field is a displacement.
         cell_size: Largest size of a cell (m).
         step: Number of the step, for messages.
+        x: New positions (m), shape (n, d), if they do not follow from the increment.
 
     Returns:
         The state, or why there is none.
@@ -73,7 +75,7 @@ def advance(
         J = np.linalg.det(new["F"])
         bad = np.flatnonzero(~(J > 0))
         new["V"] = J * points["V0"]
-        new["x"] = points["x"] + evaluation.value[0]
+        new["x"] = points["x"] + evaluation.value[0] if x is None else x
         if operator.here.fields[0].basis.averaged:
             new["l"] = update_domains(new["F"], points["l0"])
     finite = all(np.isfinite(values).all() for values in new.values())
@@ -85,7 +87,7 @@ def advance(
         return NewState(new, None)
     to = destinations(points.grid, new["x"], points["cell"])
     lost = np.flatnonzero(to.rank < 0)
-    far = np.any(np.abs(evaluation.value[0][lost]) > cell_size)
+    far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
     if comm.allreduce(bool(far), op=MPI.LOR):
         # Newton may find a state of equilibrium on the far side of a singular one
         return "material points would be thrown out of the grid, further than a cell"

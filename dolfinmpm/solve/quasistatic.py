@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -12,45 +10,32 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
-    CheckpointError,
     ConvergenceError,
-    ParameterError,
     raise_together,
 )
 from dolfinmpm.assembly.points import Matrix
-from dolfinmpm.basis.conditions import Condition, warn_idle
-from dolfinmpm.body.migration import settle
+from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation, Field, Kept, Prolongate, activate
-from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.checks import check_fields, check_form
+from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.advance import NewState, advance, commit
 from dolfinmpm.solve.arguments import (
     advice,
-    agree,
-    check_callable,
-    check_conditions,
     check_limits,
     check_petsc_options,
-    check_spaces,
-    check_updates,
-    increments_of,
-    remedies_of,
+    check_points,
 )
-from dolfinmpm.solve.loads import Loads, check_loads, loads_of
-from dolfinmpm.solve.memory import memory_of, saved_loads, set_loads, set_memory
+from dolfinmpm.solve.loads import check_loads
+from dolfinmpm.solve.memory import memory_of, set_memory
 from dolfinmpm.solve.newton import Newton, Solver
-from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
-from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
+from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["QuasiStatic"]
@@ -58,7 +43,7 @@ __all__ = ["QuasiStatic"]
 Array = npt.NDArray[np.float64]
 
 
-class QuasiStatic:
+class QuasiStatic(Problem):
     """Quasi-static problem, solved step by step with Newton's method.
 
     Every step starts from the undeformed grid: the points find their stencils,
@@ -104,8 +89,6 @@ class QuasiStatic:
         ConflictingConditionsError: Two conditions contradict each other.
     """
 
-    _of_step: type[StepRecord] = StepRecord
-
     def __init__(
         self,
         form: ufl.Form,
@@ -122,80 +105,31 @@ class QuasiStatic:
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
     ):
-        increments = increments_of(increment, points)
-        spaces = [u._dolfinmpm_space for u in increments]
-        check_spaces(spaces)
-        check_form(form)
+        check_points(points)
         check_limits(tolerance, max_iterations, max_halvings)
-        bcs = check_conditions(bcs, spaces)
-        updates = check_updates(updates, points)
         own = check_petsc_options(petsc_options, options_prefix, points.comm)
-        remedies = remedies_of(stabilisation, len(spaces))
-        check_callable("prolongation", prolongation)
-        agree(
-            points.comm, bcs=bcs, tolerance=tolerance, max_iterations=max_iterations,
-            max_halvings=max_halvings, stabilisation=remedies, petsc_options=own,
+        agreed = {
+            "tolerance": tolerance, "max_iterations": max_iterations,
+            "max_halvings": max_halvings, "petsc_options": own,
+        }  # fmt: skip
+        super().__init__(
+            form, increment, points, bcs, updates=updates, stabilisation=stabilisation,
+            prolongation=prolongation, agreed=agreed,
         )  # fmt: skip
-        self.points = points
         self.max_halvings = max_halvings
-        self.history: list[StepRecord] = []
-        remedies = with_moduli(remedies, spaces, form, points)
-        self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
-        whole, softening = with_remedies(form, self.fields, points)
-        self.form = WeakForm(whole, spaces, points, softening)
-        check_fields(form, spaces)
-        self.here: Activation | None = None
-        self._kept: Kept | None = None
-        self._held = Held(bcs, spaces)
-        self._updates = updates_of(self.form, updates)
         options = Options(self, options_prefix, own)
         softened = self.form.softening is not None
         self.solver: Solver = Newton(
             points.comm, points.gdim, softened, options, tolerance, max_iterations
         )
-        loads = loads_of(self.form.loads)
-        for condition in self.bcs:
-            if any(condition.value is load for load in loads):
-                raise ParameterError(
-                    f"a constant is both a load of the form and the increment prescribed at "
-                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
-                )
-        self._loads = Loads(loads, increments)
         self._share = 1.0
         self._record = StepRecord()
-        settle(points, self.configuration)
-
-    @property
-    def comm(self) -> MPI.Intracomm:
-        """Communicator of the points."""
-        return self.points.comm
-
-    @property
-    def bcs(self) -> list[Condition]:
-        """The essential conditions."""
-        return self._held.conditions
-
-    @property
-    def stabilisation(self) -> Stabilisation | list[Stabilisation]:
-        """The remedy with all its parameters, a list of several fields' ones."""
-        remedies = [field.remedy for field in self.fields]
-        return remedies if len(remedies) > 1 else remedies[0]
-
-    @property
-    def configuration(self) -> str:
-        """Configuration that stencils and gradients are taken in."""
-        return self.fields[0].space.configuration
 
     @property
     def newton(self) -> Newton:
         """Newton's method, which has the tolerances and the linear solver."""
         assert isinstance(self.solver, Newton)
         return self.solver
-
-    @property
-    def _moves(self) -> bool:
-        """Whether the points move with the first field."""
-        return self.fields[0].space.increment.ufl_shape == (self.points.gdim,)
 
     def step(self) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.
@@ -239,120 +173,17 @@ class QuasiStatic:
         self.history.append(record)
         return record
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all that it takes to go on from here into one HDF5 file. Collective.
-
-        The file is written beside the one of that name, and takes its place when it is
-        whole: a run that is killed at any time leaves one that `load` reads. Save between
-        steps; what the user has set since the last one is not in the file.
-
-        Args:
-            path: File to write, in a folder that is there.
-
-        Raises:
-            CheckpointError: The file cannot be written, or h5py is missing.
-        """
-        state, local, cells = self._memory()
-        history = [dataclasses.asdict(record) for record in self.history]
-        checkpoint.write(path, self.points, state, local, history, cells, self._laws)
-
-    def load(self, path: str | os.PathLike[str]) -> None:
-        """Go on from where `save` was called, on any number of ranks. Collective.
-
-        Build the same problem first: grid, points with their fields and laws, form and
-        conditions. Points, loads and `history` are then those of the file, so that a script
-        goes on with `for k in range(len(problem.history), steps)`. The constants and
-        functions of the form, and the constants of the conditions, hold what they held in
-        the saved state: set what is to differ, such as a modulus, after this call.
-        Increments are zero until the next step.
-
-        A run that goes on gives the same figures as one that was not interrupted: bit for
-        bit on one rank, and on as many ranks as before if the grid is distributed as it
-        was and the linear solver repeats itself (MUMPS on several ranks does not); else to
-        rounding. A file of a total Lagrangian problem may be loaded into an updated one.
-
-        Args:
-            path: The file.
-
-        Raises:
-            CheckpointError: The file is missing, cut short, damaged, of a newer version, of
-                another grid or of another problem, or h5py is missing. The state is then
-                what it was.
-        """
-        found = checkpoint.read(path, self.points, self._laws)
-        raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
-        found.put(self.points)
-        self._remember(found.state, found.local, found.cells)
-        names = {f.name for f in dataclasses.fields(self._of_step)}
-        self.history = [
-            self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
-        ]
-
-    @property
-    def _laws(self) -> list[str]:
-        """Laws with their measures of strain; a next stage may have other parameters."""
-        declared = self.form.parts.declarations
-        return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
-
-    def _problem(self) -> dict[str, Any]:
-        """What a checkpoint must have in common with this problem."""
-        constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        return {
-            "solver": type(self).__name__,
-            "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
-            "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
-            "prescribed": len(constants),
-        }
-
-    def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
-        for what, here in self._problem().items():
-            if state.get(what) != here:
-                return CheckpointError(
-                    f"{path} is of another problem: its {what} is {state.get(what)}, that of this "
-                    f"one {here}; build the same problem before you load"
-                )
-        return None
-
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """State that all ranks share, that of this rank, and that of its cells."""
-        state, local = memory_of(self.newton, self.form, self.here)
-        loads, cells = saved_loads(self._loads)
-        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        return {**self._problem(), "share": self._share, **state, **loads, **given}, local, cells
+        state, local, cells = super()._memory()
+        own, couplings = memory_of(self.newton, self.form, self.here)
+        return {**state, "share": self._share, **own}, {**local, **couplings}, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
     ) -> None:
-        """Take what `_memory` returned. Collective."""
+        super()._remember(state, local, cells)
         self._share = state["share"]
-        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        for k, value in enumerate(values):
-            value.value = state[f"prescribed {k}"]
-        set_loads(self._loads, state, cells)
-        self.here = None
         self._kept = set_memory(self.newton, self.form, state, local)
-
-    def activate(self, step: Step | None = None) -> Activation:
-        """What takes part in a step from where the points are now. Collective.
-
-        Args:
-            step: The step; all of it by default.
-        """
-        share = 1.0 if step is None else step.share
-        self.form.bind()
-        first, kept, self._kept = self.here is None, self._kept, None
-        self.here = activate(
-            self.points, self.fields, self._held, self.form, share, self.here, kept
-        )
-        if first and kept is None:
-            active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
-            warn_idle(self.bcs, self.form.spaces, active)
-        return self.here
-
-    def operator(self) -> Operator:
-        """The weak form on what takes part now: residual, tangent and external. Collective."""
-        return self.form.on(self.activate())
 
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""

@@ -1,0 +1,243 @@
+"""What all problems have in common: fields, form, conditions, loads and what is kept of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
+from dolfinmpm.basis.conditions import Condition, warn_idle
+from dolfinmpm.body.migration import settle
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation, Field, Kept, Prolongate, activate
+from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.checks import check_fields, check_form
+from dolfinmpm.io import checkpoint
+from dolfinmpm.solve.arguments import (
+    agree,
+    check_callable,
+    check_conditions,
+    check_spaces,
+    check_updates,
+    increments_of,
+    remedies_of,
+)
+from dolfinmpm.solve.loads import Loads, loads_of
+from dolfinmpm.solve.memory import saved_loads, set_loads
+from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
+from dolfinmpm.solve.step import Step, StepRecord
+
+__all__ = ["Problem"]
+
+
+class Problem:
+    """A weak form over points and grid, with what it takes to step through time or load.
+
+    Args:
+        form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
+        agreed: Further arguments by name, which all ranks must give alike.
+
+    Attributes:
+        history: One record a step.
+        points: The material points.
+        fields: The fields, with their spaces and remedies.
+        form: The weak form, made ready.
+        here: What took part in the last step, or None before the first.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+        FormError: A term of the form cannot be evaluated where it stands.
+        ConflictingConditionsError: Two conditions contradict each other.
+    """
+
+    _of_step: type[StepRecord] = StepRecord
+
+    def __init__(
+        self,
+        form: ufl.Form,
+        increment: fem.Function | Sequence[fem.Function],
+        points: MaterialPoints,
+        bcs: Sequence[Condition] = (),
+        *,
+        updates: dict[str, Expr] | None = None,
+        stabilisation: Remedies = "none",
+        prolongation: Prolongate | None = None,
+        agreed: dict[str, Any] | None = None,
+    ):
+        increments = increments_of(increment, points)
+        spaces = [u._dolfinmpm_space for u in increments]
+        check_spaces(spaces)
+        check_form(form)
+        bcs = check_conditions(bcs, spaces)
+        updates = check_updates(updates, points)
+        remedies = remedies_of(stabilisation, len(spaces))
+        check_callable("prolongation", prolongation)
+        agree(points.comm, bcs=bcs, stabilisation=remedies, **(agreed or {}))
+        self.points = points
+        self.history: list[StepRecord] = []
+        remedies = with_moduli(remedies, spaces, form, points)
+        self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
+        whole, softening = with_remedies(form, self.fields, points)
+        self.form = WeakForm(whole, spaces, points, softening)
+        check_fields(form, spaces)
+        self.here: Activation | None = None
+        self._kept: Kept | None = None
+        self._held = Held(bcs, spaces)
+        self._updates = updates_of(self.form, updates)
+        loads = loads_of(self.form.loads)
+        for condition in self.bcs:
+            if any(condition.value is load for load in loads):
+                raise ParameterError(
+                    f"a constant is both a load of the form and the increment prescribed at "
+                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
+                )
+        self._loads = Loads(loads, increments)
+        settle(points, self.configuration)
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the points."""
+        return self.points.comm
+
+    @property
+    def bcs(self) -> list[Condition]:
+        """The essential conditions."""
+        return self._held.conditions
+
+    @property
+    def stabilisation(self) -> Stabilisation | list[Stabilisation]:
+        """The remedy with all its parameters, a list of several fields' ones."""
+        remedies = [field.remedy for field in self.fields]
+        return remedies if len(remedies) > 1 else remedies[0]
+
+    @property
+    def configuration(self) -> str:
+        """Configuration that stencils and gradients are taken in."""
+        return self.fields[0].space.configuration
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the points move with the first field."""
+        return self.fields[0].space.increment.ufl_shape == (self.points.gdim,)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all that it takes to go on from here into one HDF5 file. Collective.
+
+        The file is written beside the one of that name, and takes its place when it is
+        whole: a run that is killed at any time leaves one that `load` reads. Save between
+        steps; what the user has set since the last one is not in the file.
+
+        Args:
+            path: File to write, in a folder that is there.
+
+        Raises:
+            CheckpointError: The file cannot be written, or h5py is missing.
+        """
+        state, local, cells = self._memory()
+        history = [dataclasses.asdict(record) for record in self.history]
+        checkpoint.write(path, self.points, state, local, history, cells, self._laws)
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """Go on from where `save` was called, on any number of ranks. Collective.
+
+        Build the same problem first: grid, points with their fields and laws, form and
+        conditions. Points, loads and `history` are then those of the file, so that a script
+        goes on with `for k in range(len(problem.history), steps)`. The constants and
+        functions of the form, and the constants of the conditions, hold what they held in
+        the saved state: set what is to differ, such as a modulus, after this call.
+        Increments are zero until the next step.
+
+        A run that goes on gives the same figures as one that was not interrupted: bit for
+        bit on one rank, and on as many ranks as before if the grid is distributed as it
+        was and the linear solver repeats itself (MUMPS on several ranks does not); else to
+        rounding. A file of a total Lagrangian problem may be loaded into an updated one.
+
+        Args:
+            path: The file.
+
+        Raises:
+            CheckpointError: The file is missing, cut short, damaged, of a newer version, of
+                another grid or of another problem, or h5py is missing. The state is then
+                what it was.
+        """
+        found = checkpoint.read(path, self.points, self._laws)
+        raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
+        found.put(self.points)
+        self._remember(found.state, found.local, found.cells)
+        names = {f.name for f in dataclasses.fields(self._of_step)}
+        self.history = [
+            self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
+        ]
+
+    @property
+    def _laws(self) -> list[str]:
+        """Laws with their measures of strain; a next stage may have other parameters."""
+        declared = self.form.parts.declarations
+        return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
+
+    def _problem(self) -> dict[str, Any]:
+        """What a checkpoint must have in common with this problem."""
+        constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        return {
+            "solver": type(self).__name__,
+            "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
+            "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
+            "prescribed": len(constants),
+        }
+
+    def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
+        for what, here in self._problem().items():
+            if state.get(what) != here:
+                return CheckpointError(
+                    f"{path} is of another problem: its {what} is {state.get(what)}, that of this "
+                    f"one {here}; build the same problem before you load"
+                )
+        return None
+
+    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """State that all ranks share, that of this rank, and that of its cells."""
+        loads, cells = saved_loads(self._loads)
+        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
+        return {**self._problem(), **loads, **given}, {}, cells
+
+    def _remember(
+        self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
+    ) -> None:
+        """Take what `_memory` returned. Collective."""
+        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
+        for k, value in enumerate(values):
+            value.value = state[f"prescribed {k}"]
+        set_loads(self._loads, state, cells)
+        self.here = None
+
+    def activate(self, step: Step | None = None) -> Activation:
+        """What takes part in a step from where the points are now. Collective.
+
+        Args:
+            step: The step; all of it by default.
+        """
+        share = 1.0 if step is None else step.share
+        self.form.bind()
+        first, kept, self._kept = self.here is None, self._kept, None
+        self.here = activate(
+            self.points, self.fields, self._held, self.form, share, self.here, kept
+        )
+        if first and kept is None:
+            active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
+            warn_idle(self.bcs, self.form.spaces, active)
+        return self.here
+
+    def operator(self) -> Operator:
+        """The weak form on what takes part now: residual, tangent and external. Collective."""
+        return self.form.on(self.activate())
