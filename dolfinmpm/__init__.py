@@ -12,7 +12,7 @@ from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
-from dolfinmpm.dynamics import GeneralisedAlpha, Mapping, Newmark, times
+from dolfinmpm.dynamics import Explicit, GeneralisedAlpha, Mapping, Newmark, times
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
@@ -27,6 +27,7 @@ __all__ = [
     "Ball",
     "Box",
     "Disc",
+    "Explicit",
     "GeneralisedAlpha",
     "History",
     "Mapping",

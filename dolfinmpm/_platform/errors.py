@@ -26,6 +26,7 @@ __all__ = [
     "FieldShapeError",
     "FormError",
     "IdleConditionWarning",
+    "InstabilityError",
     "MigrationError",
     "ParameterError",
     "PointsOutsideGridError",
@@ -102,6 +103,10 @@ class CheckpointError(DolfinMPMError, RuntimeError):
 
 class ConvergenceError(DolfinMPMError, RuntimeError):
     """A step did not converge, however small it was made."""
+
+
+class InstabilityError(DolfinMPMError, RuntimeError):
+    """An explicit computation became unstable."""
 
 
 class DolfinMPMWarning(UserWarning):

@@ -1,7 +1,8 @@
 """Motion in time: mass, velocity mappings, implicit and explicit steps."""
 
 from dolfinmpm.dynamics.clock import times
+from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
 
-__all__ = ["GeneralisedAlpha", "Mapping", "Newmark", "times"]
+__all__ = ["Explicit", "GeneralisedAlpha", "Mapping", "Newmark", "times"]

@@ -90,11 +90,27 @@ class Mapping:
         if self.affine:
             points.add_field("velocity_gradient", (d, d), "1/s")
 
-    def to_grid(self, points: MaterialPoints, s: Stencils, x_node: Array, out: Nodal) -> None:
-        """Add the momenta of the points to nodal sums (kg m/s), and sum over ranks. Collective."""
-        m, v = point_masses(points), points["velocity"]
+    def to_grid(
+        self,
+        points: MaterialPoints,
+        s: Stencils,
+        x_node: Array,
+        out: Nodal,
+        new: dict[str, Array] | None = None,
+    ) -> None:
+        """Add the momenta of the points to nodal sums (kg m/s), and sum over ranks. Collective.
+
+        Args:
+            points: The points.
+            s: Their stencils.
+            x_node: Positions of the nodes (m).
+            out: Added to.
+            new: Velocities and affine parts other than those of the points, by field.
+        """
+        given = points.fields if new is None else new
+        m, v = point_masses(points), given["velocity"]
         if self.affine:
-            C = points["velocity_gradient"]
+            C = given["velocity_gradient"]
             scatter_affine(s, x_node, points["x"], m, v, C, out.arrays[0])
         else:
             scatter(s, m, v, out.arrays[0])

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.errors import ConvergenceError, raise_together
+from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation, ActiveField
+from dolfinmpm.cut.activation import Activation, ActiveField, Field
 from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.cut.unknowns import Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.solve.operator import WeakForm
 
-__all__ = ["KINDS", "Mass", "MassTerms", "point_masses"]
+__all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("consistent", "lumped")
@@ -96,22 +99,56 @@ class MassTerms:
         return self._matrix
 
 
+def mass_terms(form: WeakForm, field: Field, mass: str, ghost_mass: float | None) -> MassTerms:
+    """What the mass of a problem is made of. Collective.
+
+    Args:
+        form: Its weak form.
+        field: The field that moves the points.
+        mass: "consistent" or "lumped".
+        ghost_mass: γ_M in units of the largest density, see `Newmark`; None for what is usual.
+
+    Raises:
+        ParameterError: A ghost penalty is asked for of a lumped mass, or is negative.
+    """
+    points, space = form.points, field.space
+    if mass == "lumped":
+        if ghost_mass:
+            raise ParameterError(
+                f"ghost_mass = {ghost_mass} is of a consistent mass, and lumping takes away what a "
+                'ghost penalty adds; give mass="consistent"'
+            )
+        return MassTerms(points, mass, None)
+    if ghost_mass is None:
+        tied = field.remedy.kind in ("aggregation", "extended")
+        ghost_mass = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
+    factor = number("ghost_mass", ghost_mass, 0.0, closed=True)
+    if factor == 0:
+        return MassTerms(points, mass, None)
+    density = points.comm.allreduce(points["density"].max(initial=0.0), op=MPI.MAX)
+    J = ghost(points, space.increment, space.test, factor * density, scaling="literal")
+    return MassTerms(points, mass, WeakForm(J, form.spaces, points))
+
+
 class Mass:
     """The mass of the first field on an activation. Collective.
 
     Args:
         terms: What it is made of.
         here: The activation.
+        scaling: Factor of the mass.
 
     Attributes:
         lumped: Its row sums (kg), shape (nodes,), on all ranks that know the nodes.
         iterations: CG iterations of the last solution.
     """
 
-    def __init__(self, terms: MassTerms, here: Activation):
+    def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0):
         self._terms, self._here = terms, here
         self._field = here.fields[0]
         self.blocks = list(here.mass)
+        if scaling != 1.0:
+            self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
         self.iterations = 0
         sums = Nodal([self._field.basis.nodes], [1])
         for b in self.blocks:
@@ -119,7 +156,8 @@ class Mass:
                 np.add.at(sums.arrays[0][:, 0], b.rows, b.values[:, 0, 0])
         if terms.kind != "lumped":
             ones = np.ones((len(point_masses(terms.points)), 1))
-            scatter(self._field.stencils, point_masses(terms.points), ones, sums.arrays[0])
+            m = scaling * point_masses(terms.points)
+            scatter(self._field.stencils, m, ones, sums.arrays[0])
         sums.add_up()
         sums.spread()
         self.lumped = sums.arrays[0][:, 0]

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import ParameterError
@@ -31,11 +30,10 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
-from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms
+from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
@@ -132,29 +130,9 @@ class TimeStepping(QuasiStatic):
             )
         chosen.add_fields(points)
         super().__init__(form, increment, points, bcs, **options)
-        terms = self._mass_terms(mass, ghost_mass)
+        terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.motion = Motion(points, rule, chosen, terms, error, time)
         self.form.inertia = terms
-
-    def _mass_terms(self, mass: str, ghost_mass: float | None) -> MassTerms:
-        """What the mass is made of, with γ_M of its ghost penalty in units of the density."""
-        points, space = self.points, self.fields[0].space
-        if mass == "lumped":
-            if ghost_mass:
-                raise ParameterError(
-                    f"ghost_mass = {ghost_mass} is of a consistent mass, and lumping takes away "
-                    'what a ghost penalty adds; give mass="consistent"'
-                )
-            return MassTerms(points, mass, None)
-        if ghost_mass is None:
-            tied = self.fields[0].remedy.kind in ("aggregation", "extended")
-            ghost_mass = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
-        factor = number("ghost_mass", ghost_mass, 0.0, closed=True)
-        if factor == 0:
-            return MassTerms(points, mass, None)
-        density = points.comm.allreduce(points["density"].max(initial=0.0), op=MPI.MAX)
-        J = ghost(points, space.increment, space.test, factor * density, scaling="literal")
-        return MassTerms(points, mass, WeakForm(J, self.form.spaces, points))
 
     @property
     def time(self) -> float:

@@ -87,6 +87,7 @@ class Declaration:
         parameters: Gives its parameters once bound, shape (1, parameters), or (its points on
             this rank, parameters) if any varies.
         energy: Gives the elastic energy per initial volume at its points (J/m³), or None.
+        stiffness: Gives the largest stiffness along one axis at its points (Pa).
     """
 
     points: MaterialPoints
@@ -102,6 +103,7 @@ class Declaration:
     bind: Callable[[], None]
     parameters: Callable[[], npt.NDArray[np.float64]]
     energy: Callable[[], npt.NDArray[np.float64] | None]
+    stiffness: Callable[[], npt.NDArray[np.float64]]
 
     @property
     def rows(self) -> npt.NDArray[np.int32]:

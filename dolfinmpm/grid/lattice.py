@@ -174,6 +174,21 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
 
 
 @once_per_grid
+def smallest_height(grid: Mesh) -> float:
+    """Least height of a cell (m): the shortest way for a wave across it. Collective."""
+    lattice = lattice_of(grid)
+    if lattice is not None:
+        return float(min(np.diff(line).min() for line in lattice.lines))
+    dim = grid.topology.dim
+    simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
+    number = grid.topology.index_map(dim).size_local
+    widest = grid.h(dim, np.arange(number, dtype=np.int32))
+    # volume over the largest possible side
+    heights = cell_volumes(grid)[:number] / widest ** (dim - 1) * (dim if simplex else 1)
+    return float(grid.comm.allreduce(float(heights.min(initial=math.inf)), op=MPI.MIN))
+
+
+@once_per_grid
 def largest_cell(grid: Mesh) -> float:
     """Size of the largest cell (m), see `cell_size`. Collective."""
     h = cell_size(grid)

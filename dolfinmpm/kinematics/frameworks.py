@@ -112,16 +112,27 @@ class Framework:
             points[self.state].take(rows, axis=0), self.internal(rows), S, A, new, internal, sigma,
         )  # fmt: skip
 
+    def _principal(self, rows: Rows) -> Array:
+        """Elastic principal strains of some points, shape (rows, 3)."""
+        strain: Array = np.empty((0, 3))
+        if len(rows):
+            tensor = symmetric(self.points[self.state][rows])
+            strain = np.asarray(np.linalg.eigvalsh(tensor), np.float64)
+        return 0.5 * np.log(strain) if self._measure.logarithmic else strain
+
     def energy(self) -> Array | None:
         """Elastic energy per initial volume of the law's points (J/m³); None if it cannot tell."""
         rows = self.rows
-        tensor = symmetric(self.points[self.state][rows])
-        strain: Array = np.empty((0, 3))
-        if len(rows):
-            strain = np.asarray(np.linalg.eigvalsh(tensor), np.float64)
-        if self._measure.logarithmic:
-            strain = 0.5 * np.log(strain)
-        return self.law.energy(strain, self.parameters(rows))
+        return self.law.energy(self._principal(rows), self.parameters(rows))
+
+    def stiffness(self) -> Array:
+        """Largest stiffness along one axis at the law's points (Pa), for wave speeds."""
+        rows, law = self.rows, self.law
+        parameters = self.parameters(rows)
+        # elastic moduli do not ask for strains
+        known = "E" in law.parameters and "nu" in law.parameters
+        strain = np.empty((len(rows), 3)) if known else self._principal(rows)
+        return law.stiffness(strain, self.internal(rows), parameters)
 
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
         """Flux S and its derivative by ∇ũ; see `PointwiseLaw`."""

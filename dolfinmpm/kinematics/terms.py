@@ -34,7 +34,7 @@ from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.base import Law, lame
 from dolfinmpm.materials.neohookean import NeoHookean
 
 __all__ = ["framework", "momentum", "set_stress", "stress"]
@@ -125,6 +125,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Decl
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
         parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
+        stiffness=inner.stiffness,
     )  # fmt: skip
     operator.declaration = declaration
     return declaration
@@ -151,6 +152,7 @@ def _declare_energy(law, points, u, tags: Tags) -> Declaration:
         mark=MARKS[ENERGY], bind=bind,
         parameters=lambda: parameters.at(rows_within(points, tags)),
         energy=lambda: _energy_at(law, points, parameters, tags),
+        stiffness=lambda: _stiffness_at(points, parameters, tags),
     )  # fmt: skip
     for holder in holders:
         holder.declaration = declaration
@@ -171,6 +173,16 @@ def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParamet
     out = np.empty((len(rows), 1))
     program.run({"z": values}, out)
     return out[:, 0]
+
+
+def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """λ + μ (1 + λ_max²) at the points of the neo-Hookean law (Pa)."""
+    rows = rows_within(points, tags)
+    if len(rows) == 0:
+        return np.empty(0)
+    lmbda, mu = lame(*parameters.at(rows).T)
+    largest = np.sum(points["F"][rows] ** 2, axis=(1, 2))
+    return lmbda + mu * (1.0 + np.maximum(largest, 1.0))
 
 
 def momentum(

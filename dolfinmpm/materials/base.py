@@ -320,6 +320,26 @@ class Law(Parametrised):
         lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
         return 0.5 * lmbda * strain.sum(axis=1) ** 2 + mu * np.sum(strain**2, axis=1)
 
+    def stiffness(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Largest stiffness along one axis (Pa), for wave speeds, shape (n,) or (1,).
+
+        Elastic λ + 2μ of laws with Young's modulus and Poisson's ratio, else that of the tangent.
+
+        Args:
+            strain: Elastic principal strains, shape (n, 3).
+            internal: Internal variables, shape (n, variables).
+            parameters: Parameters, shape (1, parameters) or (n, parameters).
+        """
+        names = list(self.parameters)
+        if "E" in names and "nu" in names:
+            lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+            return lmbda + 2 * mu
+        n = len(strain)
+        elastic, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
+        new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.zeros((n, 3, 3))
+        _respond(self.address, parameters, elastic, old, new, stress, tangent)
+        return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+
     def unyielding(self, internal: Array) -> Array:
         """Internal variables with which the elastic response goes on beyond the yield surface.
 

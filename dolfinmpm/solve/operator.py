@@ -238,6 +238,16 @@ class Operator:
                 work += float(forces[k].reshape(-1)[held] @ u.reshape(-1)[held])
         return unknowns.comm.allreduce(work)
 
+    def place(self, u: Sequence[Array]) -> None:
+        """Evaluate nodal increments at the points.
+
+        Args:
+            u: Increments at all nodes known here, (nodes, components) each field.
+        """
+        for mine, given in zip(self._u.arrays, u):
+            mine[...] = given
+        self.points.interpolate(self._u.arrays)
+
     def rest(self) -> None:
         """Evaluate no increment at all, not even those prescribed. Collective."""
         self.here.unknowns.clear(self._u)

@@ -1,0 +1,75 @@
+"""The critical step of explicit integration, from wave speed and grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.lattice import smallest_height
+
+__all__ = ["critical_step", "factor", "wave_speed"]
+
+Array = npt.NDArray[np.float64]
+
+# Least stable step of a bar that is cut anywhere, in h/c, by degree of the functions and whether
+# they are averaged over domains. Lumped linear functions have none: their step goes to 0
+# with the share of a point in a node; 1 is that of full cells.
+_LUMPED = {(1, False): 1.0, (1, True): 0.66, (2, False): 0.88, (3, False): 1.4}
+_LUMPED |= {(2, True): 0.88, (3, True): 1.4}
+# Consistent mass with ghost penalty; 1/√3 of linear functions in full cells
+_CONSISTENT = {1: 0.5, 2: 0.5, 3: 0.5}
+
+
+def factor(basis: Any, mass: str) -> float:
+    """The critical step in units of h/c, for a basis and a kind of mass."""
+    if mass == "consistent":
+        return _CONSISTENT[basis.degree]
+    averaged = isinstance(basis, LatticeBasis) and basis.averaged
+    return _LUMPED[basis.degree, averaged]
+
+
+def wave_speed(points: MaterialPoints, declarations: Sequence[Any]) -> Array:
+    """Speed of pressure waves at the points, √(M/ρ₀) (m/s), shape (n,).
+
+    M is the largest stiffness along one axis that the tangent of the Kirchhoff stress has,
+    which goes with the mass per initial volume; of laws with Young's modulus and Poisson's
+    ratio it is their elastic λ + 2μ.
+    """
+    stiffness = np.zeros(len(points))
+    for declaration in declarations:
+        stiffness[declaration.rows] = declaration.stiffness()
+    return np.sqrt(stiffness / points["density"])
+
+
+def critical_step(
+    points: MaterialPoints, basis: Any, declarations: Sequence[Any], mass: str
+) -> float:
+    """min h / (c + |v|) times the factor of the basis (s). Collective.
+
+    Args:
+        points: Material points.
+        basis: Basis of the displacement.
+        declarations: Laws in the form.
+        mass: "lumped" or "consistent".
+
+    Raises:
+        ParameterError: No law tells a stiffness.
+    """
+    h = smallest_height(points.grid)
+    speed = wave_speed(points, declarations)
+    speed = speed + np.linalg.norm(points["velocity"], axis=1)
+    fastest = points.comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
+    if not math.isfinite(fastest) or fastest <= 0.0:
+        raise ParameterError(
+            f"the fastest wave in the body has {fastest:g} m/s, so that there is no critical step: "
+            "give the form a law with a stiffness"
+        )
+    return factor(basis, mass) * h / fastest
