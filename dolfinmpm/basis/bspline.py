@@ -26,6 +26,7 @@ __all__ = [
     "integrals",
     "number_functions",
     "spline_weights",
+    "weights_at",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -65,7 +66,38 @@ def spline_weights(line, cell, degree, x, S, dS):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def averaged_spline_weights(line, first, count, degree, x, half, S, dS, part, slope):
+def uniform_weights(degree, xi, h, S, dS):
+    """The degree + 1 functions and their slopes (1/m) at the share xi of a cell of a uniform line.
+
+    Where no knot is repeated: away from the ends of a line, from degree 2 on.
+    """
+    if degree == 1:
+        S[0], S[1] = 1.0 - xi, xi
+        dS[0], dS[1] = -1.0 / h, 1.0 / h
+    elif degree == 2:
+        S[0], S[1], S[2] = 0.5 * (1.0 - xi) ** 2, 0.5 + xi * (1.0 - xi), 0.5 * xi * xi
+        dS[0], dS[1], dS[2] = (xi - 1.0) / h, (1.0 - 2.0 * xi) / h, xi / h
+    else:
+        rest, xx = 1.0 - xi, xi * xi
+        S[0], S[3] = rest**3 / 6.0, xx * xi / 6.0
+        S[1] = (4.0 + 3.0 * xx * (xi - 2.0)) / 6.0
+        S[2] = (1.0 + 3.0 * xi * (1.0 + xi * rest)) / 6.0
+        dS[0], dS[3] = -0.5 * rest * rest / h, 0.5 * xx / h
+        dS[1], dS[2] = 0.5 * xi * (3.0 * xi - 4.0) / h, (0.5 + xi - 1.5 * xx) / h
+
+
+@numba.njit(cache=True, error_model="numpy")
+def weights_at(line, uniform, cell, degree, x, S, dS):
+    """The degree + 1 functions of a cell and their slopes (1/m) at x."""
+    if uniform and cell >= degree - 1 and cell <= line.size - 1 - degree:
+        h = line[cell + 1] - line[cell]
+        uniform_weights(degree, (x - line[cell]) / h, h, S, dS)
+    else:
+        spline_weights(line, cell, degree, x, S, dS)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS, part, slope):
     """Averages over a domain of the count + degree functions that it meets, and of their slopes.
 
     The domain is cut at the cells' edges. Two Gauss points a piece integrate cubic
@@ -82,7 +114,7 @@ def averaged_spline_weights(line, first, count, degree, x, half, S, dS, part, sl
         reach = 0.5 * (b - a) / math.sqrt(3.0)
         for side in range(2):
             at = middle - reach if side == 0 else middle + reach
-            spline_weights(line, first + c, degree, at, part, slope)
+            weights_at(line, uniform, first + c, degree, at, part, slope)
             for i in range(degree + 1):
                 S[c + i] += share * part[i]
                 dS[c + i] += share * slope[i]

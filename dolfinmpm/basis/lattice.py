@@ -15,13 +15,13 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.basis.bspline import averaged_spline_weights, greville, spline_weights
+from dolfinmpm.basis.bspline import averaged_spline_weights, greville, weights_at
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice
 
-__all__ = ["LatticeBasis"]
+__all__ = ["LatticeBasis", "line_weights", "overlapped"]
 
 # An overlap below this share of a cell is rounding: it must not make a cell active.
 _SNAP = 1e-10
@@ -38,23 +38,51 @@ def _cell_of(line, uniform, x):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _overlaps(x, half, lines, line_start, uniform, snap, origin, low, count):
+def overlapped(line, uniform, x, half):
+    """First cell that a domain overlaps, and number of them, in one direction."""
+    first = _cell_of(line, uniform, x - half)
+    last = first
+    if half > 0.0:
+        last = _cell_of(line, uniform, x + half)
+        left, right = max(x - half, line[0]), min(x + half, line[line.size - 1])
+        if last > first and line[first + 1] - left < _SNAP * (line[first + 1] - line[first]):
+            first += 1
+        if last > first and right - line[last] < _SNAP * (line[last + 1] - line[last]):
+            last -= 1
+    return first, last - first + 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slope):
+    """The count + degree functions that a point sees in one direction, and their slopes (1/m).
+
+    The one place where weights come from: stencils and explicit steps both ask here.
+
+    Args:
+        line: Coordinates of the lattice in this direction (m).
+        uniform: Whether its cells are of one size.
+        degree: Degree of the functions.
+        first, count: The cells that the point's domain overlaps, see `overlapped`.
+        x, half: Position and half-length (m); a half-length of 0 is a point without a domain.
+        S, dS: Written.
+        part, slope: Room for degree + 1 numbers each.
+    """
+    if degree == 1:
+        domain_weights(line, first, count, x, half, S, dS)
+    elif half > 0.0:
+        averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS, part, slope)
+    else:
+        weights_at(line, uniform, first, degree, x, S, dS)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overlaps(x, half, lines, line_start, uniform, origin, low, count):
     """First overlapped cell, counted from the origin, and number of them a direction."""
     for p in range(x.shape[0]):
         for d in range(x.shape[1]):
             line = lines[line_start[d] : line_start[d + 1]]
-            first = _cell_of(line, uniform, x[p, d] - half[p, d])
-            last = first
-            if half[p, d] > 0.0:
-                last = _cell_of(line, uniform, x[p, d] + half[p, d])
-                left = max(x[p, d] - half[p, d], line[0])
-                right = min(x[p, d] + half[p, d], line[line.size - 1])
-                if last > first and line[first + 1] - left < snap * (line[first + 1] - line[first]):
-                    first += 1
-                if last > first and right - line[last] < snap * (line[last + 1] - line[last]):
-                    last -= 1
-            low[p, d] = first - origin[d]
-            count[p, d] = last - first + 1
+            first, number = overlapped(line, uniform, x[p, d], half[p, d])
+            low[p, d], count[p, d] = first - origin[d], number
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -72,6 +100,7 @@ def _keys(low, count, table_shape, key):
 def _fill(
     x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
     order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
+    uniform,
 ):  # fmt: skip
     gdim = x.shape[1]
     S = np.empty((gdim, 64))
@@ -119,15 +148,10 @@ def _fill(
             for d in range(gdim):
                 line = lines[line_start[d] : line_start[d + 1]]
                 first = origin[d] + low[p, d]
-                if degree == 1:
-                    domain_weights(line, first, count[p, d], x[p, d], half[p, d], S[d], dS[d])
-                elif half[p, d] > 0.0:
-                    averaged_spline_weights(
-                        line, first, count[p, d], degree, x[p, d], half[p, d], S[d], dS[d],
-                        part, slope,
-                    )  # fmt: skip
-                else:
-                    spline_weights(line, first, degree, x[p, d], S[d], dS[d])
+                line_weights(
+                    line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d], dS[d],
+                    part, slope,
+                )  # fmt: skip
             start = value_start[g] + (position - groups[g]) * m
             for a in range(m):
                 rest = a
@@ -214,9 +238,7 @@ class LatticeBasis:
         half = where.half if self.averaged else np.zeros_like(x)
         low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
         lattice = self.lattice
-        _overlaps(
-            x, half, self._lines, self._line_start, lattice.uniform, _SNAP, origin, low, count
-        )
+        _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
         return half, low, count
 
     def reach(self, where: Placement) -> tuple[int, int]:
@@ -297,6 +319,6 @@ class LatticeBasis:
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,
             order, groups, low, count, node_start, s.nodes, value_start, s.N, s.dN,
-            cell_start, s.cells, self.degree,
+            cell_start, s.cells, self.degree, self.lattice.uniform,
         )  # fmt: skip
         return s if known else None

@@ -50,22 +50,39 @@ class Work:
     internal: float = 0.0
 
     def add(
-        self, points: MaterialPoints, new: dict[str, Array], operator: Operator, dt: float
+        self,
+        points: MaterialPoints,
+        new: dict[str, Array],
+        operator: Operator,
+        external: float,
     ) -> None:
         """Add the work of a step, whose new state is not yet the points'. Collective.
 
         Stress is taken as the mean of the states before and after, which is second order.
+
+        Args:
+            points: The points before the step.
+            new: Their fields after it.
+            operator: The step's equations, moved to the increments.
+            external: Work of loads and prescribed motions (J).
         """
         d = points.gdim
         H = operator.points.gradient[0]
         # rate of deformation at the middle of the step
         rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
-        old = points["V"][:, None, None] * points["stress"][:, :d, :d]
-        after = new["stress"] if "stress" in new else points["stress"]
-        later = new["V"][:, None, None] * after[:, :d, :d]
+        before, after = points["V"].copy(), new["V"].copy()
+        for declaration in operator.form.parts.declarations:
+            if declaration.strain == "small":
+                # in the linear theory no volume changes, and nothing turns
+                rows = declaration.rows
+                before[rows] = after[rows] = points["V0"][rows]
+                rate[rows] = H[rows]
+        sigma = new["stress"] if "stress" in new else points["stress"]
+        old = before[:, None, None] * points["stress"][:, :d, :d]
+        later = after[:, None, None] * sigma[:, :d, :d]
         internal = 0.5 * float(np.sum((old + later) * rate))
         self.internal += points.comm.allreduce(internal, op=MPI.SUM)
-        self.external += operator.external_work()
+        self.external += external
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,19 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.critical import critical_step
 from dolfinmpm.dynamics.energies import Energies, Work, angular_momentum, momentum_of
+from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
+from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms, mass_terms
 from dolfinmpm.dynamics.newmark import MotionRecord
-from dolfinmpm.dynamics.transfer import collect
+from dolfinmpm.dynamics.transfer import collect, scatter_stress
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import advance, commit
 from dolfinmpm.solve.arguments import increments_of
@@ -64,6 +68,8 @@ class Explicit(Problem):
         damping: Share α of local damping, −α |f| sign v (Cundall 1987).
         mass_scaling: Factor of the mass in the inertia, not in loads: steps grow by its root.
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
+        fused: Whether one loop may do a step of a form that it knows: laws under large or small
+            strain and loads, lumped mass, a rectangular grid, "flip", "pic", "apic" or "tpic".
 
     Attributes:
         history: One record a call of `step`.
@@ -91,6 +97,7 @@ class Explicit(Problem):
         damping: float = 0.0,
         mass_scaling: float = 1.0,
         time: fem.Constant | None = None,
+        fused: bool = True,
         **options: Any,
     ):
         self.scheme = choice("scheme", scheme, SCHEMES)
@@ -114,6 +121,33 @@ class Explicit(Problem):
         self.time = 0.0
         self._clock = time
         self._work = Work()
+        self._fused: Fused | None = None
+        #: Why steps are not fused, or an empty string.
+        self.unfused = "it was not to be" if not fused else self._fuse(options) or ""
+
+    def _fuse(self, options: dict[str, Any]) -> str | None:
+        """Take the fused loops, or say why not."""
+        basis, remedy = self.fields[0].space.basis, self.fields[0].remedy
+        if not isinstance(basis, LatticeBasis):
+            return "the grid is not rectangular"
+        if self.terms.kind != "lumped":
+            return "the mass is consistent"
+        if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
+            return "nodes are tied, or fields updated"
+        if self.mapping.kind not in ("flip", "pic", "apic", "tpic"):
+            return "the mapping filters velocities at the nodes"
+        reason = why_not(self.form)
+        if reason is not None:
+            return reason
+        loads = Loads(self.form)
+        if not loads.known or loads.varies:
+            return "loads that depend on functions of the grid or on what moves"
+        laws = Laws(self.points, self.form.parts.declarations)
+        self._fused = Fused(
+            self.points, basis, self._held, laws, loads, self.scheme, self.mapping, self._scaling,
+            self._damping,
+        )  # fmt: skip
+        return None
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
@@ -162,10 +196,15 @@ class Explicit(Problem):
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count if not single else min(left, longest)
-            end = target if count == 1 else self.time + dt
-            record.migrated += self._advance_by(Step(end, dt, dt / whole))
-            record.parts += 1
-            self.time, record.dt = end, dt
+            if self._fused is not None:
+                count = 1 if single else min(count, _EVERY)
+                self._advance_fused(count, dt, whole, record)
+            else:
+                record.migrated += self._advance_by(Step(self.time + dt, dt, dt / whole))
+                record.parts, self.time, record.dt = record.parts + 1, self.time + dt, dt
+            if abs(self.time - target) <= 1e-9 * dt:
+                # rounding must not add a step
+                self.time = target
             if single:
                 break
         self._loads.release()
@@ -176,6 +215,24 @@ class Explicit(Problem):
         if isinstance(t, Time):
             t.reached = self.time
         return record
+
+    def _advance_fused(self, count: int, dt: float, whole: float, record: MotionRecord) -> None:
+        """Equal steps by the fused loops. Collective."""
+        assert self._fused is not None
+        raise_together(self.comm, self.points.fault())
+        start = self.time
+
+        def set_time(taken: int) -> None:
+            if self._clock is not None:
+                self._clock.value = start + taken * dt
+
+        fused = self._fused
+        taken, migrated, reason = fused.run(count, dt, 1.0 / whole, set_time)
+        self._work.internal, self._work.external = fused.work()
+        record.parts, record.migrated = record.parts + taken, record.migrated + migrated
+        self.time, record.dt = start + taken * dt, dt
+        if reason is not None:
+            raise self._unstable(reason, dt)
 
     def _advance_by(self, step: Step) -> int:
         """One step; returns how many points changed rank. Collective."""
@@ -190,11 +247,10 @@ class Explicit(Problem):
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         V = self._velocities(mass, s, x_node, held)
         operator = self.form.on(here)
-        if self.scheme == "usf":
-            operator.place([dt * V])
-        else:
-            operator.rest()
-        A = self._accelerations(operator, mass, V)
+        forces = self._forces(operator, mass, s, dt * V if self.scheme == "usf" else None)
+        if isinstance(forces, str):
+            raise self._unstable(forces, dt)
+        A = self._accelerations(forces, mass, V)
         V_end = V + dt * A
         fixed = here.unknowns.fields[0].fixed
         V_end[fixed] = held[fixed]
@@ -214,7 +270,11 @@ class Explicit(Problem):
         )
         if isinstance(state, str):
             raise self._unstable(state, dt)
-        self._work.add(points, state.fields, operator, dt)
+        external = operator.external_work([dt * V_end])
+        reaction = mass.lumped[:, None] * (V_end - V - dt * A)
+        owned = here.unknowns.fields[0].owned_nodes
+        external += self.comm.allreduce(float(np.sum((reaction * V_end)[owned])), op=MPI.SUM)
+        self._work.add(points, state.fields, operator, external)
         state.fields.update(new)
         return commit(points, state)
 
@@ -225,10 +285,37 @@ class Explicit(Problem):
         momenta.arrays[0][...] *= self._scaling
         return mass.solve(momenta, held).arrays[0]
 
-    def _accelerations(self, operator, mass: Mass, V: Array) -> Array:
-        """Accelerations of the nodes in the present state. Collective."""
+    def _forces(self, operator, mass: Mass, s, u: Array | None) -> Nodal | str:
+        """Forces on the nodes in the present state, or of the stresses after an increment.
+
+        Collective. Returns why there are none where the increment admits no state.
+        """
         forces = mass.nodal()
-        forces.arrays[0][:] = -operator.forces()[0]
+        if u is None:
+            operator.rest()
+            forces.arrays[0][:] = -operator.forces()[0]
+            return forces
+        operator.place([u])
+        state = advance(
+            operator, self._updates, False, largest_cell(self.points.grid), len(self.history) + 1
+        )
+        if isinstance(state, str):
+            return state
+        points, d = self.points, self.points.gdim
+        J = np.linalg.det(operator.points.gradient[0] + np.eye(d))
+        weight = J * points["V"]
+        for declaration in self.form.parts.declarations:
+            if declaration.strain == "small":
+                weight[declaration.rows] = points["V0"][declaration.rows]
+        stress = weight[:, None, None] * state.fields["stress"][:, :d, :d]
+        scatter_stress(s, stress, forces.arrays[0])
+        forces.arrays[0][:] *= -1.0
+        forces.add_up()
+        forces.arrays[0][:] -= operator.external[0]
+        return forces
+
+    def _accelerations(self, forces: Nodal, mass: Mass, V: Array) -> Array:
+        """Accelerations of the nodes, with local damping. Collective."""
         if self._damping:
             f = forces.arrays[0]
             f -= self._damping * np.abs(f) * np.sign(V)

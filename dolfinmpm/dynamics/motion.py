@@ -156,7 +156,7 @@ class Motion:
             points["acceleration"] = collect(s, self.A)
         gradient = operator.points.gradient[0] / dt
         new = self.mapping.to_points(points, s, x_node, motion, self.mass, dt, rule.gamma, gradient)
-        self.work.add(points, state.fields, operator, dt)
+        self.work.add(points, state.fields, operator, operator.external_work())
         state.fields.update(new)
         self._starting = False
         self.time, self.last = step.t, dt

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dolfinmpm.basis.stencils import Stencils
 
-__all__ = ["collect", "mass_entries", "moments", "scatter", "scatter_affine"]
+__all__ = ["collect", "mass_entries", "moments", "scatter", "scatter_affine", "scatter_stress"]
 
 Array = npt.NDArray[np.float64]
 
@@ -89,6 +89,21 @@ def _moments(order, groups, node_start, nodes, value_start, N, x_node, x, q, B, 
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _scatter_stress(order, groups, node_start, nodes, value_start, dN, stress, out):
+    d = dN.shape[1]
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = order[position]
+            at = value_start[g] + (position - groups[g]) * m
+            for a in range(m):
+                for i in range(d):
+                    for j in range(d):
+                        out[nodes[first + a], i] += stress[p, i, j] * dN[at + a, j]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _mass_entries(order, groups, node_start, nodes, value_start, N, mass, rows, columns, values):
     to = 0
     for g in range(groups.size - 1):
@@ -135,6 +150,17 @@ def scatter_affine(
         out: Sums, shape (nodes, d).
     """
     _scatter_affine(*_rows(s), x_node, x, weight, q, C, out)
+
+
+def scatter_stress(s: Stencils, stress: Array, out: Array) -> None:
+    """Add Σ_p σ_p · ∇S_ap to nodal forces (N).
+
+    Args:
+        s: Stencils.
+        stress: Stresses times volumes (N m), shape (points, d, d).
+        out: Sums, shape (nodes, d).
+    """
+    _scatter_stress(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.dN, stress, out)
 
 
 def collect(s: Stencils, q: Array) -> Array:

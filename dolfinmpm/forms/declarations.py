@@ -8,7 +8,7 @@ problem collects the declarations of its own form and binds these only.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -88,6 +88,7 @@ class Declaration:
             this rank, parameters) if any varies.
         energy: Gives the elastic energy per initial volume at its points (J/m³), or None.
         stiffness: Gives the largest stiffness along one axis at its points (Pa).
+        terms: Integrands of the momentum terms that have been made of it.
     """
 
     points: MaterialPoints
@@ -104,6 +105,7 @@ class Declaration:
     parameters: Callable[[], npt.NDArray[np.float64]]
     energy: Callable[[], npt.NDArray[np.float64] | None]
     stiffness: Callable[[], npt.NDArray[np.float64]]
+    terms: list[Expr] = field(default_factory=list)
 
     @property
     def rows(self) -> npt.NDArray[np.int32]:

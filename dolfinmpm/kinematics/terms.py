@@ -240,8 +240,11 @@ def momentum(
     dX = points.dX(where, metadata={**points.dX.metadata(), "law": number})
     if declaration.operator is None:
         energy = law.energy(_end(points, u), **declaration.given)
-        return ufl.derivative(energy * dX, u, v)
-    return ufl.inner(declaration.operator, ufl.grad(v)) * dX
+        term = ufl.derivative(energy * dX, u, v)
+    else:
+        term = ufl.inner(declaration.operator, ufl.grad(v)) * dX
+    declaration.terms.extend(integral.integrand() for integral in term.integrals())
+    return term
 
 
 def stress(

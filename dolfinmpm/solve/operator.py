@@ -223,15 +223,19 @@ class Operator:
         internal = self._internal().arrays
         return [a + b for a, b in zip(internal, self.external)]
 
-    def external_work(self) -> float:
-        """Work of loads, and of what moves prescribed components, on the increments. Collective.
+    def external_work(self, of: Sequence[Array] | None = None) -> float:
+        """Work of loads, and of what moves prescribed components, on increments. Collective.
 
         Loads are taken as they are now.
+
+        Args:
+            of: The increments, those moved to by default.
         """
         unknowns, work = self.here.unknowns, 0.0
-        forces = self.forces() if self.here.driven else None
+        forces = self.forces() if self.here.driven and of is None else None
+        increments = self.increments if of is None else of
         for k, field in enumerate(unknowns.fields):
-            u, owned = self.increments[k], field.owned_nodes
+            u, owned = increments[k], field.owned_nodes
             work -= float(np.sum(self.loads[k][owned] * u[owned]))
             if forces is not None:
                 held = field.places[1]

@@ -1,0 +1,208 @@
+"""Which forms the fused loops know, and what they take of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from ufl.algorithms import extract_arguments
+
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics import fused2d
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.passes import LAW, NEO, SMALL
+from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.grid.constants import is_own
+from dolfinmpm.materials.base import lame
+from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.solve.operator import WeakForm
+
+__all__ = ["Laws", "Loads", "why_not"]
+
+Array = npt.NDArray[np.float64]
+# What a step changes: a load that depends on it is evaluated in every step
+_FIXED = ("density", "V0", "x0", "l0")
+
+
+def why_not(form: WeakForm) -> str | None:
+    """Why the fused loops cannot take a form, or None if they can."""
+    points, declarations = form.points, form.parts.declarations
+    space = form.spaces[0]
+    if points.gdim != 2:
+        return "they are written for two dimensions"
+    if any(one is not None for one in form.parts.grid.external):
+        return "loads over cells or facets of the grid"
+    kinds = {_kind(d) for d in declarations}
+    if len(kinds) != 1 or None in kinds:
+        return "laws that share volume changes, or of several or other measures of strain"
+    if any(d.u is not space.increment for d in declarations):
+        return "a law of another increment"
+    if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
+        return "a neo-Hookean law that varies"
+    own = [term for d in declarations for term in d.terms]
+    for integral in form.given.integrals():
+        if any(integral.integrand() is term for term in own):
+            continue
+        inside = (integral.metadata() or {}).get("points")
+        for term in summands(integral.integrand()):
+            if inside is None:
+                # penalties on the increment vanish where there is none
+                continue
+            if inside != points.number or depends_on(term, [space.increment]):
+                return "terms of the points other than momentum and loads"
+            if len(extract_arguments(term)) != 1:
+                return "terms without a test function"
+    return None
+
+
+def _kind(declaration: Declaration) -> int | None:
+    if declaration.fbar:
+        return None
+    if isinstance(declaration.law, NeoHookean):
+        return NEO
+    return {"large": LAW, "small": SMALL}.get(declaration.strain)
+
+
+class Laws:
+    """The laws of a form as the fused loops take them.
+
+    Args:
+        points: Material points.
+        declarations: What the form declares.
+
+    Attributes:
+        kind: How strain makes stress, see `dolfinmpm.dynamics.passes`.
+        state: Name of the field of elastic strain; empty if the law takes F.
+        internal: Internal variables side by side, shape (n, variables).
+        table: Addresses of the laws, their parameters, whether these are by points, and
+            which law a point has.
+    """
+
+    table: tuple[Any, ...]
+    internal: Array
+
+    def __init__(self, points: MaterialPoints, declarations: Sequence[Declaration]):
+        self._points, self._declarations = points, list(declarations)
+        kind = _kind(self._declarations[0])
+        assert kind is not None
+        self.kind = kind
+        self.state = {LAW: "be", SMALL: "elastic_strain", NEO: ""}[kind]
+
+    def kernel(self, gdim: int):
+        """Maker of the loops in that many dimensions."""
+        return fused2d.kernel
+
+    def gather(self) -> None:
+        """Take parameters and internal variables of the points as they are now."""
+        points, n = self._points, len(self._points)
+        laws = self._declarations
+        for d in laws:
+            d.bind()
+        addresses = np.zeros(len(laws), np.intp)
+        if self.kind == NEO:
+            numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
+        else:
+            addresses[:] = [d.law.address for d in laws]
+            numbers = self._parameters()
+        which = np.zeros(1, np.uint8)
+        if len(laws) > 1:
+            which = np.zeros(n, np.uint8)
+            for k, d in enumerate(laws):
+                which[d.rows] = k
+        by_points = any(d.law.varies for d in laws)
+        self.table = addresses, numbers, by_points, which
+        names = [] if self.kind == NEO else [list(d.law.internal) for d in laws]
+        width = max((len(own) for own in names), default=0)
+        self._names = names
+        if len(laws) == 1 and width == 1:
+            # one variable of one law is already where the loop wants it
+            self.internal = points[names[0][0]].reshape(-1, 1)
+            return
+        self.internal = np.zeros((n, width))
+        for d, own in zip(laws, names):
+            for k, name in enumerate(own):
+                self.internal[d.rows, k] = points[name][d.rows]
+
+    def scatter(self) -> None:
+        """Give the internal variables back to the points' fields."""
+        if len(self._declarations) == 1 and self.internal.shape[1] == 1:
+            return
+        for d, own in zip(self._declarations, self._names):
+            for k, name in enumerate(own):
+                self._points[name][d.rows] = self.internal[d.rows, k]
+
+    def _parameters(self) -> Array:
+        laws, n = self._declarations, len(self._points)
+        width = max(len(d.law.parameters) for d in laws)
+        if not any(d.law.varies for d in laws):
+            numbers = np.zeros((len(laws), width))
+            for k, d in enumerate(laws):
+                numbers[k, : len(d.law.parameters)] = d.parameters()[0]
+            return numbers
+        numbers = np.zeros((n, width))
+        for d in laws:
+            numbers[d.rows, : len(d.law.parameters)] = d.parameters()
+        return numbers
+
+
+class Loads:
+    """Loads of a form as forces at the points.
+
+    Args:
+        form: The weak form.
+
+    Attributes:
+        body: Acceleration of all points (m/s²), shape (1, d), or forces of each (N), shape (n, d).
+        gravity: The acceleration, zeros where forces differ.
+        varies: Whether they depend on what a step changes.
+    """
+
+    body: Array
+    gravity: Array
+
+    def __init__(self, form: WeakForm):
+        self._form = form
+        keys = [key for region in form.regions for key in region.external.inputs]
+        self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
+        self.varies = any(key[0] == "field" and key[1] not in _FIXED for key in keys)
+        self._constants = [
+            c for region in form.regions for c in region.slots.constants if not is_own(c)
+        ]
+
+    def values(self) -> list[Array]:
+        """Values of the constants, to see whether they have changed."""
+        return [np.array(c.value) for c in self._constants]
+
+    def evaluate(self) -> None:
+        """Take the loads as they are now. Collective."""
+        points = self._form.points
+        d, n = points.gdim, len(points)
+        forces = np.zeros((n, d))
+        for region in self._form.regions:
+            chosen = region.chosen(points["tag"])
+            rows = np.arange(n) if chosen is None else np.flatnonzero(chosen)
+            program = region.external
+            data: dict[tuple, Array] = {}
+            for key in program.inputs:
+                if key[0] == "field":
+                    data[key] = points[key[1]][rows]
+                elif key[0] == "tagged":
+                    data[key] = np.isin(points["tag"][rows], key[1]).astype(float)
+                else:
+                    value = region.slots.constants[key[1]].value
+                    data[key] = np.array(value, float).reshape(1, -1)
+            flux = np.empty((len(rows), program.size))
+            program.run(data, flux)
+            forces[rows] -= flux.reshape(len(rows), d, 1 + d)[:, :, 0]
+        a = forces / point_masses(points)[:, None]
+        low, high = a.min(axis=0, initial=np.inf), a.max(axis=0, initial=-np.inf)
+        points.comm.Allreduce(MPI.IN_PLACE, low, op=MPI.MIN)
+        points.comm.Allreduce(MPI.IN_PLACE, high, op=MPI.MAX)
+        if np.all(high - low <= 1e-14 * np.abs(high).max()):
+            self.gravity, self.body = high, high[None, :].copy()
+        else:
+            self.gravity, self.body = np.zeros(d), forces

@@ -1,0 +1,41 @@
+"""The passes over the points that an explicit step is made of."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["FAST", "LAW", "NEO", "PASSES", "SMALL", "Pass"]
+
+# What compiled sums may do with floating-point numbers: reorder and contract them, nothing else.
+FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+# How the strain of a point makes its stress
+LAW, SMALL, NEO = 0, 1, 2
+
+
+class Pass(NamedTuple):
+    """Parts of a pass, each fixed when it is compiled.
+
+    Attributes:
+        velocity: Whether points take new velocities.
+        strain: Whether they are strained, by the velocities in the nodes' last columns.
+        move: Whether they move.
+        same: What they scatter where they were: 0 nothing, 1 momenta, 2 forces.
+        new: What they scatter where they are then: 0 nothing, 1 masses and momenta, 2 forces too.
+        record: Whether accelerations are written.
+    """
+
+    velocity: bool = False
+    strain: bool = False
+    move: bool = False
+    same: int = 0
+    new: int = 0
+    record: bool = False
+
+
+# The passes of a step after the first scatter; the last one of each begins the next step.
+PASSES = {
+    "usl": (Pass(velocity=True, strain=True, move=True, new=2),),
+    "musl": (Pass(velocity=True, same=1), Pass(strain=True, move=True, new=2)),
+    "usf": (Pass(strain=True, same=2), Pass(velocity=True, move=True, new=1)),
+}
