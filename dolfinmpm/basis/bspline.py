@@ -66,32 +66,44 @@ def spline_weights(line, cell, degree, x, S, dS):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def uniform_weights(degree, xi, h, S, dS):
+def uniform_weights(degree, xi, per_length):
     """The degree + 1 functions and their slopes (1/m) at the share xi of a cell of a uniform line.
 
-    Where no knot is repeated: away from the ends of a line, from degree 2 on.
+    Where no knot is repeated: away from the ends of a line, from degree 2 on. Numbers, not
+    arrays, so that compiled loops keep them in registers.
+
+    Args:
+        degree: 1, 2 or 3.
+        xi: Share of the cell, from 0 to 1.
+        per_length: One over the cell's size (1/m).
+
+    Returns:
+        Four values and four slopes, of which the last are 0 for lower degrees.
     """
+    rest, k = 1.0 - xi, per_length
     if degree == 1:
-        S[0], S[1] = 1.0 - xi, xi
-        dS[0], dS[1] = -1.0 / h, 1.0 / h
-    elif degree == 2:
-        S[0], S[1], S[2] = 0.5 * (1.0 - xi) ** 2, 0.5 + xi * (1.0 - xi), 0.5 * xi * xi
-        dS[0], dS[1], dS[2] = (xi - 1.0) / h, (1.0 - 2.0 * xi) / h, xi / h
-    else:
-        rest, xx = 1.0 - xi, xi * xi
-        S[0], S[3] = rest**3 / 6.0, xx * xi / 6.0
-        S[1] = (4.0 + 3.0 * xx * (xi - 2.0)) / 6.0
-        S[2] = (1.0 + 3.0 * xi * (1.0 + xi * rest)) / 6.0
-        dS[0], dS[3] = -0.5 * rest * rest / h, 0.5 * xx / h
-        dS[1], dS[2] = 0.5 * xi * (3.0 * xi - 4.0) / h, (0.5 + xi - 1.5 * xx) / h
+        return rest, xi, 0.0, 0.0, -k, k, 0.0, 0.0
+    if degree == 2:
+        middle = 0.5 + xi * rest
+        return (
+            0.5 * rest * rest, middle, 0.5 * xi * xi, 0.0, -rest * k, (rest - xi) * k, xi * k, 0.0
+        )  # fmt: skip
+    xx, rr = xi * xi, rest * rest
+    second, third = 2.0 / 3.0 + xx * (0.5 * xi - 1.0), 2.0 / 3.0 + rr * (0.5 * rest - 1.0)
+    return (
+        rr * rest / 6.0, second, third, xx * xi / 6.0, -0.5 * rr * k, xi * (1.5 * xi - 2.0) * k,
+        rest * (2.0 - 1.5 * rest) * k, 0.5 * xx * k,
+    )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
 def weights_at(line, uniform, cell, degree, x, S, dS):
     """The degree + 1 functions of a cell and their slopes (1/m) at x."""
     if uniform and cell >= degree - 1 and cell <= line.size - 1 - degree:
-        h = line[cell + 1] - line[cell]
-        uniform_weights(degree, (x - line[cell]) / h, h, S, dS)
+        k = 1.0 / (line[cell + 1] - line[cell])
+        found = uniform_weights(degree, (x - line[cell]) * k, k)
+        for i in range(degree + 1):
+            S[i], dS[i] = found[i], found[4 + i]
     else:
         spline_weights(line, cell, degree, x, S, dS)
 

@@ -31,3 +31,27 @@ def domain_weights(line, first, count, x, half, S, dS):
         S[c + 1] += share * (middle - lower) / h
         dS[c] -= share / h
         dS[c + 1] += share / h
+
+
+@numba.njit(cache=True, error_model="numpy")
+def uniform_domain_weights(left, right, per_length):
+    """`domain_weights` of three functions, for a domain over two cells of a uniform line at most.
+
+    Args:
+        left, right: Ends of the domain, in cells from the lower end of the first, whose
+            upper end is 1.
+        per_length: One over the cells' size (1/m).
+
+    Returns:
+        Three values and three slopes; the third function's are 0 where the domain ends in
+        the first cell.
+    """
+    k = per_length
+    if right <= 1.0:
+        middle = 0.5 * (left + right)
+        return 1.0 - middle, middle, 0.0, -k, k, 0.0
+    a, b = 1.0 - left, right - 1.0
+    whole = 1.0 / (a + b)
+    a_share, b_share = a * whole, b * whole
+    first, last = 0.5 * a * a_share, 0.5 * b * b_share
+    return first, 1.0 - first - last, last, -a_share * k, (a_share - b_share) * k, b_share * k

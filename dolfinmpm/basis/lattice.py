@@ -21,10 +21,10 @@ from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice
 
-__all__ = ["LatticeBasis", "line_weights", "overlapped"]
+__all__ = ["SNAP", "LatticeBasis", "line_weights", "overlapped"]
 
 # An overlap below this share of a cell is rounding: it must not make a cell active.
-_SNAP = 1e-10
+SNAP = 1e-10
 
 
 @numba.njit(cache=True, inline="always")
@@ -45,9 +45,9 @@ def overlapped(line, uniform, x, half):
     if half > 0.0:
         last = _cell_of(line, uniform, x + half)
         left, right = max(x - half, line[0]), min(x + half, line[line.size - 1])
-        if last > first and line[first + 1] - left < _SNAP * (line[first + 1] - line[first]):
+        if last > first and line[first + 1] - left < SNAP * (line[first + 1] - line[first]):
             first += 1
-        if last > first and right - line[last] < _SNAP * (line[last + 1] - line[last]):
+        if last > first and right - line[last] < SNAP * (line[last + 1] - line[last]):
             last -= 1
     return first, last - first + 1
 

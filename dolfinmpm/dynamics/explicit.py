@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together

@@ -285,6 +285,7 @@ class Fused:
         self._laws.gather()
         state = points[self._laws.state] if self._laws.state else np.empty((n, 6))
         self._loads.evaluate()
+        self._rows_of = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
         body = self._loads.body
         self._data = (
             points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
@@ -294,17 +295,30 @@ class Fused:
 
     def _pass(self, parts: Pass, dt: float) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
-        points, basis, laws = self._points, self._window, self._laws
-        loop = laws.kernel(points.gdim)(
-            basis.degree, basis.averaged, laws.kind, self._affine, parts
-        )
+        points, basis = self._points, self._window
+        general = not basis.lattice.uniform or (basis.averaged and basis.degree > 1)
         bad = -1
         if len(points):
-            bad = loop(
-                self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share,
-                self.done,
-            )  # fmt: skip
+            rows, skipped = self._rows_of
+            left = len(points)
+            if not general:
+                bad, left, behind = self._loop(parts, dt, rows, False)
+                if bad < 0 and behind:
+                    bad, *_ = self._loop(Pass(new=parts.new), dt, skipped[1, :behind].copy(), True)
+                rows = skipped[0]
+            if bad < 0 and left:
+                bad, *_ = self._loop(parts, dt, rows[:left].copy(), True)
         return self._together(bad)
+
+    def _loop(self, parts: Pass, dt: float, rows, general: bool) -> tuple[int, int, int]:
+        basis, laws = self._window, self._laws
+        loop = laws.kernel(self._points.gdim)(
+            basis.degree, basis.averaged, laws.kind, self._affine, parts, general
+        )
+        return loop(
+            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, rows,
+            self._rows_of[1], self.done,
+        )  # fmt: skip
 
     def _together(self, bad: int) -> str | None:
         points = self._points

@@ -14,7 +14,9 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.bspline import uniform_weights
+from dolfinmpm.basis.gimp import uniform_domain_weights
+from dolfinmpm.basis.lattice import SNAP, line_weights, overlapped
 from dolfinmpm.dynamics.passes import FAST, LAW, NEO, SMALL, Pass
 from dolfinmpm.materials.base import call_law
 
@@ -22,19 +24,66 @@ __all__ = ["kernel"]
 
 
 @functools.cache
-def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
+def weights(degree: int, averaged: bool):
+    """`line_weights` in the middle of a uniform lattice, as numbers.
+
+    `near(x, half, start, per_length, last) -> (known, first cell, four values, four slopes)`.
+    Where it does not know, loops ask `line_weights` itself.
+    """
+    if not averaged:
+
+        @numba.njit(cache=True, error_model="numpy", inline="always")
+        def near(x, half, start, per_length, last):
+            at = (x - start) * per_length
+            i = int(at)
+            known = i >= degree - 1 and i <= last - degree + 1 and at >= 0.0
+            a, b, c, e, da, db, dc, de = uniform_weights(degree, at - i, per_length)
+            return known, i, a, b, c, e, da, db, dc, de
+
+    elif degree == 1:
+
+        @numba.njit(cache=True, error_model="numpy", inline="always")
+        def near(x, half, start, per_length, last):
+            at, reach = (x - start) * per_length, half * per_length
+            left, right = at - reach, at + reach
+            i = int(left)
+            known = half > 0.0 and left > 0.0 and right < last and right < i + 2
+            # an overlap that rounding makes does not count
+            if i + 1 - left < SNAP:
+                i += 1
+                left = float(i)
+            if right > i + 1 and right - i - 1 < SNAP:
+                right = float(i + 1)
+            a, b, c, da, db, dc = uniform_domain_weights(left - i, right - i, per_length)
+            return known, i, a, b, c, 0.0, da, db, dc, 0.0
+
+    else:
+
+        @numba.njit(cache=True, error_model="numpy", inline="always")
+        def near(x, half, start, per_length, last):
+            return False, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+
+    return near
+
+
+@functools.cache
+def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
-    `kernel(grid, nodes, out, points, law, dt, share, done) -> first bad point, or -1`; see `Fused`
-    in `dolfinmpm.dynamics.fused` for what the tuples hold.
+    `kernel(grid, nodes, out, points, law, dt, share, rows, skipped, done) -> (first bad point or -1,
+    points skipped, points not scattered)`; see `Fused` in `dolfinmpm.dynamics.fused` for what
+    the tuples hold. A general one takes the points of `rows`, wherever they are; the others take
+    all points, and skip those that `weights` does not know.
     """
     velocity, strain, move, same, new, record = parts
     APIC, TPIC = affine == 1, affine == 2
     # a pass that also gives the velocities strains by these
     column = 0 if velocity and strain else 4
 
+    near, usual = weights(degree, averaged), degree + 1 + int(averaged)
+
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    def run(grid, nodes, out, points, law, dt, share, done):
+    def run(grid, nodes, out, points, law, dt, share, rows, skipped, done):
         line0, line1, node0, node1, uniform, origin, shape = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, body, acceleration = points
         addresses, numbers, stride, which = law
@@ -45,20 +94,45 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
         scratch = np.empty(max(internal.shape[1], 1))
         work = 0.0
         row = shape[1]
+        last0, last1 = line0.size - 2, line1.size - 2
+        s0 = (last0 + 1) / (line0[last0 + 1] - line0[0])
+        s1 = (last1 + 1) / (line1[last1 + 1] - line1[0])
+        start0, start1 = line0[0], line1[0]
+        end0, end1 = line0[last0 + 1], line1[last1 + 1]
+        e_at, tau_at, tangent_at = e.ctypes.data, tau.ctypes.data, tangent.ctypes.data
+        scratch_at, inner_at = scratch.ctypes.data, internal.ctypes.data
+        numbers_at = numbers.ctypes.data
         single, one_body = which.shape[0] == 1, body.shape[0] == 1
         t00 = t01 = t11 = 0.0
-        for p in range(x.shape[0]):
+        left = behind = 0
+        number_of_points = rows.size if general else x.shape[0]
+        for index in range(number_of_points):
+            p = rows[index] if general else index
             x0, x1 = x[p, 0], x[p, 1]
             l0 = l1 = 0.0
             if averaged:
                 l0, l1 = half[p, 0], half[p, 1]
             mp, vp = m[p], V0[p]
             if velocity or strain or move or same:
-                i0, c0 = overlapped(line0, uniform, x0, l0)
-                i1, c1 = overlapped(line1, uniform, x1, l1)
-                line_weights(line0, uniform, degree, i0, c0, x0, l0, S0, d0, part, slope)
-                line_weights(line1, uniform, degree, i1, c1, x1, l1, S1, d1, part, slope)
-                n0, n1 = c0 + degree, c1 + degree
+                n0 = n1 = usual
+                if general:
+                    i0, n0 = overlapped(line0, uniform, x0, l0)
+                    i1, n1 = overlapped(line1, uniform, x1, l1)
+                    line_weights(line0, uniform, degree, i0, n0, x0, l0, S0, d0, part, slope)
+                    line_weights(line1, uniform, degree, i1, n1, x1, l1, S1, d1, part, slope)
+                    n0, n1 = n0 + degree, n1 + degree
+                else:
+                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
+                        x0, l0, start0, s0, last0
+                    )
+                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
+                        x1, l1, start1, s1, last1
+                    )
+                    if not (known0 and known1):
+                        # one of the few at an edge or with a large domain: see `general`
+                        skipped[0, left] = p
+                        left += 1
+                        continue
                 base = (i0 - origin[0]) * row + i1 - origin[1]
                 v0 = v1 = w0 = w1 = b00 = b01 = b10 = b11 = D0 = D1 = 0.0
                 h00 = h01 = h10 = h11 = 0.0
@@ -112,7 +186,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                     a00, a01, a10, a11 = 1.0 + dt * h00, dt * h01, dt * h10, 1.0 + dt * h11
                     det = a00 * a11 - a01 * a10
                     if not det > 0.0:
-                        return p
+                        return p, left, behind
                     f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
                     J_old = f00 * f11 - f01 * f10
                     F[p, 0, 0], F[p, 0, 1] = a00 * f00 + a01 * f10, a00 * f01 + a01 * f11
@@ -120,7 +194,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                     f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
                     J = f00 * f11 - f01 * f10
                     if not J > 0.0:
-                        return p
+                        return p, left, behind
                     V[p] = J * vp
                     L = 0 if single else which[p]
                     if kind == NEO:
@@ -154,20 +228,20 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                         if kind == LAW:
                             low = (y00 * y11 - y01 * y01) / high
                             if not low > 0.0:
-                                return p
+                                return p, left, behind
                             e[0], e[1] = 0.5 * math.log(high), 0.5 * math.log(low)
                             e[2] = 0.5 * math.log(state[p, 2])
                         else:
                             e[0], e[1], e[2] = high, low, state[p, 2]
                         e0, e1, e2 = e[0], e[1], e[2]
-                        number = (p if stride else L) * numbers.shape[1] * 8
-                        inner = internal.ctypes.data + 8 * p * internal.shape[1]
+                        offset = (p if stride else L) * numbers.shape[1] * 8
+                        inner = inner_at + 8 * p * internal.shape[1]
                         status = call_law(
-                            addresses[L], numbers.ctypes.data + number, e.ctypes.data, inner,
-                            scratch.ctypes.data, tau.ctypes.data, tangent.ctypes.data,
+                            addresses[L], numbers_at + offset, e_at, inner, scratch_at, tau_at,
+                            tangent_at,
                         )  # fmt: skip
                         if status != 0:
-                            return p
+                            return p, left, behind
                         for k in range(internal.shape[1]):
                             internal[p, k] = scratch[k]
                         if e[0] != e0 or e[1] != e1 or e[2] != e2:
@@ -186,12 +260,11 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                     q = J_old if kind != SMALL else 1.0
                     g00, g11, g01 = stress[p, 0, 0], stress[p, 1, 1], stress[p, 0, 1]
                     if kind != SMALL:
-                        # H (I + H/2)⁻¹: the rate at the middle of the step
-                        r00, r11 = 1.0 + 0.5 * dt * h00, 1.0 + 0.5 * dt * h11
-                        r01, r10 = 0.5 * dt * h01, 0.5 * dt * h10
-                        det = r00 * r11 - r01 * r10
-                        h00, h01 = (h00 * r11 - h01 * r10) / det, (h01 * r00 - h00 * r01) / det
-                        h10, h11 = (h10 * r11 - h11 * r10) / det, (h11 * r00 - h10 * r01) / det
+                        # H − H²/2: the rate at the middle of the step, to second order
+                        z00, z11 = h00 * h00 + h01 * h10, h11 * h11 + h01 * h10
+                        z01, z10 = h01 * (h00 + h11), h10 * (h00 + h11)
+                        h00, h11 = h00 - 0.5 * dt * z00, h11 - 0.5 * dt * z11
+                        h01, h10 = h01 - 0.5 * dt * z01, h10 - 0.5 * dt * z10
                     work += 0.5 * dt * vp * (
                         (q * g00 + t00) * h00 + (q * g11 + t11) * h11
                         + (q * g01 + t01) * (h01 + h10)
@@ -227,8 +300,8 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                 if move:
                     x0, x1 = x0 + dt * v0, x1 + dt * v1
                     x[p, 0], x[p, 1] = x0, x1
-                    if not (line0[0] <= x0 <= line0[-1] and line1[0] <= x1 <= line1[-1]):
-                        return p
+                    if not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
+                        return p, left, behind
                 if averaged and move:
                     # l = l0 diag(U), U = (FᵀF + J I)/√(tr FᵀF + 2 J)
                     f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
@@ -241,14 +314,27 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                     )
                     l0, l1 = half[p, 0], half[p, 1]
             if new:
-                i0, c0 = overlapped(line0, uniform, x0, l0)
-                i1, c1 = overlapped(line1, uniform, x1, l1)
+                n0 = n1 = usual
+                if general:
+                    i0, n0 = overlapped(line0, uniform, x0, l0)
+                    i1, n1 = overlapped(line1, uniform, x1, l1)
+                    line_weights(line0, uniform, degree, i0, n0, x0, l0, S0, d0, part, slope)
+                    line_weights(line1, uniform, degree, i1, n1, x1, l1, S1, d1, part, slope)
+                    n0, n1 = n0 + degree, n1 + degree
+                else:
+                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
+                        x0, l0, start0, s0, last0
+                    )
+                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
+                        x1, l1, start1, s1, last1
+                    )
+                    if not (known0 and known1):
+                        skipped[1, behind] = p
+                        behind += 1
+                        continue
                 i0w, i1w = i0 - origin[0], i1 - origin[1]
-                n0, n1 = c0 + degree, c1 + degree
                 if i0w < 0 or i1w < 0 or i0w + n0 > shape[0] or i1w + n1 > shape[1]:
-                    return p
-                line_weights(line0, uniform, degree, i0, c0, x0, l0, S0, d0, part, slope)
-                line_weights(line1, uniform, degree, i1, c1, x1, l1, S1, d1, part, slope)
+                    return p, left, behind
                 base = i0w * row + i1w
                 p0, p1 = mp * v[p, 0], mp * v[p, 1]
                 if new == 2:
@@ -284,6 +370,6 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass):
                             out[k, 3] += N * g0 - k0 * t00 - k1 * t01
                             out[k, 4] += N * g1 - k0 * t01 - k1 * t11
         done[0] += work
-        return -1
+        return -1, left, behind
 
     return run
