@@ -28,6 +28,7 @@ Array = npt.NDArray[np.float64]
 # A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
 Value = float | Array | Callable[[Array], npt.ArrayLike]
 
+_PACKAGE = __name__.partition(".")[0] + "."
 _DOUBLES = types.CPointer(types.float64)
 KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
 
@@ -40,7 +41,11 @@ class _Kernel:
 
     @functools.cached_property
     def _compiled(self) -> Any:
-        return numba.cfunc(KERNEL_SIGNATURE, cache=True, error_model="numpy")(self._function)
+        # Numba's cache goes by file and line: to a module under another name, or after a number
+        # came from elsewhere, it would give the old kernel. The package's own have no such
+        # numbers, and `forget_outdated` sees their sources.
+        own = self._function.__module__.startswith(_PACKAGE)
+        return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
 
     @property
     def address(self) -> int:
@@ -49,7 +54,7 @@ class _Kernel:
 
 
 def law_kernel(function: Callable) -> _Kernel:
-    """Make a law's kernel, which is compiled when the law is first used.
+    """Make a law's kernel, which is compiled when a process first uses the law.
 
     The function takes six arrays and returns 0, or another number if the strain
     admits no stress:
