@@ -50,6 +50,9 @@ class Scene:
         points, bcs = given.pop("points", self.points), given.pop("bcs", self.bcs)
         return mpm.ArcLength(form, u, points, bcs, **{"load": self.g, **given})
 
+    def fill(self, **given):
+        return mpm.fill(self.grid, mpm.Box((0, 0), (2, 1)), 2, **{"density": 1000.0, **given})
+
     def momentum(self, **given):
         return mpm.momentum(**{"law": self.law, "points": self.points, "u": self.u, "v": self.v,
                                **given})  # fmt: skip
@@ -580,7 +583,48 @@ BAD = {
         lambda s: mpm.RigidFooting(s.top, fem.Constant(s.other, 0.0), E=1.0),
         "of another mesh",
     ),
+    # -- points
+    "fill: density a word": (lambda s: s.fill(density="1000"), "density = '1000' must be a number"),
+    "fill: density none": (lambda s: s.fill(density=None), r"density = None must be .*\(kg/m\^d\)"),
+    "fill: density true": (lambda s: s.fill(density=True), "density = True must be a number"),
+    "fill: density of words": (
+        lambda s: s.fill(density=lambda x: "a"),
+        "density should return numbers of shape .* got 'a'",
+    ),
+    "fill: density third row": (
+        lambda s: s.fill(density=lambda x: x[2]),
+        "density failed with IndexError",
+    ),
+    "fill: density by rows": (
+        lambda s: s.fill(density=lambda x: x.T),
+        r"density should return numbers of shape .* got shape \(32, 2\)",
+    ),
+    "fill: exact a word": (lambda s: s.fill(exact="no"), "exact = 'no' must be True or False"),
+    "points: first value of words": (
+        lambda s: s.points.add_field("wet", (), "", lambda x: "a"),
+        "first value of field 'wet' should return numbers .* got 'a'",
+    ),
+    "points: first value a word": (
+        lambda s: s.points.add_field("wet", (), "", "dry"),
+        "field 'wet' has numbers of shape .* first value is 'dry'",
+    ),
     # -- laws
+    "law: E a word": (
+        lambda s: mpm.materials.Hencky("1e4", 0.3),
+        r"E = '1e4' must be .*\(Pa\), an",
+    ),
+    "law: E none": (lambda s: mpm.materials.Hencky(None, 0.3), "E = None must be a number"),
+    "law: E true": (lambda s: mpm.materials.Hencky(True, 0.3), "E = True must be a number"),
+    "law: E complex": (lambda s: mpm.materials.Hencky(1j, 0.3), "E = 1j must be a number"),
+    "law: nu a list": (lambda s: mpm.materials.NeoHookean(1.0, ["a"]), "nu = .* must be a number,"),
+    "law: E of words": (
+        lambda s: mpm.materials.Hencky(lambda x: "a", 0.3).parameter_array(s.points["x0"]),
+        "Hencky: E should return numbers",
+    ),
+    "law: E third row": (
+        lambda s: mpm.materials.Hencky(lambda x: x[2], 0.3).parameter_array(s.points["x0"]),
+        "Hencky: E failed with IndexError",
+    ),
     "law: fit": (
         lambda s: mpm.materials.DruckerPrager(1e4, 0.3, 1.0, 20.0, 0.0, fit="outer"),
         "'outer' must",

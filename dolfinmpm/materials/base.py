@@ -20,7 +20,9 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError, StateError
+from dolfinmpm.grid.positions import ask
 
 __all__ = ["Law", "Parameter", "Parametrised", "Response", "Value", "call_law", "law_kernel"]
 
@@ -176,7 +178,7 @@ class Parametrised:
         for name in self.parameters:
             value = values[name]
             if not callable(value):
-                array = np.asarray(value, float)
+                array = self._numbers(name, value)
                 self.parameters[name].check(type(self).__name__, name, array)
                 # a copy: to change the caller's array must not change the law
                 value = float(array) if array.ndim == 0 else array.copy()
@@ -186,6 +188,21 @@ class Parametrised:
         self.values: Mapping[str, Value] = MappingProxyType(given)
         if not self.varies:
             self.parameter_array()
+
+    def _numbers(self, name: str, value: Any) -> Array:
+        """A number, or one for each point."""
+        try:
+            array = None if value is None else np.asarray(value)
+            if array is not None and array.dtype != bool:
+                return array.astype(float, casting="same_kind")
+        except (TypeError, ValueError):
+            pass
+        unit = self.parameters[name].unit
+        unit = unit and f" ({unit})"
+        raise ParameterError(
+            f"{type(self).__name__}: {name} = {shown(value)} must be a number{unit}, an array with "
+            "one for each point of this rank, or a function of positions"
+        )
 
     def __getattr__(self, name: str) -> Any:
         values = self.__dict__.get("values", {})
@@ -239,7 +256,7 @@ class Parametrised:
             if callable(given):
                 if x is None:
                     raise ParameterError(f"{name}: {key} is a function and needs positions")
-                given = np.asarray(given(np.ascontiguousarray(x.T)), float)
+                given = ask(f"{name}: {key}", given, x)
                 self.parameters[key].check(name, key, given)
             if np.shape(given) not in ((), (n,)):
                 raise ParameterError(
