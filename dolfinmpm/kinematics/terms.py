@@ -111,7 +111,10 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> in
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Declaration:
     inner = framework(law, points, strain, tags)
-    outer: PointwiseLaw = FBar(inner, points) if fbar else inner
+    # what is no increment of a space is refused when a problem is made
+    space = getattr(u, "_dolfinmpm_space", None)
+    degree = space.basis.degree if space is not None else 1
+    outer: PointwiseLaw = FBar(inner, points, degree) if fbar else inner
     operand = ufl.grad(u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
