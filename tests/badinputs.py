@@ -50,6 +50,25 @@ class Scene:
         points, bcs = given.pop("points", self.points), given.pop("bcs", self.bcs)
         return mpm.ArcLength(form, u, points, bcs, **{"load": self.g, **given})
 
+    def fill(self, **given):
+        return mpm.fill(self.grid, mpm.Box((0, 0), (2, 1)), 2, **{"density": 1000.0, **given})
+
+    def momentum(self, **given):
+        return mpm.momentum(**{"law": self.law, "points": self.points, "u": self.u, "v": self.v,
+                               **given})  # fmt: skip
+
+    def ghost(self, **given):
+        return mpm.ghost(**{"points": self.points, "u": self.u, "v": self.v, "gamma": 1.0, **given})
+
+    def soft(self, **given):
+        return mpm.soft(**{"points": self.points, "u": self.u, "v": self.v, "E": 1.0, "nu": 0.3,
+                           "eta": 1e-3, **given})  # fmt: skip
+
+    def set_stress(self, stress=0.0, **given):
+        # points of its own, which get the law's fields
+        points = mpm.fill(self.grid, mpm.Box((0, 0), (2, 1)), 2, 1000.0)
+        return mpm.set_stress(points, **{"law": self.law, "stress": stress, **given})
+
     def plot(self, path="picture.png", *arguments, **given):
         return mpm.plot(self.points, path, *arguments, **given)
 
@@ -333,6 +352,157 @@ BAD = {
         "function pore_pressure is not finite in th",
     ),
     "load: nan increment": (lambda s: s.nan_increment(), "prescribed at 'bottom' is nan"),
+    # -- internal forces
+    "momentum: law a number": (lambda s: s.momentum(law=3.0), r"law = 3\.0 .*Hencky\(E, nu\)"),
+    "momentum: law a class": (lambda s: s.momentum(law=mpm.materials.Hencky), "law = a type"),
+    "momentum: no points": (lambda s: s.momentum(points=None), "points = None must be a MaterialP"),
+    "momentum: a list of points": (lambda s: s.momentum(points=[s.points]), "give one set"),
+    "momentum: u a space": (lambda s: s.momentum(u=s.V), r"u = a Space .* Space\.increment"),
+    "momentum: u a word": (lambda s: s.momentum(u="u"), r"u = 'u' must be the increment of a disp"),
+    "momentum: u none": (lambda s: s.momentum(u=None), "u = None must be the increment"),
+    "momentum: u a list": (lambda s: s.momentum(u=[s.u]), "must be the increment of a displ"),
+    "momentum: u a test function": (lambda s: s.momentum(u=s.v), "u = a test function must be"),
+    "momentum: u a constant": (lambda s: s.momentum(u=s.g), "u = a Constant must be the increment"),
+    "momentum: u a scalar": (
+        lambda s: s.momentum(u=s.S.increment),
+        r"u has the shape \(\) and must",
+    ),
+    "momentum: u elsewhere": (lambda s: s.momentum(u=s.W.increment), "u lives on another grid"),
+    "momentum: v a space": (lambda s: s.momentum(v=s.V), r"v = a Space must be .*Space\.test"),
+    "momentum: v a number": (lambda s: s.momentum(v=1.0), r"v = 1\.0 must be the test function"),
+    "momentum: v the increment": (lambda s: s.momentum(v=s.u), "v = a Function must be the test"),
+    "momentum: v a trial function": (
+        lambda s: s.momentum(v=ufl.TrialFunction(s.V.function_space)),
+        "v = a trial function must be the test",
+    ),
+    "momentum: v elsewhere": (lambda s: s.momentum(v=s.W.test), "v lives on another grid"),
+    "momentum: strain a list": (lambda s: s.momentum(strain=["large"]), 'must be one of "large"'),
+    "momentum: strain": (lambda s: s.momentum(strain="larg"), 'did you mean "large"'),
+    "momentum: fbar a word": (lambda s: s.momentum(fbar="yes"), "fbar = 'yes' must be True or Fal"),
+    "momentum: fbar a number": (lambda s: s.momentum(fbar=1), "fbar = 1 must be True or False"),
+    "momentum: tag a space": (lambda s: s.momentum(tag=s.V), "tag = a Space must be a whole"),
+    "momentum: swapped": (
+        lambda s: mpm.momentum(s.points, s.law, s.u, s.v),
+        "points = a Hencky must be a MaterialPoints",
+    ),
+    "stress: law a word": (lambda s: mpm.stress("Hencky", s.points, s.u), "law = 'Hencky' has no"),
+    "stress: points": (lambda s: mpm.stress(s.law, s.grid, s.u), "points = a Mesh must be a Mate"),
+    "stress: u a space": (lambda s: mpm.stress(s.law, s.points, s.V), r"Space\.increment"),
+    "stress: u a test function": (lambda s: mpm.stress(s.law, s.points, s.v), "u = a test functi"),
+    "stress: fbar an array": (
+        lambda s: mpm.stress(s.law, s.points, s.u, fbar=np.ones(2)),
+        "must be True or False",
+    ),
+    "set_stress: swapped": (
+        lambda s: mpm.set_stress(s.law, s.points, np.eye(3)),
+        "points = a Hencky must be",
+    ),
+    "set_stress: law none": (lambda s: s.set_stress(law=None), "law = None has no kernel"),
+    "set_stress: strain": (lambda s: s.set_stress(strain=["large"]), "strain = .* must be one of"),
+    "set_stress: a word": (lambda s: s.set_stress("weight"), r"stress = 'weight', expected \(3, 3"),
+    "set_stress: none": (lambda s: s.set_stress(None), "stress has the shape|stress = None"),
+    "set_stress: a number": (lambda s: s.set_stress(3.0), r"stress has the shape \(\), expected"),
+    "set_stress: ragged": (lambda s: s.set_stress([[1.0], [2.0, 3.0]]), r"expected \(3, 3\)"),
+    "set_stress: nan": (lambda s: s.set_stress(np.full((3, 3), np.nan)), "must be finite"),
+    "set_stress: a function of words": (
+        lambda s: s.set_stress(lambda x: "a"),
+        "stress .* should return numbers of shape .* got 'a'",
+    ),
+    "set_stress: third row": (lambda s: s.set_stress(lambda x: x[2]), "failed with IndexError"),
+    "geostatic: a word": (lambda s: mpm.geostatic_stress("1", 1.0, 0.5), "surface = '1' must be"),
+    "geostatic: none": (lambda s: mpm.geostatic_stress(1.0, None, 0.5), "weight = None must be a"),
+    "geostatic: nan": (lambda s: mpm.geostatic_stress(1.0, 1.0, np.nan), "K0 = nan must be finite"),
+    "geostatic: a function of words": (
+        lambda s: s.set_stress(mpm.geostatic_stress(1.0, lambda x: "a", 0.5)),
+        "weight should return numbers",
+    ),
+    # -- penalties
+    "ghost: gamma a word": (lambda s: s.ghost(gamma="1"), "gamma = '1' must be a number"),
+    "ghost: gamma none": (lambda s: s.ghost(gamma=None), "gamma = None must be a number"),
+    "ghost: gamma nan": (lambda s: s.ghost(gamma=np.nan), "gamma = nan must be finite"),
+    "ghost: gamma inf": (lambda s: s.ghost(gamma=np.inf), "gamma = inf must be finite"),
+    "ghost: gamma true": (lambda s: s.ghost(gamma=True), "gamma = True must be a number"),
+    "ghost: gamma a list": (lambda s: s.ghost(gamma=[1.0]), r"gamma = \[1\.0\] must be a number"),
+    "ghost: gamma an array": (lambda s: s.ghost(gamma=-np.ones(2)), "must be a number"),
+    "ghost: gamma a vector": (lambda s: s.ghost(gamma=s.g), "must be a number or a scalar of UFL"),
+    "ghost: gamma a function": (lambda s: s.ghost(gamma=len), "must be a number"),
+    "ghost: gamma elsewhere": (
+        lambda s: s.ghost(gamma=fem.Constant(s.other, 1.0)),
+        "gamma lives on another grid",
+    ),
+    "ghost: order a word": (lambda s: s.ghost(order="1"), "order = '1' must be a whole number"),
+    "ghost: order true": (lambda s: s.ghost(order=True), "order = True must be a whole number"),
+    "ghost: order 1.5": (lambda s: s.ghost(order=1.5), r"order = 1\.5 must be a whole number"),
+    "ghost: scaling an array": (lambda s: s.ghost(scaling=np.ones(2)), "scaling = .* must be one"),
+    "ghost: points": (lambda s: s.ghost(points=[s.points]), "give one set"),
+    "ghost: u a space": (lambda s: s.ghost(u=s.V), r"u = a Space must be .* Space\.increment"),
+    "ghost: u a test function": (lambda s: s.ghost(u=s.v), "u = a test function must be"),
+    "ghost: u elsewhere": (lambda s: s.ghost(u=s.W.increment), "u lives on another grid"),
+    "ghost: v of another field": (lambda s: s.ghost(v=s.S.test), r"v has the shape \(\) and must"),
+    "ghost: v none": (lambda s: s.ghost(v=None), r"v = None must be the test function"),
+    "soft: E a word": (lambda s: s.soft(E="1"), "E = '1' must be a number"),
+    "soft: E negative": (lambda s: s.soft(E=-1.0), "E = -1 Pa must be above 0"),
+    "soft: nu": (lambda s: s.soft(nu=0.5), r"nu = 0\.5 must be above -1 and below 0\.5"),
+    "soft: nu none": (lambda s: s.soft(nu=None), "nu = None must be a number"),
+    "soft: eta true": (lambda s: s.soft(eta=True), "eta = True must be a number"),
+    "soft: eta a list": (lambda s: s.soft(eta=[1e-3]), "must be a number"),
+    "soft: eta zero": (lambda s: s.soft(eta=0.0), "eta = 0 must be above 0"),
+    "soft: u a space": (lambda s: s.soft(u=s.V), r"Space\.increment"),
+    "soft: v the increment": (lambda s: s.soft(v=s.u), r"v = a Function .* Space\.test"),
+    "soft: points none": (lambda s: s.soft(points=None), "points = None must be"),
+    "stabilisation: gamma a word": (lambda s: mpm.Stabilisation("ghost", gamma="1"), "a number"),
+    "stabilisation: gamma": (lambda s: mpm.Stabilisation("ghost", gamma=-1), "gamma = -1 must be"),
+    "stabilisation: threshold a word": (
+        lambda s: mpm.Stabilisation("aggregation", threshold="1"),
+        "threshold = '1' must be a number",
+    ),
+    "stabilisation: threshold": (
+        lambda s: mpm.Stabilisation("aggregation", threshold=1.5),
+        r"threshold = 1\.5 must be in \(0, 1\]",
+    ),
+    "stabilisation: kind a list": (lambda s: mpm.Stabilisation(["ghost"]), "must be one of"),
+    # -- ParaView
+    "paraview: no path": (lambda s: mpm.ParaView(None, s.points), "path = None must be a path"),
+    "paraview: a number": (lambda s: mpm.ParaView(3, s.points), "path = 3 must be a path"),
+    "paraview: ending": (lambda s: mpm.ParaView("a.vtu", s.points), r"ends in \.pvd, got 'a\.vtu'"),
+    "paraview: points": (lambda s: mpm.ParaView("a.pvd", [s.points]), "give one set"),
+    "paraview: a grid": (lambda s: mpm.ParaView("a.pvd", s.grid), "points = a Mesh must be"),
+    "paraview: swapped": (
+        lambda s: mpm.ParaView(s.points, "a.pvd"),
+        "path = a MaterialPoints must",
+    ),
+    "paraview: fields a number": (
+        lambda s: mpm.ParaView("a.pvd", s.points, 3),
+        "fields = 3 must be names",
+    ),
+    "paraview: fields of UFL": (
+        lambda s: mpm.ParaView("a.pvd", s.points, [s.points.stress]),
+        "must be names of the points' fields",
+    ),
+    "paraview: no such field": (
+        lambda s: mpm.ParaView("a.pvd", s.points, ["foo"]),
+        "no field 'foo' to write; they have",
+    ),
+    "paraview: a space": (
+        lambda s: mpm.ParaView("a.pvd", s.points, increments=s.V),
+        r"increments = a Space must be .*\[Space\.increment\]",
+    ),
+    "paraview: a test function": (
+        lambda s: mpm.ParaView("a.pvd", s.points, increments=[s.v]),
+        "must be functions on the grid",
+    ),
+    "paraview: increments none": (
+        lambda s: mpm.ParaView("a.pvd", s.points, increments=None),
+        "increments = None must be functions",
+    ),
+    "paraview: elsewhere": (
+        lambda s: mpm.ParaView("a.pvd", s.points, increments=s.W.increment),
+        "lives on another grid",
+    ),
+    "paraview: active": (
+        lambda s: mpm.ParaView("a.pvd", s.points, active="yes"),
+        "active = 'yes' must be True or False",
+    ),
     # -- surfaces and footings
     "surface: a side": (
         lambda s: mpm.Surface(s.points, "top", (0, 1)),
@@ -413,7 +583,48 @@ BAD = {
         lambda s: mpm.RigidFooting(s.top, fem.Constant(s.other, 0.0), E=1.0),
         "of another mesh",
     ),
+    # -- points
+    "fill: density a word": (lambda s: s.fill(density="1000"), "density = '1000' must be a number"),
+    "fill: density none": (lambda s: s.fill(density=None), r"density = None must be .*\(kg/m\^d\)"),
+    "fill: density true": (lambda s: s.fill(density=True), "density = True must be a number"),
+    "fill: density of words": (
+        lambda s: s.fill(density=lambda x: "a"),
+        "density should return numbers of shape .* got 'a'",
+    ),
+    "fill: density third row": (
+        lambda s: s.fill(density=lambda x: x[2]),
+        "density failed with IndexError",
+    ),
+    "fill: density by rows": (
+        lambda s: s.fill(density=lambda x: x.T),
+        r"density should return numbers of shape .* got shape \(32, 2\)",
+    ),
+    "fill: exact a word": (lambda s: s.fill(exact="no"), "exact = 'no' must be True or False"),
+    "points: first value of words": (
+        lambda s: s.points.add_field("wet", (), "", lambda x: "a"),
+        "first value of field 'wet' should return numbers .* got 'a'",
+    ),
+    "points: first value a word": (
+        lambda s: s.points.add_field("wet", (), "", "dry"),
+        "field 'wet' has numbers of shape .* first value is 'dry'",
+    ),
     # -- laws
+    "law: E a word": (
+        lambda s: mpm.materials.Hencky("1e4", 0.3),
+        r"E = '1e4' must be .*\(Pa\), an",
+    ),
+    "law: E none": (lambda s: mpm.materials.Hencky(None, 0.3), "E = None must be a number"),
+    "law: E true": (lambda s: mpm.materials.Hencky(True, 0.3), "E = True must be a number"),
+    "law: E complex": (lambda s: mpm.materials.Hencky(1j, 0.3), "E = 1j must be a number"),
+    "law: nu a list": (lambda s: mpm.materials.NeoHookean(1.0, ["a"]), "nu = .* must be a number,"),
+    "law: E of words": (
+        lambda s: mpm.materials.Hencky(lambda x: "a", 0.3).parameter_array(s.points["x0"]),
+        "Hencky: E should return numbers",
+    ),
+    "law: E third row": (
+        lambda s: mpm.materials.Hencky(lambda x: x[2], 0.3).parameter_array(s.points["x0"]),
+        "Hencky: E failed with IndexError",
+    ),
     "law: fit": (
         lambda s: mpm.materials.DruckerPrager(1e4, 0.3, 1.0, 20.0, 0.0, fit="outer"),
         "'outer' must",

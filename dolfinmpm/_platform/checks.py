@@ -15,7 +15,7 @@ import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["check_kind", "choice", "file_path", "number", "shown", "whole"]
+__all__ = ["check_kind", "choice", "file_path", "number", "shown", "truth", "whole"]
 
 
 # words that a message lists
@@ -101,6 +101,17 @@ def whole(what: str, value: Any, least: int) -> int:
     if given is None or given < least:
         raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
     return given
+
+
+def truth(what: str, value: Any) -> bool:
+    """True or False; what merely counts as one of them is refused.
+
+    Raises:
+        ParameterError: It is neither.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise ParameterError(f"{what} = {shown(value)} must be True or False")
+    return bool(value)
 
 
 def _plain(word: str) -> str:

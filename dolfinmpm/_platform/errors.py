@@ -31,6 +31,7 @@ __all__ = [
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
+    "SoftVolumeWarning",
     "StateError",
     "UnknownNameError",
     "UnsupportedGridError",
@@ -119,6 +120,10 @@ class IdleConditionWarning(DolfinMPMWarning):
 
 class DegreesWarning(DolfinMPMWarning):
     """An angle in degrees is so small that it may have been given in radians."""
+
+
+class SoftVolumeWarning(DolfinMPMWarning):
+    """F-bar leaves changes of volume with too little stiffness for the law."""
 
 
 def warn(comm: MPI.Comm, message: str, category: type[DolfinMPMWarning]) -> None:

@@ -12,7 +12,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from scipy import sparse
 
-from dolfinmpm._platform.checks import choice, shown, whole
+from dolfinmpm._platform.checks import choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
@@ -183,8 +183,7 @@ class Space:
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
         shape = _shape(shape, grid.geometry.dim)
-        if not isinstance(averaged, (bool, np.bool_)):
-            raise ParameterError(f"averaged = {shown(averaged)} must be True or False")
+        averaged = truth("averaged", averaged)
         self.configuration = choice("configuration", configuration, ("updated", "total"))
         if basis == "gimp" and not averaged:
             raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FieldShapeError
+from dolfinmpm.grid.positions import ask
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -58,22 +60,23 @@ class PointField(ufl.Coefficient):
 
         Raises:
             FieldShapeError: The first value has another shape than the field.
+            ParameterError: A function's has, or the function fails.
         """
         shape = self.ufl_shape
-        values = np.empty((len(x0), *shape))
-        # a function is not asked about no points: many cannot answer
         if callable(self.first):
-            given = self.first(np.ascontiguousarray(x0.T)) if len(x0) else values
-            allowed: tuple[tuple[int, ...], ...] = ((), shape, values.shape)
-        else:
-            given, allowed = self.first, ((), shape)
-        if np.shape(given) not in allowed:
+            return ask(f"the first value of field '{self.name}'", self.first, x0, shape)
+        try:
+            given = np.asarray(self.first, float)
+        except (TypeError, ValueError):
             raise FieldShapeError(
-                f"field '{self.name}' has shape {shape} at a point, its first value "
-                f"{np.shape(given)}"
+                f"field '{self.name}' has numbers of shape {shape} at a point, its first value is "
+                f"{shown(self.first)}"
+            ) from None
+        if given.shape not in ((), shape):
+            raise FieldShapeError(
+                f"field '{self.name}' has shape {shape} at a point, its first value {given.shape}"
             )
-        values[:] = given
-        return values
+        return np.broadcast_to(given, (len(x0), *shape)).copy()
 
     def __str__(self) -> str:
         return f"points.{self.name}"

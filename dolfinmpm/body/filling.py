@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import number, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
@@ -24,6 +25,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
 from dolfinmpm.body.volumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
+from dolfinmpm.grid.positions import ask
 
 __all__ = ["fill"]
 
@@ -91,6 +93,9 @@ def fill(
     """
     require_grid(grid)
     _check_arguments(shape, per_cell, aligned, tag)
+    exact = truth("exact", exact)
+    if not callable(density):
+        number("density", density, 0.0, unit="kg/m^d")
     _check_inside(grid, shape)
     if aligned == "body":
         lattice = require_lattice(grid, 'aligned="body"')
@@ -104,23 +109,11 @@ def fill(
             "use more points a cell, a finer grid or a larger shape"
         )
 
-    def evaluate():
-        # a function is not asked about no points: many cannot answer
-        if callable(density):
-            rho: Any = density(np.ascontiguousarray(x.T)) if len(x) else np.empty(0)
-            allowed: tuple[tuple[int, ...], ...] = ((), (len(x),))
-        else:
-            rho, allowed = density, ((),)
-        if np.shape(rho) not in allowed:
-            raise ParameterError(
-                f"density should be a number, or a function that returns {len(x)} numbers here, "
-                f"got shape {np.shape(rho)}"
-            )
-        return rho
-
-    rho = call_together(grid.comm, evaluate)
-    number = numbers_in_order(grid.comm, key[:, None])
-    points = MaterialPoints(grid, x, cell, volume, half, rho, tag, number)
+    rho: Any = density
+    if callable(density):
+        rho = call_together(grid.comm, lambda: ask("density", density, x))
+    ids = numbers_in_order(grid.comm, key[:, None])
+    points = MaterialPoints(grid, x, cell, volume, half, rho, tag, ids)
     if shape.volume is not None:
         total = grid.comm.allreduce(float(volume.sum()), op=MPI.SUM)
         points.shape_volume = float(shape.volume)

@@ -12,8 +12,9 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.surface import Surface, check_increment
+from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import cell_size
 
@@ -112,7 +113,7 @@ class RigidFooting:
             ParameterError: u is no increment, or v no test function.
         """
         surface = self.surface
-        check_increment(u, surface.points.gdim)
+        check_displacement(surface.points, u=u)
         n = ufl.as_vector([float(c) for c in surface.normal])
         gap = surface.position(u) - self._seat + (self.settlement - self._first) * n
         if not self.rough:

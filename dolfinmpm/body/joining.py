@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.grid.positions import choose
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
@@ -107,8 +108,7 @@ def _chosen(points: MaterialPoints, where: Any, tag: int | None) -> npt.NDArray[
     if tag is not None:
         return points["tag"] == tag
     if isinstance(where, Callable):  # type: ignore[arg-type]
-        # a function is not asked about no points: many cannot answer
-        where = where(np.ascontiguousarray(points["x"].T)) if n else np.zeros(0, bool)
+        where = choose("where", where, points["x"])
     chosen = np.asarray(where)
     if chosen.dtype != bool:
         raise ParameterError(f"`where` should be or give booleans, got {chosen.dtype}")

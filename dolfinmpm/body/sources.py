@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.checks import checked, checked_tag, require_grid
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.grid.positions import ask
 
 __all__ = ["located", "outside"]
 
@@ -89,7 +90,7 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, reserved) -> R
     # zeros of both signs are one place
     rows: Rows = {"x": at + 0.0, "volume": checked("volume", volume, (n,))}
     if callable(density):
-        density = density(np.ascontiguousarray(at.T)) if n else np.empty(0)
+        density = ask("density", density, at)
     rows["density"] = checked("density", density, (n,))
     rows["tag"] = checked_tag(tag, n)
     for name in ("x", "volume", "density"):

@@ -27,7 +27,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number, shown
+from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -36,12 +36,13 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.grid.positions import choose
 
-__all__ = ["Acting", "Surface", "acting", "check_increment"]
+__all__ = ["Acting", "Surface", "acting"]
 
 Array = npt.NDArray[np.float64]
 Where = Callable[[Array], npt.ArrayLike]
@@ -109,7 +110,7 @@ class Surface:
         normal: Sequence[float],
         name: str | None = None,
     ):
-        _check_points(points)
+        check_points(points)
         if not callable(where):
             raise ParameterError(
                 f"where = {shown(where)} must be a function of the positions of faces, such as "
@@ -163,7 +164,7 @@ class Surface:
             ParameterError: A value is not finite, or the name is taken.
             EmptyShapeError: All areas are zero.
         """
-        _check_points(points)
+        check_points(points)
         R, A = call_together(points.comm, lambda: (_array("offset", offset), _array("area", area)))
         error: Exception | None = None
         for what, values in (("offset", R), ("area", A)):
@@ -245,14 +246,8 @@ class Surface:
             v: Test function, `Space.test`.
             name: What acts.
         """
-        self._check_test(v)
+        check_displacement(self.points, v=v)
         return acting(self.density * ufl.dot(t, self.at(v)), self.points, name)
-
-    def _check_test(self, v: Any) -> None:
-        if not isinstance(v, ufl.Argument) or v.ufl_shape != (self.points.gdim,):
-            raise ParameterError(
-                f"v = {shown(v)} must be the test function of a displacement, Space.test"
-            )
 
     def _vector(self, what: str, t) -> Any:
         """A vector for UFL, from one or from numbers."""
@@ -304,8 +299,7 @@ class Surface:
                 f"pressure '{str(p)[:100]}' has shape {p.ufl_shape} and must be a scalar; a vector "
                 "is a traction"
             )
-        check_increment(u, points.gdim)
-        self._check_test(v)
+        check_displacement(points, u=u, v=v)
         F = ufl.dot(ufl.Identity(points.gdim) + ufl.grad(u), points.F)
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         work = -p * ufl.dot(face, self.at(v)) / points.V0
@@ -338,18 +332,6 @@ class Surface:
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
-
-
-def _check_points(points: Any) -> None:
-    check_kind("points", points, MaterialPoints, "give what mpm.fill returns")
-
-
-def check_increment(u: Any, gdim: int) -> None:
-    """Raise ParameterError unless u can be the increment of a displacement."""
-    if not isinstance(u, Expr) or isinstance(u, ufl.Argument) or u.ufl_shape != (gdim,):
-        raise ParameterError(
-            f"u = {shown(u)} must be the increment of a displacement, Space.increment"
-        )
 
 
 def _axis(normal: Any, gdim: int) -> Array:

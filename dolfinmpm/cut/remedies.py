@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +12,19 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from scipy import sparse
+from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
+from ufl.domain import extract_unique_domain
 
+from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
+from dolfinmpm.body.arguments import (
+    check_displacement,
+    check_increment,
+    check_points,
+    check_test,
+)
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.aggregation import MeshRoots, ties
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
@@ -24,6 +34,7 @@ from dolfinmpm.materials.base import lame
 
 __all__ = ["Stabilisation", "ghost", "soft"]
 
+_SCALINGS = ("scaled", "literal")
 KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
 # Factors of the penalties for linear functions, quadratic and cubic splines
@@ -31,6 +42,17 @@ GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
 # Fill fractions below which they are tied to others
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
+
+
+def _penalty_factor(what: str, value: Any) -> float:
+    """A penalty's factor, finite and not negative.
+
+    Raises:
+        ParameterError: It is anything else.
+    """
+    if number(what, value) < 0:
+        raise ParameterError(f"{what} = {value:g} must be finite and not negative")
+    return float(value)
 
 
 def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
@@ -72,31 +94,36 @@ def ghost(
             the published form, with γ in Pa/m² (or kg/m³ for a mass).
 
     Raises:
-        ParameterError: γ is negative, or the order or the scaling is not known.
+        ParameterError: γ is negative or no number, the order or the scaling is not known, or u
+            and v are no increment and no test function of one field.
     """
+    check_points(points)
+    check_increment(points, u)
+    check_test(points, u, v)
+    if not isinstance(gamma, Expr):
+        gamma = _penalty_factor("gamma", gamma)
+    elif gamma.ufl_shape != () or extract_arguments(gamma):
+        raise ParameterError(f"gamma = {shown(gamma)} must be a number or a scalar of UFL")
+    elif extract_unique_domain(gamma) not in (None, points.grid.ufl_domain()):
+        raise ParameterError("gamma lives on another grid than the points; make it on points.grid")
+    order = None if order is None else whole("order", order, 1)
+    scaling = choice("scaling", scaling, _SCALINGS)
     # before γ, always: FFCx tells forms apart by the order in which their constants were made
     size = cell_size(points.grid)
-    if isinstance(gamma, (int, float)):
-        if not (math.isfinite(gamma) and gamma >= 0):
-            raise ParameterError(f"gamma = {gamma} must be finite and not negative")
-        gamma = own_constant(points.grid, gamma)
+    factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
     space = getattr(u, "_dolfinmpm_space", None)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
         order = space.basis.degree if space is not None else 1
-    if not isinstance(order, int) or order < 1:
-        raise ParameterError(f"order = {order!r} must be a whole number of at least 1")
-    if scaling not in ("scaled", "literal"):
-        raise ParameterError(f'scaling = {scaling!r} must be "scaled" or "literal"')
     h = ufl.avg(size) if isinstance(size, fem.Function) else size
     if scaling == "scaled":
-        gamma = gamma / h**2
+        factor = factor / h**2
 
     def jump(w: Expr, k: int) -> Expr:
         return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
 
     terms = [
-        gamma
+        factor
         * h ** (2 * k + 1)
         / ((2 * k + 1) * math.factorial(k) ** 2)
         * ufl.inner(jump(u, k), jump(v, k))
@@ -125,10 +152,12 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
         eta: η, the share, about 1e-5 ... 1e-2.
 
     Raises:
-        ParameterError: η is not positive.
+        ParameterError: A number is not what it may be, or u and v are no increment and no test
+            function of a displacement.
     """
-    if not (math.isfinite(eta) and eta > 0):
-        raise ParameterError(f"eta = {eta} must be finite and positive")
+    check_points(points)
+    check_displacement(points, u=u, v=v)
+    number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0)
     lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
     strain = ufl.sym(ufl.grad(u))
     stress = lmbda * ufl.tr(strain) * ufl.Identity(points.gdim) + 2 * mu * strain
@@ -170,13 +199,21 @@ class Stabilisation:
     eta: float = 1e-3
 
     def __post_init__(self):
-        if self.kind not in KINDS:
-            known = ", ".join(f'"{kind}"' for kind in KINDS)
-            raise ParameterError(f"stabilisation = {self.kind!r} must be one of {known}")
-        if self.threshold is not None and not 0 < self.threshold <= 1:
-            raise ParameterError(f"threshold = {self.threshold} must be in (0, 1]")
-        if self.gamma is not None and not (math.isfinite(self.gamma) and self.gamma >= 0):
-            raise ParameterError(f"gamma = {self.gamma} must be finite and not negative")
+        # frozen: the words are kept as they are spelt here
+        object.__setattr__(self, "kind", choice("stabilisation", self.kind, KINDS))
+        scaling = choice("stabilisation's scaling", self.scaling, _SCALINGS)
+        object.__setattr__(self, "scaling", scaling)
+        if self.E is not None:
+            number("stabilisation's E", self.E, 0.0, unit="Pa")
+        if self.nu is not None:
+            number("stabilisation's nu", self.nu, -1.0, 0.5)
+        if self.gamma is not None:
+            _penalty_factor("stabilisation's gamma", self.gamma)
+        if self.threshold is not None:
+            share = number("stabilisation's threshold", self.threshold)
+            if not 0 < share <= 1:
+                raise ParameterError(f"stabilisation's threshold = {share:g} must be in (0, 1]")
+        number("stabilisation's eta", self.eta, 0.0)
 
     @property
     def needs_modulus(self) -> bool:

@@ -20,6 +20,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.body.points import MaterialPoints, PointField
 
@@ -49,7 +50,8 @@ def as_tags(tag: Any) -> Tags:
     whole = all(isinstance(t, (int, np.integer)) and not isinstance(t, bool) for t in several)
     if not (several and whole and min(several) >= 0):
         raise ParameterError(
-            f"tag = {tag!r} must be a whole number from 0, a tuple of such, or None for all points"
+            f"tag = {shown(tag)} must be a whole number from 0, a tuple of such, or None for all "
+            "points"
         )
     return tuple(sorted({int(t) for t in several}))
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.checks import shown
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
 __all__ = ["ask", "choose"]
 
@@ -28,9 +28,13 @@ def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
     n, d = x.shape
     try:
         return function(np.ascontiguousarray(x.T))
+    except DolfinMPMError:
+        raise  # says already what is wrong
     except Exception as error:
+        text = " ".join(str(error).split())
+        text = text if len(text) <= 200 else text[:197] + "..."
         raise ParameterError(
-            f"{what} failed with {type(error).__name__}: {error}; it is called with one array of "
+            f"{what} failed with {type(error).__name__}: {text}; it is called with one array of "
             f"positions (m) of shape ({d}, {n}), one row a coordinate"
         ) from error
 

@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, plot
 
+from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.vtkfiles import (
     Arrays,
@@ -69,7 +71,7 @@ class ParaView:
 
     Raises:
         ParameterError: The path does not end in ".pvd", the points have no field of
-            a name, or an increment cannot be written.
+            a name, an increment cannot be written, or an argument is something else.
         OSError: The folder or the file cannot be written.
     """
 
@@ -85,12 +87,13 @@ class ParaView:
         # a missing package must be told before a run, not at its first write
         import vtkmodules.vtkIOXML  # noqa: F401
 
-        self.path = Path(path)
+        self.path = file_path("path", path)
+        check_points(points)
         self.points = points
         self.comm = points.comm
-        self._fields = [fields] if isinstance(fields, str) else fields
-        self._increments = [increments] if isinstance(increments, fem.Function) else [*increments]
-        self._grid_each_time = bool(self._increments) or active
+        self._fields = _words("fields", fields)
+        self._increments = _functions("increments", increments)
+        self._grid_each_time = truth("active", active) or bool(self._increments)
         self._times: list[float] = []
         raise_together(self.comm, self._wrong_arguments())
         self._mesh = _GridMesh(points.grid, self._increments)
@@ -121,16 +124,18 @@ class ParaView:
             OSError: A file cannot be written.
         """
         error = None
-        if not math.isfinite(time):
-            error = ParameterError(f"time = {time} must be finite")
-        elif self._times and time <= self._times[-1]:
-            error = ParameterError(f"time = {time} must be after the last, {self._times[-1]}")
+        try:
+            time = number("time", time)
+            if self._times and time <= self._times[-1]:
+                raise ParameterError(f"time = {time} must be after the last, {self._times[-1]}")
+        except ParameterError as wrong:
+            error = wrong
         raise_together(self.comm, error)
-        number = len(self._times)
-        self._write_points(f"points_{number:06d}")
-        if self._grid_each_time or number == 0:
-            self._write_grid(f"grid_{number:06d}")
-        self._times.append(float(time))
+        count = len(self._times)
+        self._write_points(f"points_{count:06d}")
+        if self._grid_each_time or count == 0:
+            self._write_grid(f"grid_{count:06d}")
+        self._times.append(time)
         self._on_root(self._write_series)
 
     @property
@@ -227,6 +232,31 @@ class ParaView:
             except OSError as cause:
                 error = OSError(f"cannot write the series {self.path}: {cause}")
         raise_together(self.comm, error)
+
+
+def _words(what: str, given: Any) -> list[str] | None:
+    """Names of fields, one or several; None means those by default."""
+    if given is None:
+        return None
+    several = [given] if isinstance(given, str) else given
+    if not isinstance(several, (list, tuple)) or not all(isinstance(w, str) for w in several):
+        raise ParameterError(
+            f"{what} = {shown(given)} must be names of the points' fields, such as "
+            '["displacement", "stress"]'
+        )
+    return list(several)
+
+
+def _functions(what: str, given: Any) -> list[fem.Function]:
+    """Functions on the grid, one or several."""
+    several = [given] if isinstance(given, fem.Function) else given
+    if not isinstance(several, (list, tuple)) or not all(
+        isinstance(function, fem.Function) for function in several
+    ):
+        raise ParameterError(
+            f"{what} = {shown(given)} must be functions on the grid, such as [Space.increment]"
+        )
+    return list(several)
 
 
 class _GridMesh:

@@ -8,12 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     StateError,
     call_together,
 )
+from dolfinmpm.grid.positions import ask
 from dolfinmpm.kinematics.frameworks import Array, Framework
 from dolfinmpm.materials.inverse import elastic_strain
 
@@ -24,21 +26,29 @@ OfPosition = float | Callable[[Array], npt.ArrayLike]
 _ROUNDING = 1e-12
 
 
+def _array(stress: npt.ArrayLike, n: int) -> Array:
+    """A stress of all n points of this rank, or one for each."""
+    try:
+        given = np.asarray(stress, float)
+    except (TypeError, ValueError):
+        given = None
+    if given is None or given.shape not in ((3, 3), (n, 3, 3)):
+        got = f"= {shown(stress)}" if given is None else f"has the shape {given.shape}"
+        raise FieldShapeError(
+            f"stress {got}, expected (3, 3), or {(n, 3, 3)} for all points of this rank; across "
+            "the plane too, in Pa, tension positive"
+        )
+    return given
+
+
 def _given(framework: Framework, stress: StressField) -> Array:
     """The stress at the law's points of this rank, symmetric and admissible in this dimension."""
     points, rows = framework.points, framework.rows
-    d, called = points.gdim, callable(stress)
-    value = stress(np.ascontiguousarray(points["x"][rows].T)) if callable(stress) else stress
-    given = np.asarray(value, float)
-    n = len(rows) if called else len(points)
-    if given.shape not in ((3, 3), (n, 3, 3)):
-        whose = "the law's points" if called else "all points"
-        raise FieldShapeError(
-            f"stress has the shape {given.shape}, expected (3, 3), or {(n, 3, 3)} for {whose} "
-            "of this rank; across the plane too, in Pa, tension positive"
-        )
-    sigma = np.broadcast_to(given, (n, 3, 3))
-    sigma = sigma if called else sigma[rows]
+    d = points.gdim
+    if callable(stress):
+        sigma = ask("stress (Pa, across the plane too)", stress, points["x"][rows], (3, 3))
+    else:
+        sigma = np.broadcast_to(_array(stress, len(points)), (len(points), 3, 3))[rows]
     size = np.abs(sigma).max(axis=(1, 2), initial=0.0)
     skew = np.abs(sigma - np.swapaxes(sigma, 1, 2)).max(axis=(1, 2), initial=0.0)
     across = np.abs(sigma[:, d:] * (1 - np.eye(3)[d:])).max(axis=(1, 2), initial=0.0)
@@ -136,11 +146,12 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
     limits = (("surface", surface, -math.inf), ("weight", weight, 0.0), ("K0", K0, 0.0))
     for name, value, low in limits:
         if not callable(value):
+            number(name, value)
             checked(name, value, low)
 
     def stress(x: Array) -> Array:
         top, heavy, ratio = (
-            checked(name, value(x) if callable(value) else value, low)
+            checked(name, ask(name, value, x.T) if callable(value) else value, low)
             for name, value, low in limits
         )
         vertical = -heavy * np.maximum(top - x[-1], 0.0)

@@ -14,7 +14,9 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
@@ -63,18 +65,14 @@ def framework(
     Raises:
         ParameterError: The measure is not known, or the law has no kernel.
     """
-    _check_strain(strain)
+    check_points(points)
+    strain = choice("strain", strain, _FRAMEWORKS)
     if not isinstance(law, Law):
         raise ParameterError(
-            f"{type(law).__name__} has no kernel of principal strains; use a law such as Hencky"
+            f"law = {shown(law)} has no kernel of principal strains; use a law such as "
+            "mpm.materials.Hencky(E, nu)"
         )
     return _FRAMEWORKS[strain](law, points, as_tags(tag))
-
-
-def _check_strain(strain: str) -> None:
-    if strain not in _FRAMEWORKS:
-        known = ", ".join(f'"{name}"' for name in _FRAMEWORKS)
-        raise ParameterError(f"strain = {strain!r} must be one of {known}")
 
 
 def _end(points: MaterialPoints, u) -> Expr:
@@ -84,8 +82,10 @@ def _end(points: MaterialPoints, u) -> Expr:
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> int:
     """Number of the law's declaration: for the same arguments the same, with one operator."""
-    _check_strain(strain)
-    tags, fbar = as_tags(tag), bool(fbar)
+    check_points(points)
+    check_displacement(points, u=u)
+    strain = choice("strain", strain, _FRAMEWORKS)
+    tags, fbar = as_tags(tag), truth("fbar", fbar)
     for number, known in points.declarations.items():
         same = known.law is law and (known.strain, known.fbar, known.tags) == (strain, fbar, tags)
         if same and known.u == u:
@@ -111,7 +111,10 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> in
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Declaration:
     inner = framework(law, points, strain, tags)
-    outer: PointwiseLaw = FBar(inner, points) if fbar else inner
+    # what is no increment of a space is refused when a problem is made
+    space = getattr(u, "_dolfinmpm_space", None)
+    degree = space.basis.degree if space is not None else 1
+    outer: PointwiseLaw = FBar(inner, points, degree) if fbar else inner
     operand = ufl.grad(u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
@@ -231,9 +234,11 @@ def momentum(
 
     Raises:
         ParameterError: The measure of strain is not known or not one of the law's, a tag is
-            no whole number, or F-bar is asked for with a law that is an energy.
+            no whole number, F-bar is asked for with a law that is an energy, or law, points, u
+            or v is something else.
     """
     number = _declare(law, points, u, strain, fbar, tag)
+    check_displacement(points, v=v)
     declaration = points.declarations[number]
     tags = declaration.tags
     where = "everywhere" if tags is None else (tags if len(tags) > 1 else tags[0])
@@ -276,14 +281,15 @@ def stress(
     Raises:
         ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
     """
-    declaration = points.declarations[_declare(law, points, u, strain, fbar, tag)]
+    number = _declare(law, points, u, strain, fbar, tag)
+    declaration = points.declarations[number]
     d, S = points.gdim, declaration.operator
     if S is None:
         sigma = law.cauchy_stress(_end(points, u), **declaration.given)
         return ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
-    if strain == "small":
+    if declaration.strain == "small":
         return S
-    if strain == "jaumann" and fbar:
+    if declaration.strain == "jaumann" and fbar:
         raise ParameterError(
             "mpm.stress: there is no stress of fbar=True under Jaumann's rate, whose flux belongs "
             'to the mean volume; use strain="large" or fbar=False'
@@ -329,4 +335,4 @@ def set_stress(
     one = framework(law, points, strain, tag)
     one.bind()
     write_stress(one, stress)
-    points["moved_under"][one.rows] = MARKS[strain]
+    points["moved_under"][one.rows] = MARKS[choice("strain", strain, _FRAMEWORKS)]

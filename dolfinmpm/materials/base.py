@@ -20,7 +20,9 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError, StateError
+from dolfinmpm.grid.positions import ask
 
 __all__ = ["Law", "Parameter", "Parametrised", "Response", "Value", "call_law", "law_kernel"]
 
@@ -28,6 +30,7 @@ Array = npt.NDArray[np.float64]
 # A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
 Value = float | Array | Callable[[Array], npt.ArrayLike]
 
+_PACKAGE = __name__.partition(".")[0] + "."
 _DOUBLES = types.CPointer(types.float64)
 KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
 
@@ -40,7 +43,11 @@ class _Kernel:
 
     @functools.cached_property
     def _compiled(self) -> Any:
-        return numba.cfunc(KERNEL_SIGNATURE, cache=True, error_model="numpy")(self._function)
+        # Numba's cache goes by file and line: to a module under another name, or after a number
+        # came from elsewhere, it would give the old kernel. The package's own have no such
+        # numbers, and `forget_outdated` sees their sources.
+        own = self._function.__module__.startswith(_PACKAGE)
+        return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
 
     @property
     def address(self) -> int:
@@ -49,7 +56,7 @@ class _Kernel:
 
 
 def law_kernel(function: Callable) -> _Kernel:
-    """Make a law's kernel, which is compiled when the law is first used.
+    """Make a law's kernel, which is compiled when a process first uses the law.
 
     The function takes six arrays and returns 0, or another number if the strain
     admits no stress:
@@ -171,7 +178,7 @@ class Parametrised:
         for name in self.parameters:
             value = values[name]
             if not callable(value):
-                array = np.asarray(value, float)
+                array = self._numbers(name, value)
                 self.parameters[name].check(type(self).__name__, name, array)
                 # a copy: to change the caller's array must not change the law
                 value = float(array) if array.ndim == 0 else array.copy()
@@ -181,6 +188,21 @@ class Parametrised:
         self.values: Mapping[str, Value] = MappingProxyType(given)
         if not self.varies:
             self.parameter_array()
+
+    def _numbers(self, name: str, value: Any) -> Array:
+        """A number, or one for each point."""
+        try:
+            array = None if value is None else np.asarray(value)
+            if array is not None and array.dtype != bool:
+                return array.astype(float, casting="same_kind")
+        except (TypeError, ValueError):
+            pass
+        unit = self.parameters[name].unit
+        unit = unit and f" ({unit})"
+        raise ParameterError(
+            f"{type(self).__name__}: {name} = {shown(value)} must be a number{unit}, an array with "
+            "one for each point of this rank, or a function of positions"
+        )
 
     def __getattr__(self, name: str) -> Any:
         values = self.__dict__.get("values", {})
@@ -234,7 +256,7 @@ class Parametrised:
             if callable(given):
                 if x is None:
                     raise ParameterError(f"{name}: {key} is a function and needs positions")
-                given = np.asarray(given(np.ascontiguousarray(x.T)), float)
+                given = ask(f"{name}: {key}", given, x)
                 self.parameters[key].check(name, key, given)
             if np.shape(given) not in ((), (n,)):
                 raise ParameterError(

@@ -23,6 +23,7 @@ from dolfinmpm._platform.checks import check_kind, choice, number, shown, whole
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
 from dolfinmpm.basis.conditions import Condition, free_motions
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import KINDS, Stabilisation
 
@@ -34,7 +35,6 @@ __all__ = [
     "check_limits",
     "check_path",
     "check_petsc_options",
-    "check_points",
     "check_spaces",
     "check_updates",
     "increments_of",
@@ -44,11 +44,6 @@ __all__ = [
 
 # What the solver itself sets at the end of a step, or may never be set
 _KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
-
-
-def check_points(points: Any) -> None:
-    """Raise ParameterError unless it is one set of material points."""
-    check_kind("points", points, MaterialPoints, "give one set, such as mpm.fill returns")
 
 
 def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:
@@ -163,10 +158,10 @@ def _told(value: Any) -> str:
 
 
 def remedy_of(stabilisation: Any) -> Stabilisation:
-    """The remedy that is meant by a word or a `Stabilisation`, with checked numbers.
+    """The remedy that is meant by a word or a `Stabilisation`.
 
     Raises:
-        ParameterError: It is neither, or one of its numbers is not what it may be.
+        ParameterError: It is neither.
     """
     if isinstance(stabilisation, str):
         return Stabilisation(choice("stabilisation", stabilisation, KINDS))
@@ -181,14 +176,7 @@ def remedy_of(stabilisation: Any) -> Stabilisation:
         "stabilisation", stabilisation, Stabilisation,
         'give a word such as "ghost", or mpm.Stabilisation("ghost", ...)',
     )  # fmt: skip
-    remedy = stabilisation
-    if remedy.E is not None:
-        number("stabilisation's E", remedy.E, 0.0, unit="Pa")
-    if remedy.nu is not None:
-        number("stabilisation's nu", remedy.nu, -1.0, 0.5)
-    number("stabilisation's eta", remedy.eta, 0.0)
-    choice("stabilisation's scaling", remedy.scaling, ("scaled", "literal"))
-    return remedy
+    return stabilisation
 
 
 def remedies_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation]:

@@ -21,6 +21,7 @@ from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.forms.declarations import LawConstant
+from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
 from dolfinmpm.solve.unsoftened import Unsoftened
 
@@ -92,7 +93,7 @@ class WeakForm:
             self._revision = self.points.revision
 
     @property
-    def regions(self):
+    def regions(self) -> list[PointTerms]:
         """Parts of the body with terms of their own."""
         return self.parts.regions
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -211,6 +212,23 @@ def test_means_over_lower_splines_by_hand():
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0, 30.0])), expected, rtol=1e-14)
 
 
+@pytest.mark.parametrize(("basis", "share"), [("bspline2", 1 / 3), ("bspline3", 2 / 15)])
+def test_what_means_leave_of_a_wave_of_two_cells(basis, share):
+    """That of the lumped projection, ∫ N_i Σ_j ± N_j for splines N one degree lower."""
+    n = 16
+    grid = mesh.create_interval(MPI.COMM_SELF, n, [0.0, float(n)])
+    points = mpm.fill(grid, mpm.Box(0.0, float(n)), 20, 1.0)
+    V = mpm.Space(grid, basis, averaged=False)
+    s = V.basis.stencils(points.placement())
+    u = np.where(V.basis.halo.node_ijk[:, :1] % 2, 1.0, -1.0)
+    value, slope = np.empty((len(points), 1)), np.empty((len(points), 1, 1))
+    gather(s, u, value, slope)
+    volume = slope[:, 0, 0]
+    inner = (points["x"][:, 0] > 6) & (points["x"][:, 0] < n - 6)
+    mean = means_of(points, V.basis).mean(volume)
+    np.testing.assert_allclose(mean[inner], share * volume[inner], atol=2e-3 * volume.max())
+
+
 def test_means_of_splines_see_what_alternates_within_two_cells():
     """Quadratic splines whose coefficients alternate vanish at the knots: cells see no volume."""
     n = 12
@@ -377,6 +395,25 @@ def test_a_point_turned_inside_out_is_named():
 def test_the_remedies_find_the_modulus():
     problem = bent("gimp", Hencky(20.0, 0.3), steps=1, load=0.1, stabilisation="ghost")
     assert problem.stabilisation.E == 20.0
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2", "bspline3"])
+def test_cubic_splines_warn_under_a_law_that_compacts(basis):
+    grid = unit_grid("quadrilateral")
+    points = mpm.fill(grid, box(grid), 2, 1.0)
+    V = mpm.Space(grid, basis)
+    clay = mpm.materials.CamClay(
+        swelling=0.02, compression=0.13, M=1.05, mu0=5e6, alpha=0.0,
+        reference_pressure=2e4, preconsolidation=2e4,
+    )  # fmt: skip
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for law, fbar in ((clay, True), (clay, False), (Hencky(20.0, 0.3), True)):
+            F = mpm.momentum(law, points, V.increment, V.test, fbar=fbar)
+            mpm.QuasiStatic(F, V.increment, points, stabilisation=mpm.Stabilisation("soft", E=1.0))
+    told = [str(w.message) for w in caught if w.category is errors.SoftVolumeWarning]
+    assert len(told) == (basis == "bspline3")
+    assert all("CamClay" in text and 'basis="bspline2"' in text for text in told)
 
 
 def test_what_f_bar_cannot_do_is_refused():

@@ -222,7 +222,7 @@ def test_other_bad_arguments():
         mpm.Box((0, 0), (1, 1)) - 1
     with pytest.raises(ParameterError, match=r"Where should tell of .* it returned float64"):
         mpm.fill(grid, mpm.Where(lambda x: x[0]), 2, density=1.0)
-    with pytest.raises(ParameterError, match="density should be a number"):
+    with pytest.raises(ParameterError, match=r"density = \[1\.0, 2\.0\] must be a number"):
         mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, density=[1.0, 2.0])
     with pytest.raises(ParameterError, match=r"tag = 1\.5"):
         mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, density=1.0, tag=1.5)

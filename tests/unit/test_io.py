@@ -222,9 +222,10 @@ def test_wrong_increments(folder):
 
 
 def test_times_must_increase_and_files_be_writable(folder):
-    out = ParaView(folder / "a.pvd", quarter())
+    points = quarter()
+    out = ParaView(folder / "a.pvd", points)
     out.write(1.0)
-    for time in (1.0, 0.5, np.nan):
+    for time in (1.0, 0.5, np.nan, "2", None, True, [2.0], points):
         with pytest.raises(ParameterError, match="time = "):
             out.write(time)
     COMM.barrier()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -12,6 +13,25 @@ CALLER = (
     "import numba\nfrom callee import value\n"
     "@numba.njit(cache=True)\ndef twice():\n    return 2 * value()\n"
 )
+
+
+LAW = """
+from dolfinmpm.materials.base import Law, Parameter, law_kernel
+from factor import FACTOR
+STIFFNESS = FACTOR * (1.0 if __name__ == "__main__" else 10.0)
+@law_kernel
+def kernel(parameters, strain, old, new, stress, tangent):
+    for i in range(3):
+        stress[i] = STIFFNESS * parameters[0] * strain[i]
+    return 0
+class Linear(Law):
+    parameters = {"E": Parameter("Pa", low=0.0)}
+    kernel = kernel
+def answer():
+    return round(Linear(E=2.0).respond([[1.0, 0.0, 0.0]]).stress[0, 0])
+if __name__ == "__main__":
+    print(answer())
+"""
 
 
 def twice(folder):
@@ -33,6 +53,24 @@ def test_a_changed_callee_is_seen(tmp_path):
     assert not any(index.exists() for index in indices)
     assert twice(tmp_path) == 42
     assert not forget_outdated(tmp_path)
+
+
+def test_a_law_of_a_script_is_compiled_under_each_of_its_names(tmp_path):
+    """One file as a script and as a module, and with another number from a second file."""
+    (tmp_path / "law.py").write_text(LAW)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    asked = ["law.py"], ["-c", "import law; print(law.answer())"]
+
+    def answers():
+        return [
+            int(subprocess.run([sys.executable, *how], cwd=tmp_path, env=environment,
+                               capture_output=True, check=True).stdout)
+            for how in (*asked, asked[0])
+        ]  # fmt: skip
+
+    for factor in (1, 3):
+        (tmp_path / "factor.py").write_text(f"FACTOR = {factor}.0  # {'.' * factor}\n")
+        assert answers() == [2 * factor, 20 * factor, 2 * factor]
 
 
 def test_other_files_do_not_count(tmp_path):

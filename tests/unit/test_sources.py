@@ -68,7 +68,7 @@ def test_numbers_half_lengths_and_fields_may_be_given():
         ({"volume": [1, 2, 3, 0]}, ParameterError, "volume = 0.0 of row 3"),
         ({"volume": [1, 2]}, FieldShapeError, "volume should have shape"),
         ({"density": -1.0}, ParameterError, "density = -1.0 of row 0"),
-        ({"density": lambda x: x}, FieldShapeError, "density should have shape"),
+        ({"density": lambda x: x}, ParameterError, "density should return numbers of shape"),
         ({"tag": -1}, ParameterError, "tag = -1"),
         ({"half_length": -0.1}, ParameterError, "half-lengths"),
         ({"id": [1, 2, 2, 3]}, ParameterError, "id = 2 is given to 2 points"),
