@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.energies import Work
@@ -150,11 +151,14 @@ class Motion:
         if reason is not None:
             return reason
         V_end = rule.velocity(self.V, self.A, A_end, dt)
-        motion = NodalMotion(self.V, self.A, V_end, A_end)
+        motion = NodalMotion(self.V, self.A, V_end, A_end, u)
         s, x_node = field.stencils, field.basis.node_coordinates()
         if self._starting and self.mapping.kind == "accel":
             points["acceleration"] = collect(s, self.A)
-        gradient = operator.points.gradient[0] / dt
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if self.mapping.kind == "tpic":
+            gather(s, V_end, np.empty((len(points), points.gdim)), gradient)
+            gradient = gradient @ np.linalg.inv(np.eye(points.gdim) + operator.points.gradient[0])
         new = self.mapping.to_points(points, s, x_node, motion, self.mass, dt, rule.gamma, gradient)
         self.work.add(points, state.fields, operator, dt)
         state.fields.update(new)

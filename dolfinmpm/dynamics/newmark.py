@@ -118,6 +118,7 @@ class TimeStepping(QuasiStatic):
         mass = choice("mass", mass, KINDS)
         chosen = mapping_of(mapping, "pic" if mass == "consistent" else "accel")
         u = increments_of(increment, points)[0]
+        chosen = chosen.on(u._dolfinmpm_space.basis, mass)
         if u.ufl_shape != (points.gdim,):
             raise ParameterError(
                 f"the first increment must be a displacement of {points.gdim} components, got "
@@ -170,8 +171,12 @@ class TimeStepping(QuasiStatic):
         return momentum_of(self.points)
 
     def angular_momentum(self) -> Array:
-        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective."""
-        return angular_momentum(self.points)
+        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
+
+        That of the affine parts which "apic" gives the points is counted.
+        """
+        spins = self.motion.mapping.kind == "apic"
+        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
