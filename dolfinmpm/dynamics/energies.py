@@ -56,11 +56,24 @@ class Work:
     internal: float = 0.0
 
     def add(
-        self, points: MaterialPoints, new: dict[str, Array], operator: Operator, dt: float
+        self,
+        points: MaterialPoints,
+        new: dict[str, Array],
+        operator: Operator,
+        dt: float,
+        external: float | None = None,
     ) -> None:
         """Add the work of a step, whose new state is not yet the points'. Collective.
 
         Stress is taken as the mean of the states before and after, which is second order.
+
+        Args:
+            points: The points, in the state before.
+            new: Their new state, by field.
+            operator: The step's equations, moved to its end.
+            dt: Its length (s).
+            external: Work of loads and prescribed motions (J); by default that of the operator's
+                forces.
         """
         d = points.gdim
         H = operator.points.gradient[0]
@@ -71,7 +84,7 @@ class Work:
         later = new["V"][:, None, None] * after[:, :d, :d]
         internal = 0.5 * float(np.sum((old + later) * rate))
         self.internal += points.comm.allreduce(internal, op=MPI.SUM)
-        self.external += operator.external_work()
+        self.external += operator.external_work() if external is None else external
 
 
 @dataclass(frozen=True)

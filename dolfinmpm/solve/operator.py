@@ -228,14 +228,26 @@ class Operator:
 
         Loads are taken as they are now.
         """
+        return self.load_work() + (self.held_work(self.forces()) if self.here.driven else 0.0)
+
+    def load_work(self) -> float:
+        """Work of loads on the increments. Collective."""
         unknowns, work = self.here.unknowns, 0.0
-        forces = self.forces() if self.here.driven else None
-        for k, field in enumerate(unknowns.fields):
-            u, owned = self.increments[k], field.owned_nodes
-            work -= float(np.sum(self.loads[k][owned] * u[owned]))
-            if forces is not None:
-                held = field.places[1]
-                work += float(forces[k].reshape(-1)[held] @ u.reshape(-1)[held])
+        for field, load, u in zip(unknowns.fields, self.loads, self.increments):
+            owned = field.owned_nodes
+            work -= float(np.sum(load[owned] * u[owned]))
+        return unknowns.comm.allreduce(work)
+
+    def held_work(self, forces: Sequence[Array]) -> float:
+        """Work of forces at prescribed components on their increments. Collective.
+
+        Args:
+            forces: Forces (N), (nodes, components) each field, summed at the nodes' owners.
+        """
+        unknowns, work = self.here.unknowns, 0.0
+        for field, force, u in zip(unknowns.fields, forces, self.increments):
+            held = field.places[1]
+            work += float(force.reshape(-1)[held] @ u.reshape(-1)[held])
         return unknowns.comm.allreduce(work)
 
     def rest(self) -> None:
