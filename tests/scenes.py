@@ -39,3 +39,39 @@ def expect(kind, call):
     except kind as error:
         return str(error)
     raise AssertionError(f"rank {MPI.COMM_WORLD.rank} saw no {kind.__name__}")
+
+
+def vibrating_bar(problem=mpm.Newmark, h=1.0, basis="gimp", v0=0.1, per_cell=2, **options):
+    """A bar of 25 m, fixed at the left, that swings in its first mode, linearly in 10 s."""
+    grid = mesh.create_interval(MPI.COMM_WORLD, round(35 / h), [0.0, 35.0])
+    points = mpm.fill(grid, mpm.Box((0.0,), (25.0,)), per_cell, 1.0)
+    V = mpm.Space(grid, basis)
+    F = mpm.momentum(mpm.materials.Hencky(E=100.0, nu=0.0), points, V.increment, V.test)
+    points.add_field("velocity", (1,), "m/s", lambda x: v0 * np.sin(np.pi * x.T / 50))
+    return problem(F, V.increment, points, mpm.fixed(V, "left"), **options)
+
+
+def disc(
+    problem=mpm.GeneralisedAlpha, basis="gimp", velocity=None, E=1e4, dimension=2, per_cell=2,
+    stabilisation="none", **options,
+):  # fmt: skip
+    """A free elastic disc, or ball, eight cells across, in the middle of its grid; it turns."""
+    n, comm = (14 if dimension == 2 else 8), MPI.COMM_WORLD
+    radius = 4.0 if dimension == 2 else 2.0
+    if dimension == 2:
+        grid = mesh.create_rectangle(comm, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral)
+    else:
+        corners = [(0, 0, 0), (n, n, n)]
+        grid = mesh.create_box(comm, corners, (n, n, n), mesh.CellType.hexahedron)
+    centre = np.full(dimension, 0.5 * n) + np.array([0.13, -0.07, 0.21])[:dimension]
+    points = mpm.fill(grid, mpm.Ball(centre, radius), per_cell, 1.0)
+    V = mpm.Space(grid, basis)
+    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.3), points, V.increment, V.test)
+
+    def turning(x):
+        x = x - centre[:, None]
+        return np.stack([-x[1], x[0], *np.zeros_like(x[2:])], axis=1)
+
+    points.add_field("velocity", (dimension,), "m/s", velocity or turning)
+    options = {"stabilisation": stabilisation, **options}
+    return problem(F, V.increment, points, (), **options)

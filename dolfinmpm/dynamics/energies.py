@@ -25,15 +25,21 @@ def momentum_of(points: MaterialPoints) -> Array:
     return points.comm.allreduce(m @ points["velocity"], op=MPI.SUM)
 
 
-def angular_momentum(points: MaterialPoints) -> Array:
+def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Array:
     """Angular momentum about the origin (kg m²/s): shape (1,) in 2D, (3,) in 3D. Collective.
 
-    It is that of the points' velocities; what affine mappings keep besides, the spin
-    m (C D − D Cᵀ) of each point, is left out.
+    Args:
+        points: Material points with velocities.
+        moment: Moments B of the points' affine velocities (m²/s), shape (points, d, d), which add
+            Σ m (B₂₁ − B₁₂) and its like in 3D.
     """
-    m = points["density"] * points["V0"]
-    x, v = (np.pad(points[name], ((0, 0), (0, 3 - points.gdim))) for name in ("x", "velocity"))
-    total = points.comm.allreduce(m @ np.cross(x, v), op=MPI.SUM)
+    m, more = points["density"] * points["V0"], (0, 3 - points.gdim)
+    x, v = (np.pad(points[name], ((0, 0), more)) for name in ("x", "velocity"))
+    own = np.cross(x, v)
+    if moment is not None:
+        B = np.pad(moment, ((0, 0), more, more))
+        own += np.stack([B[:, k, j] - B[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
+    total = points.comm.allreduce(m @ own, op=MPI.SUM)
     return total[2:] if points.gdim == 2 else total
 
 

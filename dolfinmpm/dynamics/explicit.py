@@ -102,14 +102,15 @@ class Explicit(Problem):
         **options: Any,
     ):
         self.scheme = choice("scheme", scheme, SCHEMES)
-        self.mapping = mapping_of(mapping, "flip")
         mass = choice("mass", mass, KINDS)
         self.courant = number("courant", courant, 0.0)
         self._damping = number("damping", damping, 0.0, 1.0, closed=True)
         self._scaling = number("mass_scaling", mass_scaling, 0.0)
-        if self.mapping.kind == "accel":
-            raise ParameterError('mapping = "accel" is of implicit steps; use "flip"')
         u = increments_of(increment, points)
+        chosen = mapping_of(mapping, "flip")
+        if chosen.kind == "accel":
+            raise ParameterError('mapping = "accel" is of implicit steps; use "flip"')
+        self.mapping = chosen.on(u[0]._dolfinmpm_space.basis, mass)
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
@@ -135,7 +136,7 @@ class Explicit(Problem):
             return "the mass is consistent"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
-        if self.mapping.kind not in ("flip", "pic", "apic", "tpic"):
+        if self.mapping.kind not in ("flip", "pic", "tpic"):
             return "the mapping filters velocities at the nodes"
         reason = why_not(self.form)
         if reason is not None:
@@ -159,8 +160,12 @@ class Explicit(Problem):
         return momentum_of(self.points)
 
     def angular_momentum(self) -> Array:
-        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective."""
-        return angular_momentum(self.points)
+        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
+
+        That of the affine parts which "apic" gives the points is counted.
+        """
+        spins = self.mapping.kind == "apic"
+        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
     def critical_step(self) -> float:
         """The longest step that is stable, by wave speed and grid (s). Collective."""
@@ -271,7 +276,7 @@ class Explicit(Problem):
         )
         if isinstance(state, str):
             raise self._unstable(state, dt)
-        external = operator.external_work([dt * V_end])
+        external = operator.load_work([dt * V_end])
         reaction = mass.lumped[:, None] * (V_end - V - dt * A)
         owned = here.unknowns.fields[0].owned_nodes
         external += self.comm.allreduce(float(np.sum((reaction * V_end)[owned])), op=MPI.SUM)

@@ -166,7 +166,8 @@ class Loads:
 
     def __init__(self, form: WeakForm):
         self._form = form
-        keys = [key for region in form.regions for key in region.external.inputs]
+        programs = [region.external for region in form.regions]
+        keys = [key for program in programs if program for key in program.inputs]
         self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
         self.varies = any(key[0] == "field" and key[1] not in _FIXED for key in keys)
         self._constants = [
@@ -186,6 +187,8 @@ class Loads:
             chosen = region.chosen(points["tag"])
             rows = np.arange(n) if chosen is None else np.flatnonzero(chosen)
             program = region.external
+            if program is None:
+                continue
             data: dict[tuple, Array] = {}
             for key in program.inputs:
                 if key[0] == "field":

@@ -281,7 +281,8 @@ class Fused:
         points = self._points
         d = points.gdim
         n = len(points)
-        C = points["velocity_gradient"] if self._affine else np.empty((n, d, d))
+        affine = {1: "velocity_moment", 2: "velocity_gradient"}.get(self._affine)
+        C = points[affine] if affine else np.empty((n, d, d))
         self._laws.gather()
         state = points[self._laws.state] if self._laws.state else np.empty((n, 6))
         self._loads.evaluate()

@@ -7,7 +7,7 @@ one it loses a share of what varies from node to node in every step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ __all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
+# they put back what a lumped mass smears; a consistent one smears nothing
+_OF_LUMPED = ("apic", "tpic", "xpic", "fmpm")
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,14 @@ class NodalMotion:
     Attributes:
         V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
         V_end, A_end: Those at its end.
+        u: Their displacement (m); Δt V_end if it is None.
     """
 
     V: Array
     A: Array
     V_end: Array
     A_end: Array
+    u: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -51,13 +55,17 @@ class Mapping:
       the share of "pic" that `share` leaves;
     - "accel": they integrate its accelerations (Xie's implicit algorithm, doi 10.1002/nag.3599);
     - "apic": "pic" with an affine part that keeps angular momentum (Jiang et al. 2015, doi
-      10.1145/2766996);
+      10.1145/2766996; in implicit steps Jiang, Schroeder & Teran 2017, doi
+      10.1016/j.jcp.2017.02.050); it is "tpic" on linear functions, whose second moments
+      vanish at nodes;
     - "tpic": the same with the velocity's gradient as affine part (Nakamura et al. 2023, doi
       10.1016/j.cma.2022.115720);
     - "xpic": "flip" whose old velocity has been filtered in `order` stages (Hammerquist & Nairn
       2017, doi 10.1016/j.cma.2017.01.035);
     - "fmpm": "pic" of the new velocity filtered so (Nairn & Hammerquist 2021, doi
       10.1016/j.cma.2021.113997).
+
+    The last four put back what a lumped mass smears, and go with that alone.
 
     Args:
         kind: Its name.
@@ -82,12 +90,30 @@ class Mapping:
         """Whether the points carry an affine part of the velocity."""
         return self.kind in ("apic", "tpic")
 
+    def on(self, basis: Any, mass: str) -> Mapping:
+        """The mapping as it is for a basis and a kind of mass.
+
+        Raises:
+            ParameterError: It does not go with the mass.
+        """
+        if mass == "consistent" and self.kind in _OF_LUMPED:
+            raise ParameterError(
+                f'mapping = "{self.kind}" puts back what a lumped mass smears; a consistent one '
+                "smears nothing, and velocities would grow from step to step: give "
+                'mass="lumped", or mapping="pic" or "flip"'
+            )
+        if self.kind == "apic" and basis.degree == 1 and not basis.averaged:
+            return replace(self, kind="tpic")
+        return self
+
     def add_fields(self, points: MaterialPoints) -> None:
         """Add the fields that it needs of the points. Collective."""
         d = points.gdim
         points.add_field("velocity", (d,), "m/s")
         points.add_field("acceleration", (d,), "m/s^2")
-        if self.affine:
+        if self.kind == "apic":
+            points.add_field("velocity_moment", (d, d), "m^2/s")
+        if self.kind == "tpic":
             points.add_field("velocity_gradient", (d, d), "1/s")
 
     def to_grid(
@@ -110,7 +136,7 @@ class Mapping:
         given = points.fields if new is None else new
         m, v = point_masses(points), given["velocity"]
         if self.affine:
-            C = given["velocity_gradient"]
+            C = self._gradient(given, points, s, x_node)
             scatter_affine(s, x_node, points["x"], m, v, C, out.arrays[0])
         else:
             scatter(s, m, v, out.arrays[0])
@@ -137,7 +163,8 @@ class Mapping:
             mass: Mass at the nodes.
             dt: The step (s).
             gamma: Newmark's γ, by which "accel" weighs the new acceleration.
-            gradient: ∇V at the end of the step (1/s), for "tpic", shape (points, d, d).
+            gradient: Gradient of the velocity at the end of the step, by positions there (1/s),
+                for "tpic", shape (points, d, d).
         """
         v, a_new = points["velocity"], collect(s, motion.A_end)
         new = {"acceleration": a_new}
@@ -157,11 +184,24 @@ class Mapping:
         else:
             new["velocity"] = collect(s, motion.V_end)
             if self.kind == "apic":
-                B, D = moments(s, x_node, points["x"], motion.V_end)
-                new["velocity_gradient"] = B @ np.linalg.pinv(D, rcond=1e-9, hermitian=True)
+                V_p = new["velocity"]
+                B = moments(s, motion.V_end, V_p, x_node[:, : points.gdim], points["x"])
+                if motion.u is not None:
+                    # angular momentum is about where nodes and points have moved to
+                    W = moments(s, motion.V_end, V_p, motion.u, collect(s, motion.u))
+                    B += 0.5 * (W - np.swapaxes(W, 1, 2))
+                new["velocity_moment"] = B
             elif self.kind == "tpic":
                 new["velocity_gradient"] = gradient.copy()
         return new
+
+    def _gradient(self, given, points: MaterialPoints, s: Stencils, x_node: Array) -> Array:
+        """C, the gradient of the affine part (1/s), shape (points, d, d)."""
+        if self.kind == "tpic":
+            return given["velocity_gradient"]
+        x, nodes = points["x"], x_node[:, : points.gdim]
+        D = moments(s, nodes, x, nodes, x)
+        return given["velocity_moment"] @ np.linalg.inv(D)
 
     def _filtered(self, points: MaterialPoints, s: Stencils, V: Array, mass: Mass) -> Array:
         """V_k with V_{j+1} = V_j + M_L⁻¹ (M_L V − M V_j), V_1 = V. Collective."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.energies import Work
@@ -68,6 +69,7 @@ class Motion:
         mass: Mass at the nodes in the last step.
         V, A: Velocities (m/s) and accelerations (m/s²) of the nodes at its start.
         start, end: Times between which the step asked for goes (s).
+        jumped, varying: Whether a load jumps at its start, and whether any changes in it.
         time: Time that the state is of (s).
         last, wanted: Length of the last part of a step, and of the next where it is free (s).
         work: Work done so far.
@@ -90,14 +92,16 @@ class Motion:
         self._points, self._error, self._clock = points, error, clock
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
+        self.jumped = self.varying = False
         self.work = Work()
         # whether the next step begins with M a = f
         self._starting = True
         self._largest = 0.0
 
-    def begin(self, end: float, jumped: bool) -> None:
-        """Begin a step to a time (s), a load having jumped or not."""
-        self.start, self.end = self.time, end
+    def begin(self, end: float, jumped: bool, varying: bool) -> None:
+        """Begin a step to a time (s), in which a load jumps, or any changes."""
+        self.start, self.end, self.jumped = self.time, end, jumped
+        self.varying = varying or self._clock is not None
         self._starting |= jumped
 
     def set_time(self, t: float) -> None:
@@ -118,6 +122,7 @@ class Motion:
         momenta = mass.nodal()
         x_node = field.basis.node_coordinates()
         self.mapping.to_grid(points, field.stencils, x_node, momenta)
+        self._momenta = momenta.arrays[0].copy()
         rates: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         self.V = mass.solve(momenta, rates).arrays[0]
         forces = mass.nodal()
@@ -131,13 +136,19 @@ class Motion:
             forces.add_up()
         self.A = mass.solve(forces, np.zeros_like(self.V)).arrays[0]
 
-    def to_points(self, operator: Operator, state: NewState, step: Step) -> str | None:
+    def to_points(
+        self, operator: Operator, state: NewState, step: Step, x: Array, scale: float
+    ) -> str | None:
         """Add the points' new motion to a new state. Collective.
 
+        The loads are those in the middle of the step, for their work.
+
         Args:
-            operator: The step's equations, moved to their solution.
+            operator: The step's equations, moved to the end of the step.
             state: The new state, which is added to.
             step: The step.
+            x: Unknowns at the level where forces balance, shape (owned,).
+            scale: What they are multiplied by at the end.
 
         Returns:
             Why the step is not to be taken, or None.
@@ -150,17 +161,43 @@ class Motion:
         if reason is not None:
             return reason
         V_end = rule.velocity(self.V, self.A, A_end, dt)
-        motion = NodalMotion(self.V, self.A, V_end, A_end)
+        motion = NodalMotion(self.V, self.A, V_end, A_end, u)
         s, x_node = field.stencils, field.basis.node_coordinates()
         if self._starting and self.mapping.kind == "accel":
             points["acceleration"] = collect(s, self.A)
-        gradient = operator.points.gradient[0] / dt
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if self.mapping.kind == "tpic":
+            gather(s, V_end, np.empty((len(points), points.gdim)), gradient)
+            gradient = gradient @ np.linalg.inv(np.eye(points.gdim) + operator.points.gradient[0])
         new = self.mapping.to_points(points, s, x_node, motion, self.mass, dt, rule.gamma, gradient)
-        self.work.add(points, state.fields, operator, operator.external_work())
+        external = self._external(operator, x, scale, V_end, dt)
+        self.work.add(points, state.fields, operator, external)
         state.fields.update(new)
         self._starting = False
         self.time, self.last = step.t, dt
         return None
+
+    def _external(
+        self, operator: Operator, x: Array, scale: float, V_end: Array, dt: float
+    ) -> float:
+        """Work of loads, and of what moves prescribed components, in a step (J). Collective.
+
+        What moves them gives the nodes momentum, and the body forces that are the mean of those
+        before and after, at the velocity u/Δt: the work is of second order.
+        """
+        here = operator.here
+        if not (here.driven or self.varying):
+            return operator.load_work()
+        plain = operator.form.on(here)
+        if not here.driven:
+            plain.move(x, scale)
+            return plain.load_work()
+        plain.rest()
+        start = plain.forces()
+        plain.move(x, scale)
+        forces = [0.5 * (f + g) for f, g in zip(start, plain.forces())]
+        forces[0] += (self.mass.times(V_end).arrays[0] - self._momenta) / dt
+        return plain.load_work() + plain.held_work(forces)
 
     def _judge(self, A_end: Array, u: Array, nodes, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.

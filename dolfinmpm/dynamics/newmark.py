@@ -7,7 +7,7 @@ the accelerations that the rule gives for it; f is the quasi-static form, and th
     a' = (u − Δt v) / (β Δt²) − (1/(2β) − 1) a,    v' = v + Δt ((1 − γ) a + γ a'),
 
 and the generalised-α method (Chung & Hulbert 1993, doi 10.1115/1.2900803) balances the forces at
-w = (1 − α_f) u with the acceleration (1 − α_m) a' + α_m a.
+w = (1 − α_f) u, under the loads of that time, with the acceleration (1 − α_m) a' + α_m a.
 """
 
 from __future__ import annotations
@@ -116,6 +116,7 @@ class TimeStepping(QuasiStatic):
         mass = choice("mass", mass, KINDS)
         chosen = mapping_of(mapping, "pic" if mass == "consistent" else "accel")
         u = increments_of(increment, points)[0]
+        chosen = chosen.on(u._dolfinmpm_space.basis, mass)
         if u.ufl_shape != (points.gdim,):
             raise ParameterError(
                 f"the first increment must be a displacement of {points.gdim} components, got "
@@ -148,8 +149,12 @@ class TimeStepping(QuasiStatic):
         return momentum_of(self.points)
 
     def angular_momentum(self) -> Array:
-        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective."""
-        return angular_momentum(self.points)
+        """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
+
+        That of the affine parts which "apic" gives the points is counted.
+        """
+        spins = self.motion.mapping.kind == "apic"
+        return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
@@ -173,7 +178,8 @@ class TimeStepping(QuasiStatic):
             raise ParameterError(
                 f"t = {end:g} s must be later than the time of the state, {motion.time:g} s"
             )
-        motion.begin(end, self._loads.jumps())
+        jumped = self._loads.jumps()
+        motion.begin(end, jumped, any(self._loads.change))
         record = super().step()
         assert isinstance(record, MotionRecord)
         record.time, record.dt = motion.time, motion.last
@@ -186,11 +192,19 @@ class TimeStepping(QuasiStatic):
         whole = motion.end - motion.start
         return Step(motion.start + (done + share) * whole, share * whole, share)
 
+    def _load_at(self, step: Step, share: float) -> None:
+        """Set time and loads to those at a share of a step; what jumps has done so at its start."""
+        motion = self.motion
+        done = (step.t - motion.start) / (motion.end - motion.start)
+        self._loads.set(done if motion.jumped else done - (1 - share) * step.share)
+        motion.set_time(step.t - (1 - share) * step.dt)
+
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
-        motion.set_time(step.t - rule.alpha_f * step.dt)
         here = self.activate(step)
+        self._load_at(step, 0.0)
         motion.to_grid(here, self.form, step.dt)
+        self._load_at(step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             level = [(1 - rule.alpha_f) * g for g in here.prescribed]
             here = dataclasses.replace(here, prescribed=level)
@@ -200,20 +214,25 @@ class TimeStepping(QuasiStatic):
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         motion = self.motion
         # forces balance at a level within the step, the state is that at its end
-        operator.move(x, 1.0 / (1.0 - motion.rule.alpha_f))
+        scale = 1.0 / (1.0 - motion.rule.alpha_f)
+        operator.move(x, scale)
         state = super()._advance(operator, x, step)
         if isinstance(state, str):
             return state
-        reason = motion.to_points(operator, state, step)
+        self._load_at(step, 0.5)
+        reason = motion.to_points(operator, state, step, x, scale)
+        self._load_at(step, 1.0)
         return state if reason is None else reason
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()
-        return {**state, **self.motion.memory()}, local, cells
+        change = np.array(self._loads.change)
+        return {**state, **self.motion.memory(), "change of loads": change}, local, cells
 
     def _remember(self, state, local, cells) -> None:
         super()._remember(state, local, cells)
         self.motion.remember(state)
+        self._loads.change = state["change of loads"].tolist()
 
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.motion.mapping)}

@@ -68,8 +68,8 @@ def _collect(order, groups, node_start, nodes, value_start, N, q, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _moments(order, groups, node_start, nodes, value_start, N, x_node, x, q, B, D):
-    d = x.shape[1]
+def _moments(order, groups, node_start, nodes, value_start, N, q, q_point, r, r_point, out):
+    d, e = q.shape[1], r.shape[1]
     for g in range(groups.size - 1):
         first = node_start[g]
         m = node_start[g + 1] - first
@@ -77,15 +77,14 @@ def _moments(order, groups, node_start, nodes, value_start, N, x_node, x, q, B, 
             p = order[position]
             at = value_start[g] + (position - groups[g]) * m
             for i in range(d):
-                for j in range(d):
-                    B[p, i, j] = D[p, i, j] = 0.0
+                for j in range(e):
+                    out[p, i, j] = 0.0
             for a in range(m):
                 node = nodes[first + a]
-                for j in range(d):
-                    arm = N[at + a] * (x_node[node, j] - x[p, j])
+                for j in range(e):
+                    arm = N[at + a] * (r[node, j] - r_point[p, j])
                     for i in range(d):
-                        B[p, i, j] += q[node, i] * arm
-                        D[p, i, j] += (x_node[node, i] - x[p, i]) * arm
+                        out[p, i, j] += (q[node, i] - q_point[p, i]) * arm
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -175,20 +174,26 @@ def collect(s: Stencils, q: Array) -> Array:
     return out
 
 
-def moments(s: Stencils, x_node: Array, x: Array, q: Array) -> tuple[Array, Array]:
-    """B = Σ_a S_ap q_a ⊗ (x_a − x_p) and D = Σ_a S_ap (x_a − x_p) ⊗ (x_a − x_p).
+def moments(s: Stencils, q: Array, q_point: Array, r: Array, r_point: Array) -> Array:
+    """Σ_a S_ap (q_a − q_p) ⊗ (r_a − r_p) at the points.
 
-    B D⁻¹ is the affine part of APIC (Jiang et al. 2015, doi 10.1145/2766996). Of splines D is
-    h²/4 and h²/3 times the identity for the degrees two and three; that of linear functions is
-    singular where a point is at a node.
+    With q = r = x it is the D of APIC (Jiang et al. 2015, doi 10.1145/2766996): h²/4 and h²/3
+    times the identity for quadratic and cubic splines, singular for linear functions of a
+    point at a node, and for GIMP never below h/2 times the half-length of the domain.
+
+    Args:
+        s: Stencils.
+        q: Nodal values, shape (nodes, c).
+        q_point: Their means Σ_a S_ap q_a, shape (points, c).
+        r: Nodal values, shape (nodes, e).
+        r_point: Their means, shape (points, e).
 
     Returns:
-        Both of shape (points, d, d).
+        Shape (points, c, e).
     """
-    d = x.shape[1]
-    B, D = np.empty((len(x), d, d)), np.empty((len(x), d, d))
-    _moments(*_rows(s), x_node, x, q, B, D)
-    return B, D
+    out = np.empty((s.order.size, q.shape[1], r.shape[1]))
+    _moments(*_rows(s), q, q_point, r, r_point, out)
+    return out
 
 
 def mass_entries(s: Stencils, mass: Array) -> tuple[npt.NDArray, npt.NDArray, Array]:

@@ -28,6 +28,7 @@ class Loads:
 
     Attributes:
         items: The constants and functions.
+        change: How much each changed in the step that was last looked at, see `jumps`.
 
     Args:
         items: Constants and functions; each is taken once.
@@ -41,7 +42,7 @@ class Loads:
                 self.items.append(item)
         self._start = self._read()
         self._target = self._start
-        self._change: list[float] = []
+        self.change: list[float] = []
 
     @staticmethod
     def _array(item: Any) -> npt.NDArray[np.float64]:
@@ -73,12 +74,12 @@ class Loads:
         It does where it changes by more than half of the larger of the two values, and
         changed by less than a tenth of that in the step before.
         """
-        before, self._change = self._change, []
+        before, self.change = self.change, []
         jumped = False
         for k, (start, target) in enumerate(zip(self._start, self._read())):
             change = float(np.abs(target - start).max(initial=0.0))
             size = max(np.abs(start).max(initial=0.0), np.abs(target).max(initial=0.0))
-            self._change.append(change)
+            self.change.append(change)
             jumped |= change > 0.5 * size > 0 and (not before or before[k] < 0.1 * change)
         return bool(jumped)
 

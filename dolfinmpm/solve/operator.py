@@ -224,23 +224,29 @@ class Operator:
         internal = self._internal().arrays
         return [a + b for a, b in zip(internal, self.external)]
 
-    def external_work(self, of: Sequence[Array] | None = None) -> float:
-        """Work of loads, and of what moves prescribed components, on increments. Collective.
-
-        Loads are taken as they are now.
+    def load_work(self, of: Sequence[Array] | None = None) -> float:
+        """Work of loads, as they are now, on increments. Collective.
 
         Args:
             of: The increments, those moved to by default.
         """
         unknowns, work = self.here.unknowns, 0.0
-        forces = self.forces() if self.here.driven and of is None else None
         increments = self.increments if of is None else of
-        for k, field in enumerate(unknowns.fields):
-            u, owned = increments[k], field.owned_nodes
-            work -= float(np.sum(self.loads[k][owned] * u[owned]))
-            if forces is not None:
-                held = field.places[1]
-                work += float(forces[k].reshape(-1)[held] @ u.reshape(-1)[held])
+        for field, load, u in zip(unknowns.fields, self.loads, increments):
+            owned = field.owned_nodes
+            work -= float(np.sum(load[owned] * u[owned]))
+        return unknowns.comm.allreduce(work)
+
+    def held_work(self, forces: Sequence[Array]) -> float:
+        """Work of forces at prescribed components on their increments. Collective.
+
+        Args:
+            forces: Forces (N), (nodes, components) each field, summed at the nodes' owners.
+        """
+        unknowns, work = self.here.unknowns, 0.0
+        for field, force, u in zip(unknowns.fields, forces, self.increments):
+            held = field.places[1]
+            work += float(force.reshape(-1)[held] @ u.reshape(-1)[held])
         return unknowns.comm.allreduce(work)
 
     def place(self, u: Sequence[Array]) -> None:
