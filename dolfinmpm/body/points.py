@@ -302,7 +302,7 @@ class MaterialPoints:
     def add_field(
         self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
     ) -> PointField:
-        """Add a field, or return the one of that name and shape.
+        """Add a field, or return the one of that name and shape. Collective if by a function.
 
         Args:
             name: Its name.
@@ -314,7 +314,8 @@ class MaterialPoints:
 
         Raises:
             FieldShapeError: A field of that name, or the first value, has another shape.
-            ParameterError: The name cannot be one of a field.
+            ParameterError: The name cannot be one of a field, or a function does not give
+                first values.
         """
         shape = tuple(shape)
         if name in self._ufl:
@@ -327,7 +328,13 @@ class MaterialPoints:
         if not name.isidentifier() or name in self.__dict__ or hasattr(MaterialPoints, name):
             raise ParameterError(f"'{name}' cannot name a field; use a new identifier")
         field = PointField(self, name, shape, unit, value)
-        self.fields[name] = field.first_values(self["x0"])
+
+        def first():
+            return field.first_values(self["x0"])
+
+        # a function may fail at the points of some ranks only
+        values = call_together(self.comm, first) if callable(value) else first()
+        self.fields[name] = values
         self._ufl[name] = field
         return field
 
