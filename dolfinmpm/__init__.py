@@ -4,7 +4,7 @@ from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
 from dolfinmpm import materials, study
 from dolfinmpm._platform import errors
 from dolfinmpm._platform.report import info
-from dolfinmpm.basis.conditions import fixed, prescribed, rollers
+from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.footing import RigidFooting
@@ -12,7 +12,15 @@ from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
-from dolfinmpm.dynamics import Explicit, GeneralisedAlpha, Mapping, Newmark, times
+from dolfinmpm.dynamics import (
+    Explicit,
+    GeneralisedAlpha,
+    Mapping,
+    Newmark,
+    absorbing,
+    frictional,
+    times,
+)
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
@@ -44,16 +52,19 @@ __all__ = [
     "Surface",
     "TurnedBox",
     "Where",
+    "absorbing",
     "cell_size",
     "errors",
     "figure",
     "fill",
     "fixed",
+    "frictional",
     "geostatic_stress",
     "ghost",
     "info",
     "materials",
     "momentum",
+    "moving",
     "plot",
     "prescribed",
     "rollers",

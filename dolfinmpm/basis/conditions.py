@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,20 @@ from dolfinmpm._platform.errors import (
     warn,
 )
 from dolfinmpm.basis.space import Space
+from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.positions import ask, choose
 
-__all__ = ["Condition", "fixed", "free_motions", "idle", "prescribed", "rollers", "warn_idle"]
+__all__ = [
+    "Condition",
+    "fixed",
+    "free_motions",
+    "idle",
+    "moving",
+    "prescribed",
+    "rollers",
+    "side_of",
+    "warn_idle",
+]
 
 Where = str | Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
 
@@ -40,6 +51,8 @@ class Condition:
         value: Increment of every step (m for a displacement): a number, a DOLFINx
             constant, or one number a node, shape (n,).
         where: What it says in messages.
+        velocity: Velocity that it is to have (m/s) at a time (s), or None; steps in time then set
+            the value, a constant.
     """
 
     space: Space
@@ -47,6 +60,7 @@ class Condition:
     component: int
     value: float | fem.Constant | npt.NDArray[np.float64]
     where: str
+    velocity: Callable[[float], float] | None = None
 
     @property
     def changes(self) -> bool:
@@ -67,6 +81,16 @@ def _sides(gdim: int) -> dict[str, tuple[int, int]]:
     if gdim == 3:
         sides |= {"front": (1, 0), "back": (1, 1)}
     return sides
+
+
+def side_of(where: str, gdim: int) -> tuple[str, int, int]:
+    """Name, axis and end (0: lower, 1: upper) of a side of the grid.
+
+    Raises:
+        ParameterError: There is no such side.
+    """
+    name = _side(where, gdim)
+    return (name, *_sides(gdim)[name])
 
 
 def _side(where: str, gdim: int) -> str:
@@ -145,6 +169,30 @@ def prescribed(
     nodes, name = _nodes(space, where)
     given = _value(space, nodes, name, value)
     return [Condition(space, nodes, int(component), given, name)]
+
+
+def moving(
+    space: Space, where: Where, component: int, velocity: float | Callable[[float], float]
+) -> list[Condition]:
+    """Prescribe the velocity of one component in time, for steps in time. Collective.
+
+    Args:
+        space: Space of the displacement.
+        where: See `prescribed`.
+        component: Component of the displacement.
+        velocity: Velocity (m/s): a number, or a function of the time (s) that returns one.
+
+    Raises:
+        ParameterError: See `prescribed`; or the velocity is no number.
+    """
+    given = velocity if callable(velocity) else number("velocity", velocity, unit="m/s")
+
+    def at(t: float) -> float:
+        return number("velocity", given(t) if callable(given) else given, unit="m/s")
+
+    at(0.0)
+    (condition,) = prescribed(space, where, component, own_constant(space.grid, 0.0))
+    return [replace(condition, velocity=at)]
 
 
 def _value(space: Space, nodes, name: str, value: Any) -> Any:

@@ -2,7 +2,8 @@
 
 from dolfinmpm.dynamics.clock import times
 from dolfinmpm.dynamics.explicit import Explicit
+from dolfinmpm.dynamics.faces import absorbing, frictional
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
 
-__all__ = ["Explicit", "GeneralisedAlpha", "Mapping", "Newmark", "times"]
+__all__ = ["Explicit", "GeneralisedAlpha", "Mapping", "Newmark", "absorbing", "frictional", "times"]

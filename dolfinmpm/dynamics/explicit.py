@@ -25,10 +25,12 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.clock import Time
-from dolfinmpm.dynamics.critical import critical_step
+from dolfinmpm.dynamics.critical import critical_step, wave_speed
 from dolfinmpm.dynamics.energies import Energies, Work, angular_momentum, momentum_of
+from dolfinmpm.dynamics.faces import Faces, divided, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
 from dolfinmpm.dynamics.fused import Fused
+from dolfinmpm.dynamics.lightnodes import checked_viscosity, filters, viscous_pressure
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms, mass_terms
 from dolfinmpm.dynamics.newmark import MotionRecord
@@ -68,6 +70,12 @@ class Explicit(Problem):
         courant: Share of the critical step that is taken.
         damping: Share α of local damping, −α |f| sign v (Cundall 1987).
         mass_scaling: Factor of the mass in the inertia, not in loads: steps grow by its root.
+        bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
+            against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
+        mass_cutoff: Nodes of less than this share of the largest mass stand still (Sulsky,
+            Zhou & Schreyer 1995).
+        redistribution: Nodes of less than this share of the largest mass hand that part of
+            their forces that their mass lacks to their neighbours (Ma, Zhang & Qiu 2010).
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
         fused: Whether one loop may do a step of a form that it knows: laws under large or small
             strain and loads, lumped mass, a rectangular grid, "flip", "pic", "apic" or "tpic".
@@ -82,6 +90,7 @@ class Explicit(Problem):
 
     history: list[MotionRecord]  # type: ignore[assignment]
     _of_step = MotionRecord
+    _in_time = True
 
     def __init__(
         self,
@@ -97,6 +106,9 @@ class Explicit(Problem):
         courant: float = 0.8,
         damping: float = 0.0,
         mass_scaling: float = 1.0,
+        bulk_viscosity: tuple[float, float] = (0.0, 0.0),
+        mass_cutoff: float = 0.0,
+        redistribution: float = 0.0,
         time: fem.Constant | None = None,
         fused: bool = True,
         **options: Any,
@@ -106,6 +118,8 @@ class Explicit(Problem):
         self.courant = number("courant", courant, 0.0)
         self._damping = number("damping", damping, 0.0, 1.0, closed=True)
         self._scaling = number("mass_scaling", mass_scaling, 0.0)
+        self._viscosity = checked_viscosity(bulk_viscosity)
+        self._filters = filters(mass_cutoff, redistribution)
         u = increments_of(increment, points)
         chosen = mapping_of(mapping, "flip")
         if chosen.kind == "accel":
@@ -117,7 +131,9 @@ class Explicit(Problem):
                 "dimensions"
             )
         self.mapping.add_fields(points)
-        super().__init__(form, increment, points, bcs, **options)
+        conditions, self._faces = divided(bcs)
+        super().__init__(form, increment, points, conditions, **options)
+        self._on: dict[Any, Faces] = {}
         self.terms: MassTerms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.form.inertia = self.terms
         self.time = 0.0
@@ -134,6 +150,8 @@ class Explicit(Problem):
             return "the grid is not rectangular"
         if self.terms.kind != "lumped":
             return "the mass is consistent"
+        if self._faces or self._filters or self._viscosity != (0.0, 0.0):
+            return "faces of the grid, bulk viscosity or filters of light nodes act"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if self.mapping.kind not in ("flip", "pic", "tpic"):
@@ -202,8 +220,12 @@ class Explicit(Problem):
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count if not single else min(left, longest)
+            moving = any(c.velocity is not None for c in self.bcs)
+            if moving:
+                at = self.time + dt
+                set_velocities(self.bcs, lambda v: v(at) * whole)  # noqa: B023
             if self._fused is not None:
-                count = 1 if single else min(count, _EVERY)
+                count = 1 if single or moving else min(count, _EVERY)
                 self._advance_fused(count, dt, whole, record)
             else:
                 record.migrated += self._advance_by(Step(self.time + dt, dt, dt / whole))
@@ -251,13 +273,27 @@ class Explicit(Problem):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(self.terms, here, self._scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        V = self._velocities(mass, s, x_node, held)
+        V, momenta = self._velocities(mass, s, x_node, held)
         operator = self.form.on(here)
         forces = self._forces(operator, mass, s, dt * V if self.scheme == "usf" else None)
         if isinstance(forces, str):
             raise self._unstable(forces, dt)
+        if self._viscosity != (0.0, 0.0):
+            stress = viscous_pressure(points, s, V, self._viscosity, self._wave_speeds())
+            viscous = mass.nodal()
+            scatter_stress(s, stress, viscous.arrays[0])
+            viscous.add_up()
+            forces.arrays[0][:] -= viscous.arrays[0]
+        for one in self._filters:
+            one.act(V, forces.arrays[0], mass, s)
         A = self._accelerations(forces, mass, V)
         V_end = V + dt * A
+        faces = self._faces_on(field.basis)
+        if faces is not None and faces.dashpots is not None:
+            m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
+            V_end /= 1.0 + dt * faces.dashpots / m
+        if faces is not None:
+            faces.rub(V_end)
         fixed = here.unknowns.fields[0].fixed
         V_end[fixed] = held[fixed]
         motion = NodalMotion(V, A, V_end, A)
@@ -269,7 +305,7 @@ class Explicit(Problem):
         moved = points["x"] + dt * collect(s, V_end)
         V_strain = V if self.scheme == "usf" else V_end
         if self.scheme == "musl":
-            V_strain = self._velocities(mass, s, x_node, held, new)
+            V_strain, _ = self._velocities(mass, s, x_node, held, new)
         operator.place([dt * V_strain])
         state = advance(
             operator, self._updates, True, largest_cell(points.grid), len(self.history) + 1, moved
@@ -277,19 +313,24 @@ class Explicit(Problem):
         if isinstance(state, str):
             raise self._unstable(state, dt)
         external = operator.load_work([dt * V_end])
-        reaction = mass.lumped[:, None] * (V_end - V - dt * A)
-        owned = here.unknowns.fields[0].owned_nodes
-        external += self.comm.allreduce(float(np.sum((reaction * V_end)[owned])), op=MPI.SUM)
+        if here.driven:
+            # what moves held nodes gives them momentum against their forces
+            impulse = mass.times(V_end).arrays[0] - momenta - dt * forces.arrays[0]
+            at = here.unknowns.fields[0].places[1]
+            done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
+            external += self.comm.allreduce(done, op=MPI.SUM)
         self._work.add(points, state.fields, operator, external)
         state.fields.update(new)
         return commit(points, state)
 
-    def _velocities(self, mass: Mass, s, x_node: Array, held: Array, new=None) -> Array:
-        """Velocities of the nodes from those of the points, or from new ones. Collective."""
+    def _velocities(
+        self, mass: Mass, s, x_node: Array, held: Array, new: dict[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Velocities and momenta of the nodes from those of the points, or new ones. Collective."""
         momenta = mass.nodal()
         self.mapping.to_grid(self.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._scaling
-        return mass.solve(momenta, held).arrays[0]
+        return mass.solve(momenta, held).arrays[0], momenta.arrays[0]
 
     def _forces(self, operator, mass: Mass, s, u: Array | None) -> Nodal | str:
         """Forces on the nodes in the present state, or of the stresses after an increment.
@@ -326,6 +367,17 @@ class Explicit(Problem):
             f = forces.arrays[0]
             f -= self._damping * np.abs(f) * np.sign(V)
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
+
+    def _wave_speeds(self) -> Array:
+        return wave_speed(self.points, self.form.parts.declarations)
+
+    def _faces_on(self, basis: Any) -> Faces | None:
+        """Faces of the grid in a basis's numbering. Collective when asked first."""
+        if not self._faces:
+            return None
+        if basis not in self._on:
+            self._on[basis] = Faces(self._faces, basis, self.points.gdim)
+        return self._on[basis]
 
     def _unstable(self, reason: str, dt: float) -> InstabilityError:
         """What is known of a step that ended in no state. Collective."""

@@ -163,6 +163,11 @@ class Mass:
         self.lumped = sums.arrays[0][:, 0]
         self._solver: PETSc.KSP | None = None
 
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the problem."""
+        return self._here.unknowns.comm
+
     def nodal(self) -> Nodal:
         """Zeros at the nodes. Collective."""
         return Nodal([self._field.basis.nodes], [self._field.space.components])

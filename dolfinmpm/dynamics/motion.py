@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,9 @@ from mpi4py import MPI
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.energies import Work
+from dolfinmpm.dynamics.faces import Face, Faces
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
@@ -63,6 +66,7 @@ class Motion:
         terms: What the mass is made of.
         error: Bound of a step's error, see `Newmark`, or None.
         clock: DOLFINx constant that holds the time (s), or None.
+        faces: Faces of the grid that act on the body.
 
     Attributes:
         rule, mapping, terms: The arguments.
@@ -87,9 +91,12 @@ class Motion:
         terms: MassTerms,
         error: float | None,
         clock: fem.Constant | None,
+        faces: Sequence[Face] = (),
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._error, self._clock = points, error, clock
+        self._faces = faces
+        self._on: dict[Any, Array | None] = {}
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
@@ -109,13 +116,14 @@ class Motion:
         if self._clock is not None:
             self._clock.value = t
 
-    def to_grid(self, here: Activation, form: WeakForm, dt: float) -> None:
+    def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Array) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
             here: What is active.
             form: The weak form, for M a = f.
             dt: Length of the step (s).
+            rates: Velocities of held components (m/s), shape (nodes, d).
         """
         points, field = self._points, here.fields[0]
         self.mass = mass = Mass(self.terms, here)
@@ -123,7 +131,6 @@ class Motion:
         x_node = field.basis.node_coordinates()
         self.mapping.to_grid(points, field.stencils, x_node, momenta)
         self._momenta = momenta.arrays[0].copy()
-        rates: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         self.V = mass.solve(momenta, rates).arrays[0]
         forces = mass.nodal()
         if self._starting:
@@ -135,6 +142,29 @@ class Motion:
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
             forces.add_up()
         self.A = mass.solve(forces, np.zeros_like(self.V)).arrays[0]
+
+    def dashpots(self, here: Activation, dt: float) -> tuple[Blocks, Array] | None:
+        """Dashpots of absorbing faces at the level where forces balance. Collective.
+
+        Returns:
+            Their derivative by the increments, this rank's nodes, and the forces of velocities
+            without increments (N), shape (nodes, d), at the nodes' owners; or None.
+        """
+        if not self._faces:
+            return None
+        basis, rule, d = here.fields[0].basis, self.rule, self._points.gdim
+        if basis not in self._on:
+            self._on[basis] = Faces(self._faces, basis, d).dashpots
+        c = self._on[basis]
+        if c is None:
+            return None
+        level = 1.0 - rule.alpha_f
+        rest = rule.acceleration(np.zeros_like(self.V), self.V, self.A, dt)
+        start = level * rule.velocity(self.V, self.A, rest, dt) + rule.alpha_f * self.V
+        owned = here.unknowns.fields[0].owned_nodes
+        nodes = owned[c[owned].any(axis=1)]
+        values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
+        return Blocks(0, 0, nodes, nodes, values), c * start
 
     def to_points(
         self, operator: Operator, state: NewState, step: Step, x: Array, scale: float

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
+from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
@@ -59,6 +60,12 @@ class MotionRecord(StepRecord):
     dt: float = 0.0
 
 
+def _mean(velocity: Callable[[float], float], step: Step) -> float:
+    """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
+    mean = 0.5 * (velocity(step.t - step.dt) + velocity(step.t))
+    return mean * step.dt / step.share
+
+
 class InertialOperator(Operator):
     """A weak form with inertial forces, on an activation. Collective.
 
@@ -67,11 +74,23 @@ class InertialOperator(Operator):
         mass: The mass.
         factor: Derivative of the accelerations by the increments (1/s²).
         known: The rest of them (m/s²), shape (nodes, d).
+        dashpots: Dashpots on the nodes by the increments, and forces of the velocities that do
+            not depend on these (N), shape (nodes, d); or None.
     """
 
-    def __init__(self, form: WeakForm, here: Activation, mass: Mass, factor: float, known: Array):
-        self.mass, self._known = mass, known
+    def __init__(
+        self,
+        form: WeakForm,
+        here: Activation,
+        mass: Mass,
+        factor: float,
+        known: Array,
+        dashpots: tuple[Blocks, Array] | None = None,
+    ):
+        self.mass, self._known, self._dashpots = mass, known, dashpots
         self._inertia = [dataclasses.replace(b, values=factor * b.values) for b in mass.blocks]
+        if dashpots is not None:
+            self._inertia.append(dashpots[0])
         super().__init__(form, here)
 
     def renew_external(self) -> None:
@@ -83,6 +102,8 @@ class InertialOperator(Operator):
         forces.add_up()
         self._loads = [np.array(values) for values in self._external.arrays]
         self._external.arrays[0][...] += forces.arrays[0]
+        if self._dashpots is not None:
+            self._external.arrays[0][...] += self._dashpots[1]
 
     @property
     def loads(self) -> Sequence[Array]:
@@ -97,6 +118,7 @@ class TimeStepping(QuasiStatic):
 
     history: list[MotionRecord]  # type: ignore[assignment]
     _of_step = MotionRecord
+    _in_time = True
 
     def __init__(
         self,
@@ -130,9 +152,16 @@ class TimeStepping(QuasiStatic):
                 "are mapped where the points are now"
             )
         chosen.add_fields(points)
-        super().__init__(form, increment, points, bcs, **options)
+        conditions, faces = divided(bcs)
+        for face in faces:
+            if face.friction is not None:
+                raise ParameterError(
+                    f"the frictional face at '{face.where}' is of explicit steps; hold the side "
+                    "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
+                )
+        super().__init__(form, increment, points, conditions, **options)
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
-        self.motion = Motion(points, rule, chosen, terms, error, time)
+        self.motion = Motion(points, rule, chosen, terms, error, time, faces)
         self.form.inertia = terms
 
     @property
@@ -201,15 +230,30 @@ class TimeStepping(QuasiStatic):
 
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
+        set_velocities(self.bcs, lambda v: _mean(v, step))
         here = self.activate(step)
         self._load_at(step, 0.0)
-        motion.to_grid(here, self.form, step.dt)
+        motion.to_grid(here, self.form, step.dt, self._rates(here, step))
         self._load_at(step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
             level = [(1 - rule.alpha_f) * g for g in here.prescribed]
             here = dataclasses.replace(here, prescribed=level)
         known = rule.known(motion.V, motion.A, step.dt)
-        return InertialOperator(self.form, here, motion.mass, rule.factor(step.dt), known)
+        dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
+        return InertialOperator(self.form, here, motion.mass, factor, known, dashpots)
+
+    def _rates(self, here: Activation, step: Step) -> Array:
+        """Velocities of held components at the start of a step (m/s), shape (nodes, d). Collective.
+
+        Those prescribed there, and increments over the step's length.
+        """
+        if not any(condition.velocity for condition in self.bcs):
+            return np.asarray(here.prescribed[0] / step.dt, np.float64)
+        bases, scale = [field.basis for field in here.fields], step.dt / step.share
+        set_velocities(self.bcs, lambda v: v(step.t - step.dt) * scale)
+        values = self._held.at(bases, step.share)[1][0]
+        set_velocities(self.bcs, lambda v: _mean(v, step))
+        return np.asarray(values / step.dt, np.float64)
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         motion = self.motion

@@ -61,6 +61,8 @@ class Problem:
     """
 
     _of_step: type[StepRecord] = StepRecord
+    # whether steps have a length in seconds
+    _in_time = False
 
     def __init__(
         self,
@@ -79,6 +81,13 @@ class Problem:
         check_spaces(spaces)
         check_form(form)
         bcs = check_conditions(bcs, spaces)
+        for condition in bcs:
+            if condition.velocity is not None and not self._in_time:
+                raise ParameterError(
+                    f"the condition at '{condition.where}' prescribes a velocity, and "
+                    f"{type(self).__name__} knows no time; prescribe increments with "
+                    "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
+                )
         updates = check_updates(updates, points)
         remedies = remedies_of(stabilisation, len(spaces))
         check_callable("prolongation", prolongation)

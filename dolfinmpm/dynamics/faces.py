@@ -1,0 +1,183 @@
+"""Faces of the grid that rub against the body, or let its waves out, in steps in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfinmpm._platform.checks import number
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.bspline import integrals
+from dolfinmpm.basis.conditions import Condition, prescribed, side_of
+from dolfinmpm.basis.space import Space
+from dolfinmpm.grid.lattice import require_lattice
+
+__all__ = ["Face", "Faces", "absorbing", "divided", "frictional", "set_velocities"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Face:
+    """A side of the grid that acts on the body.
+
+    Attributes:
+        space: Space of the displacement.
+        nodes: Local nodes, shape (n,).
+        axis, end: Direction that it faces, and 0 for the lower or 1 for the upper end.
+        friction: Coulomb's coefficient, or None.
+        impedance: Those of pressure and shear waves, ρ c (Pa s/m), or None.
+        where: What it says in messages.
+    """
+
+    space: Space
+    nodes: npt.NDArray[np.int32]
+    axis: int
+    end: int
+    friction: float | None
+    impedance: tuple[float, float] | None
+    where: str
+
+
+def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
+    """Sides of the grid that the body may leave but not pass, with Coulomb friction. Collective.
+
+    For explicit steps: a node that would move out loses that velocity, and of the velocity along
+    the side at most the friction's share of it.
+
+    Args:
+        space: Space of the displacement.
+        sides: Names of sides; see `prescribed`.
+        friction: Coefficient μ; 0 is a smooth side that the body may leave.
+
+    Raises:
+        ParameterError: A side is not known, or μ is negative.
+    """
+    mu = number("friction", friction, 0.0, closed=True)
+    return [_face(space, side, mu, None) for side in sides]
+
+
+def absorbing(
+    space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
+) -> list[Face]:
+    """Sides of the grid with dashpots that let waves out. Collective.
+
+    Tractions −ρ c_p v_n and −ρ c_s v_t, which leave nothing of waves that meet the side at right
+    angles (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859).
+
+    Args:
+        space: Space of the displacement, on a rectangular grid.
+        sides: Names of sides; see `prescribed`.
+        density: ρ (kg/m^d).
+        p_speed, s_speed: Speeds of pressure and shear waves (m/s).
+
+    Raises:
+        ParameterError: A side is not known, or a number is not positive.
+        UnsupportedGridError: The grid is not rectangular.
+    """
+    require_lattice(space.grid, "absorbing")
+    rho = number("density", density, 0.0)
+    p = number("p_speed", p_speed, 0.0, closed=True)
+    s = number("s_speed", s_speed, 0.0, closed=True)
+    return [_face(space, side, None, (rho * p, rho * s)) for side in sides]
+
+
+def _face(space: Space, side: str, friction, impedance) -> Face:
+    name, axis, end = side_of(side, space.grid.geometry.dim)
+    (condition,) = prescribed(space, name, axis)
+    return Face(space, condition.nodes, axis, end, friction, impedance, name)
+
+
+def divided(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
+    """Conditions, and faces, of a list of both.
+
+    Raises:
+        ParameterError: It is no list.
+    """
+    if not isinstance(bcs, (list, tuple)):
+        return bcs, []  # type: ignore[return-value]
+    faces = [one for one in bcs if isinstance(one, Face)]
+    return [one for one in bcs if not isinstance(one, Face)], faces
+
+
+def set_velocities(
+    conditions: Sequence[Condition], value: Callable[[Callable[[float], float]], float]
+) -> None:
+    """Set the increments of conditions that prescribe velocities.
+
+    Args:
+        conditions: Conditions, of which others stay as they are.
+        value: Gives the increment (m) for a velocity by time.
+    """
+    for condition in conditions:
+        if condition.velocity is not None:
+            assert isinstance(condition.value, fem.Constant)
+            condition.value.value = value(condition.velocity)
+
+
+class Faces:
+    """Faces of the grid in the numbering of a basis. Collective.
+
+    Args:
+        faces: The faces.
+        basis: Basis with the overlap that steps need.
+        d: Dimension of space.
+
+    Attributes:
+        dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
+    """
+
+    def __init__(self, faces: Sequence[Face], basis: Any, d: int):
+        self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
+        self.dashpots: Array | None = None
+        for face in faces:
+            marks = basis.nodes.vector()
+            marks.array[:] = 0.0
+            marks.array[face.nodes[face.nodes < basis.nodes.owned]] = 1.0
+            marks.scatter_forward()
+            nodes = np.flatnonzero(marks.array)
+            if face.friction is not None:
+                outward = 1.0 if face.end else -1.0
+                self._rubbing.append((nodes, face.axis, outward, face.friction))
+            if face.impedance is not None:
+                if self.dashpots is None:
+                    self.dashpots = np.zeros((basis.nodes.size, d))
+                area = _areas(basis, nodes, face.axis)
+                for k in range(d):
+                    rate = face.impedance[0 if k == face.axis else 1]
+                    self.dashpots[nodes, k] += rate * area
+
+    def rub(self, V: Array, at: npt.NDArray[np.intp] | None = None) -> None:
+        """Stop nodes that would move out, and let friction act on what slides.
+
+        Args:
+            V: Changed, velocities at the end of a step (m/s), shape (nodes, at least d).
+            at: Where the nodes are in it, if not in the basis's order; -1 where not known.
+        """
+        for nodes, axis, outward, mu in self._rubbing:
+            rows = nodes if at is None else at[nodes]
+            rows = rows[rows >= 0]
+            out = outward * V[rows, axis]
+            rows, out = rows[out > 0], out[out > 0]
+            V[rows, axis] = 0.0
+            along = [k for k in range(V.shape[1]) if k != axis]
+            sliding = np.sqrt(sum(V[rows, k] ** 2 for k in along)) if along else out
+            left = np.maximum(0.0, 1.0 - mu * out / np.maximum(sliding, 1e-300))
+            for k in along:
+                V[rows, k] *= left
+
+
+def _areas(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int) -> Array:
+    """Integrals of the nodes' functions over a side (m^(d-1))."""
+    area = np.ones(nodes.size)
+    for k, line in enumerate(basis.lattice.lines):
+        if k == axis:
+            continue
+        whole = integrals(line, basis.degree)
+        area *= whole[basis.halo.node_ijk[nodes, k]]
+    return area

@@ -1,0 +1,145 @@
+"""Remedies of explicit steps against light nodes, and bulk viscosity against shocks."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from scipy import sparse
+
+from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.basis.stencils import Stencils, gather
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.grid.lattice import smallest_height
+
+__all__ = ["MassCutOff", "Redistribution", "checked_viscosity", "filters", "viscous_pressure"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Filter(Protocol):
+    """What acts on light nodes."""
+
+    def act(self, V: Array, f: Array, mass: Mass, s: Stencils) -> None:
+        """Change velocities (m/s) and forces (N) of the nodes, shape (nodes, d). Collective."""
+
+
+def _largest(mass: Mass) -> float:
+    return mass.comm.allreduce(float(mass.lumped.max(initial=0.0)), op=MPI.MAX)
+
+
+class MassCutOff:
+    """Nodes of too little mass stand still (Sulsky, Zhou & Schreyer 1995).
+
+    Momentum of theirs is lost.
+
+    Args:
+        share: Share of the largest nodal mass below which they do.
+    """
+
+    def __init__(self, share: float):
+        self.share = share
+
+    def act(self, V: Array, f: Array, mass: Mass, s: Stencils) -> None:
+        """See `Filter`."""
+        light = mass.lumped < self.share * _largest(mass)
+        V[light] = f[light] = 0.0
+
+
+class Redistribution:
+    """Light nodes hand a part of their forces to their neighbours.
+
+    A node keeps the share m/m₀ of its force, m₀ being a share of the largest mass; the rest goes
+    to the heavier nodes that share a point with it, by their masses, so that the sum of forces
+    stays and no acceleration exceeds f/m₀ (after Ma, Zhang & Qiu 2010, Comput. Model. Eng.
+    Sci. 65).
+
+    Args:
+        share: m₀ over the largest nodal mass.
+    """
+
+    def __init__(self, share: float):
+        self.share = share
+
+    def act(self, V: Array, f: Array, mass: Mass, s: Stencils) -> None:
+        """See `Filter`."""
+        if mass.comm.size > 1:
+            raise ParameterError(
+                "redistribution works on one rank only: neighbours on others are not known; take "
+                'mass_cutoff, or stabilisation="aggregation"'
+            )
+        m, bound = mass.lumped, self.share * _largest(mass)
+        light = (m > 0) & (m < bound)
+        if not light.any():
+            return
+        groups = s.node_start.size - 1
+        seen = sparse.csr_matrix(
+            (np.ones(s.nodes.size), s.nodes, s.node_start), shape=(groups, m.size)
+        )
+        near = seen.T.tocsr()[np.flatnonzero(light)] @ seen
+        near.data[:] = 1.0
+        weights = near @ sparse.diags(np.where(light, 0.0, m))
+        total = np.asarray(weights.sum(axis=1)).ravel()
+        # a node without heavier neighbours keeps what it has
+        given = np.where(total > 0, 1.0 - m[light] / bound, 0.0)
+        handed = f[light] * given[:, None]
+        f[light] -= handed
+        f += (sparse.diags(1.0 / np.maximum(total, 1e-300)) @ weights).T @ handed
+
+
+def filters(mass_cutoff: Any, redistribution: Any) -> list[Filter]:
+    """The filters that arguments ask for.
+
+    Raises:
+        ParameterError: A share is not in [0, 1].
+    """
+    found: list[Filter] = []
+    if number("mass_cutoff", mass_cutoff, 0.0, 1.0, closed=True) > 0:
+        found.append(MassCutOff(mass_cutoff))
+    if number("redistribution", redistribution, 0.0, 1.0, closed=True) > 0:
+        found.append(Redistribution(redistribution))
+    return found
+
+
+def checked_viscosity(given: Any) -> tuple[float, float]:
+    """The two coefficients of bulk viscosity.
+
+    Raises:
+        ParameterError: They are not two numbers from 0.
+    """
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        raise ParameterError(f"bulk_viscosity = {given!r} must be two numbers, as (0.06, 1.2)")
+    linear, quadratic = (
+        number(f"bulk_viscosity[{k}]", b, 0.0, closed=True) for k, b in enumerate(given)
+    )
+    return linear, quadratic
+
+
+def viscous_pressure(
+    points: MaterialPoints, s: Stencils, V: Array, b: tuple[float, float], c: Array
+) -> Array:
+    """−ρ h (b₁ c |ε̇| + b₂² h ε̇²) I times the points' volumes where they are compressed.
+
+    (von Neumann & Richtmyer 1950, doi 10.1063/1.1699639; with ε̇ the rate of volume.)
+
+    Args:
+        points: Material points.
+        s: Their stencils.
+        V: Velocities of the nodes (m/s), shape (nodes, d).
+        b: b₁ and b₂.
+        c: Wave speeds (m/s), shape (points,).
+
+    Returns:
+        Shape (points, d, d) (N m).
+    """
+    n, d = len(points), points.gdim
+    gradient = np.empty((n, d, d))
+    gather(s, V, np.empty((n, d)), gradient)
+    rate = np.minimum(np.trace(gradient, axis1=1, axis2=2), 0.0)
+    h = smallest_height(points.grid)
+    q = points["density"] * points["V0"] * h * (b[0] * c * -rate + b[1] ** 2 * h * rate**2)
+    return -q[:, None, None] * np.eye(d)
