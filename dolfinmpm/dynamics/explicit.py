@@ -32,7 +32,7 @@ from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
 from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.lightnodes import checked_viscosity, filters, viscous_pressure
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion, mapping_of
-from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms, mass_terms
+from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms, mass_terms, point_masses
 from dolfinmpm.dynamics.newmark import MotionRecord
 from dolfinmpm.dynamics.transfer import collect, scatter_stress
 from dolfinmpm.grid.lattice import largest_cell
@@ -139,6 +139,8 @@ class Explicit(Problem):
         self.time = 0.0
         self._clock = time
         self._work = Work()
+        self._first_energy: float | None = None
+        self._most = 0.0
         self._fused: Fused | None = None
         #: Why steps are not fused, or an empty string.
         self.unfused = "it was not to be" if not fused else self._fuse(options) or ""
@@ -152,6 +154,8 @@ class Explicit(Problem):
             return "the mass is consistent"
         if self._faces or self._filters or self._viscosity != (0.0, 0.0):
             return "faces of the grid, bulk viscosity or filters of light nodes act"
+        if any(condition.velocity for condition in self.bcs):
+            return "velocities are prescribed in time"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if self.mapping.kind not in ("flip", "pic", "tpic"):
@@ -216,6 +220,7 @@ class Explicit(Problem):
         whole = target - self.time
         while self.time < target:
             if record.parts % _EVERY == 0:
+                self._check_energy(record.dt)
                 longest = self.courant * self.critical_step()
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
@@ -225,7 +230,7 @@ class Explicit(Problem):
                 at = self.time + dt
                 set_velocities(self.bcs, lambda v: v(at) * whole)  # noqa: B023
             if self._fused is not None:
-                count = 1 if single or moving else min(count, _EVERY)
+                count = 1 if single else min(count, _EVERY)
                 self._advance_fused(count, dt, whole, record)
             else:
                 record.migrated += self._advance_by(Step(self.time + dt, dt, dt / whole))
@@ -236,6 +241,7 @@ class Explicit(Problem):
             if single:
                 break
         self._loads.release()
+        self._check_energy(record.dt)
         record.time = self.time
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
         record.seconds = clock.perf_counter() - started
@@ -273,7 +279,7 @@ class Explicit(Problem):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(self.terms, here, self._scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        V, momenta = self._velocities(mass, s, x_node, held)
+        V = self._velocities(mass, s, x_node, self._before(step, held, field.basis))
         operator = self.form.on(here)
         forces = self._forces(operator, mass, s, dt * V if self.scheme == "usf" else None)
         if isinstance(forces, str):
@@ -305,7 +311,7 @@ class Explicit(Problem):
         moved = points["x"] + dt * collect(s, V_end)
         V_strain = V if self.scheme == "usf" else V_end
         if self.scheme == "musl":
-            V_strain, _ = self._velocities(mass, s, x_node, held, new)
+            V_strain = self._velocities(mass, s, x_node, held, new)
         operator.place([dt * V_strain])
         state = advance(
             operator, self._updates, True, largest_cell(points.grid), len(self.history) + 1, moved
@@ -315,7 +321,7 @@ class Explicit(Problem):
         external = operator.load_work([dt * V_end])
         if here.driven:
             # what moves held nodes gives them momentum against their forces
-            impulse = mass.times(V_end).arrays[0] - momenta - dt * forces.arrays[0]
+            impulse = mass.times(V_end - V).arrays[0] - dt * forces.arrays[0]
             at = here.unknowns.fields[0].places[1]
             done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
             external += self.comm.allreduce(done, op=MPI.SUM)
@@ -325,12 +331,25 @@ class Explicit(Problem):
 
     def _velocities(
         self, mass: Mass, s, x_node: Array, held: Array, new: dict[str, Array] | None = None
-    ) -> tuple[Array, Array]:
-        """Velocities and momenta of the nodes from those of the points, or new ones. Collective."""
+    ) -> Array:
+        """Velocities of the nodes from those of the points, or from new ones. Collective."""
         momenta = mass.nodal()
         self.mapping.to_grid(self.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._scaling
-        return mass.solve(momenta, held).arrays[0], momenta.arrays[0]
+        return mass.solve(momenta, held).arrays[0]
+
+    def _before(self, step: Step, held: Array, basis: Any) -> Array:
+        """Velocities of held components at the start of a step, shape (nodes, d). Collective."""
+        if not any(condition.velocity for condition in self.bcs):
+            return held
+        dt, share = step.dt, step.share
+        ending = [np.array(bc.increment) for bc in self.bcs]
+        set_velocities(self.bcs, lambda v: v(step.t - dt) * dt / share)
+        values = self._held.at([basis], share)[1][0] / dt
+        for condition, value in zip(self.bcs, ending):
+            if condition.velocity is not None:
+                condition.value.value = value  # type: ignore[union-attr]
+        return np.asarray(values, np.float64)
 
     def _forces(self, operator, mass: Mass, s, u: Array | None) -> Nodal | str:
         """Forces on the nodes in the present state, or of the stresses after an increment.
@@ -367,6 +386,28 @@ class Explicit(Problem):
             f = forces.arrays[0]
             f -= self._damping * np.abs(f) * np.sign(V)
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
+
+    def _check_energy(self, dt: float) -> None:
+        """Raise InstabilityError if energy comes from nowhere. Collective.
+
+        What moves may lose energy to the grid and gain a little in "usf"; more than half of all
+        that there ever was in any form comes from a step that is too long.
+        """
+        m = point_masses(self.points)
+        kinetic = 0.5 * float(np.sum(m[:, None] * self.points["velocity"] ** 2))
+        kinetic = self.comm.allreduce(kinetic, op=MPI.SUM)
+        work = self._work
+        total = kinetic + work.internal - work.external
+        if self._first_energy is None:
+            self._first_energy = total
+        self._most = max(self._most, abs(self._first_energy), abs(work.external))
+        gained = total - self._first_energy
+        if not math.isfinite(total) or gained > 0.5 * self._most > 0.0:
+            raise self._unstable(
+                f"{gained:.4g} J have come from nowhere beside {self._most:.4g} J of first energy "
+                "and work of loads",
+                dt,
+            )
 
     def _wave_speeds(self) -> Array:
         return wave_speed(self.points, self.form.parts.declarations)
