@@ -23,9 +23,9 @@ Array = npt.NDArray[np.float64]
 # they are averaged over domains. Lumped linear functions have none: their step goes to 0
 # with the share of a point in a node; 1 is that of full cells.
 _LUMPED = {(1, False): 1.0, (1, True): 0.66, (2, False): 0.88, (3, False): 1.4}
-_LUMPED |= {(2, True): 0.88, (3, True): 1.4}
-# Consistent mass with ghost penalty; 1/√3 of linear functions in full cells
-_CONSISTENT = {1: 0.5, 2: 0.5, 3: 0.5}
+_LUMPED |= {(2, True): 1.1, (3, True): 1.4}
+# Consistent mass with the usual ghost penalty; 1/√3 of linear functions in full cells
+_CONSISTENT = {1: 0.5, 2: 0.42, 3: 0.25}
 
 
 def factor(basis: Any, mass: str) -> float:

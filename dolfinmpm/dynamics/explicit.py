@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -36,6 +38,7 @@ from dolfinmpm.dynamics.mass import KINDS, Mass, MassTerms, mass_terms, point_ma
 from dolfinmpm.dynamics.newmark import MotionRecord
 from dolfinmpm.dynamics.transfer import collect, scatter_stress
 from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.solve import spectra
 from dolfinmpm.solve.advance import advance, commit
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.loads import check_loads
@@ -189,13 +192,32 @@ class Explicit(Problem):
         spins = self.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
-    def critical_step(self) -> float:
-        """The longest step that is stable, by wave speed and grid (s). Collective."""
+    def critical_step(self, exact: bool = False) -> float:
+        """The longest step that is stable (s). Collective.
+
+        Args:
+            exact: Whether it is that of the eigenproblem K x = λ M x of the present state,
+                2/√λ_max, for which the tangent is compiled; else it is by wave speed and grid.
+        """
+        if exact:
+            return self._exact_step()
         self.form.bind()
         basis = self.fields[0].space.basis
         declarations = self.form.parts.declarations
         found = critical_step(self.points, basis, declarations, self.terms.kind)
         return math.sqrt(self._scaling) * found
+
+    def _exact_step(self) -> float:
+        """2/√λ_max of the tangent and the mass, of the points' terms alone. Collective."""
+        here = self.activate()
+        # explicit steps take no tangent, and so no penalties on the increment
+        fields = tuple(replace(field, penalty=None) for field in here.fields)
+        operator = self.form.on(replace(here, grid=[], soft=[], fields=fields))
+        operator.rest()
+        K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
+        operator.tangent(K)
+        Mass(self.terms, here, self._scaling).add_to(M)
+        return spectra.critical_step(K.petsc, M.petsc)
 
     def step(self, t: float) -> MotionRecord:
         """Go to a time. Collective.
@@ -436,8 +458,13 @@ class Explicit(Problem):
             f"critical one {self.critical_step():.3g} s; the fastest point is {fastest[1]} at "
             f"{fastest[2]} m with {fastest[0]:.3g} m/s; energies (J): kinetic "
             f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
-            f"{energies.external:.4g}. The state is that before the step: take a smaller courant "
-            'number, a mapping that damps, mass="consistent" or aggregation where cuts are small'
+            f"{energies.external:.4g}. "
+            + (
+                "The fused loops have moved points in part: go on from a checkpoint, with "
+                if self._fused is not None
+                else "The state is that before the step: take "
+            )
+            + 'a smaller courant number, a mapping that damps, mass="consistent" or aggregation where cuts are small'
         )
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:

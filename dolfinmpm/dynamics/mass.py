@@ -172,6 +172,21 @@ class Mass:
         """Zeros at the nodes. Collective."""
         return Nodal([self._field.basis.nodes], [self._field.space.components])
 
+    def add_to(self, matrix: Matrix, unknowns: Unknowns | None = None) -> None:
+        """Write it into a matrix of the unknowns. Collective.
+
+        Args:
+            matrix: Written; of the activation's pattern.
+            unknowns: Its unknowns, those of the activation by default.
+        """
+        matrix.data[:] = 0.0
+        first = (unknowns or self._here.unknowns).fields[0]
+        zero = np.zeros(first.row_of.shape)
+        entries = Entries(first, first, matrix.pattern, matrix.data, zero, np.zeros_like(zero))
+        for b in self.blocks:
+            add_blocks(b, entries)
+        matrix.finish()
+
     def times(self, v: Array) -> Nodal:
         """Product with nodal values, summed over ranks at the nodes' owners. Collective.
 
@@ -249,13 +264,7 @@ class Mass:
             lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
             pattern = Pattern.build(lists, unknowns, pairs, None)
         matrix = self._terms.matrix(pattern, unknowns)
-        matrix.data[:] = 0.0
-        (first,) = unknowns.fields
-        zero = np.zeros(first.row_of.shape)
-        entries = Entries(first, first, pattern, matrix.data, zero, np.zeros_like(zero))
-        for b in self.blocks:
-            add_blocks(b, entries)
-        matrix.finish()
+        self.add_to(matrix, unknowns)
         ksp = PETSc.KSP().create(unknowns.comm)
         ksp.setType("cg")
         ksp.getPC().setType("jacobi")

@@ -11,9 +11,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
+from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
@@ -242,7 +244,8 @@ class Problem:
         self.here = activate(
             self.points, self.fields, self._held, self.form, share, self.here, kept
         )
-        if first and kept is None:
+        # what moves may come to a side later
+        if first and kept is None and not self._in_time:
             active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
@@ -250,3 +253,11 @@ class Problem:
     def operator(self) -> Operator:
         """The weak form on what takes part now: residual, tangent and external. Collective."""
         return self.form.on(self.activate())
+
+    def stiffness(self) -> PETSc.Mat:
+        """Tangent stiffness of the active unknowns in the present state. Collective."""
+        operator = self.operator()
+        operator.rest()
+        matrix = Matrix(operator.here.pattern, operator.here.unknowns)
+        operator.tangent(matrix)
+        return matrix.petsc

@@ -10,14 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     raise_together,
 )
-from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Prolongate
@@ -184,14 +182,6 @@ class QuasiStatic(Problem):
         super()._remember(state, local, cells)
         self._share = state["share"]
         self._kept = set_memory(self.newton, self.form, state, local)
-
-    def stiffness(self) -> PETSc.Mat:
-        """Tangent stiffness of the active unknowns in the present state. Collective."""
-        operator = self.operator()
-        operator.rest()
-        matrix = Matrix(operator.here.pattern, operator.here.unknowns)
-        operator.tangent(matrix)
-        return matrix.petsc
 
     def _part(self, done: float, share: float) -> Step:
         """What is asked for of a part of a step."""

@@ -10,9 +10,9 @@ from dolfinmpm.io.tables import (
     read_table,
     write_table,
 )
+from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.reduction import FactorOfSafety, Trial, factor_of_safety, reduced_strength
-from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
 
 __all__ = [

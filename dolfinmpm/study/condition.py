@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.spectra import condition_number, critical_step, rigid_modes
+from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 
 __all__ = ["Conditioning", "conditioning"]
 

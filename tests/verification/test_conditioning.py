@@ -176,7 +176,7 @@ def test_condition_numbers_of_known_matrices():
 @pytest.mark.parametrize("limit", [2000, 10])
 def test_lanczos_finds_what_all_eigenvalues_say(monkeypatch, limit):
     """A free chain of springs, its translation left out."""
-    monkeypatch.setattr("dolfinmpm.study.spectra.DENSE_LIMIT", limit)
+    monkeypatch.setattr("dolfinmpm.solve.spectra.DENSE_LIMIT", limit)
     n = 60
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     K[0, 0] = K[-1, -1] = 1

@@ -1,0 +1,244 @@
+"""Explicit steps: critical steps, faces of the grid, filters of light nodes, errors, restarts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+from dolfinmpm._platform import errors
+
+OFFSETS = (1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.999, 1 - 1e-6)
+
+
+def bar(
+    length=20.0, cells=80, basis="gimp", E=100.0, density=1.0, kind=mpm.Explicit, bcs=None, **o
+):
+    """A bar along its grid, with c = 10 m/s; `bcs` is a function of its space."""
+    grid = mesh.create_interval(COMM, cells, [0, length])
+    points = mpm.fill(grid, mpm.Box((0,), (length,)), 2, density)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.0), points, u, v)
+    points.add_field("velocity", (1,), "m/s")
+    return kind(F, u, points, bcs(V) if bcs else (), **o)
+
+
+def disc(basis="gimp", law=None, **options):
+    """A disc that turns, stretches and falls onto the bottom of its grid."""
+    grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (20, 20), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Disc((0.013, -0.021), 0.55), 2, 1000.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, -1.0))
+    law = law or mpm.materials.Hencky(E=1e5, nu=0.3)
+    F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * g, v) * points.dX
+    x = points["x"]
+    velocity = np.stack([-x[:, 1] + 0.3 * x[:, 0], x[:, 0] + 0.2 * x[:, 1] ** 2], axis=1)
+    points.add_field("velocity", (2,), "m/s")
+    points["velocity"] = 0.5 * velocity
+    return mpm.Explicit(F, u, points, mpm.fixed(V, "bottom"), **options)
+
+
+@pytest.mark.parametrize(
+    ("basis", "per_cell", "expected"),
+    [("gimp", 2, 0.803), ("gimp", 3, 0.731), ("gimp", 4, 0.664)],
+)
+def test_lumped_critical_step_of_the_worst_cut(basis, per_cell, expected):
+    """The eigenproblem at fourteen places in the grid; the estimate stays below it."""
+    steps, guessed = [], []
+    for offset in OFFSETS:
+        grid = mesh.create_interval(COMM, 12, [0, 12])
+        body = mpm.Box((3 + offset,), (7 + offset,))
+        points = mpm.fill(grid, body, per_cell, 1.0, aligned="body")
+        V = mpm.Space(grid, basis)
+        F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points)
+        steps.append(problem.critical_step(exact=True))
+        guessed.append(problem.critical_step())
+    assert min(steps) == pytest.approx(expected, rel=0.01)
+    assert max(guessed) < min(steps)
+
+
+def test_consistent_mass_with_ghost_penalty_keeps_the_step_at_small_cuts():
+    steps = []
+    for offset in OFFSETS:
+        grid = mesh.create_interval(COMM, 12, [0, 12])
+        points = mpm.fill(grid, mpm.Box((3 + offset,), (7 + offset,)), 2, 1.0, aligned="body")
+        V = mpm.Space(grid, "gimp")
+        F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points, mass="consistent")
+        steps.append(problem.critical_step(exact=True))
+    assert min(steps) == pytest.approx(0.575, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark, mpm.GeneralisedAlpha])
+def test_absorbing_faces_let_a_pulse_out(kind):
+    def faces(V):
+        return mpm.absorbing(V, "left", "right", density=1.0, p_speed=10.0)
+
+    options = {} if kind is mpm.Explicit else {"stabilisation": "ghost"}
+    problem = bar(kind=kind, bcs=faces, **options)
+    x = problem.points["x"][:, 0]
+    problem.points["velocity"][:, 0] = -1e-3 * np.exp(-((x - 8.0) ** 2))
+    first = problem.energies().kinetic
+    for t in mpm.times(4.0, dt=0.02):
+        problem.step(t)
+    energies = problem.energies()
+    assert (energies.kinetic + energies.strain) / first < 1e-3
+
+
+def test_absorbing_needs_a_rectangular_grid():
+    grid = mesh.create_unit_square(COMM, 3, 3, mesh.CellType.triangle)
+    with pytest.raises(errors.UnsupportedGridError):
+        mpm.absorbing(mpm.Space(grid), "left", density=1.0, p_speed=1.0)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.2])
+def test_a_block_slides_on_a_frictional_face(mu):
+    grid = mesh.create_rectangle(COMM, [(0, 0), (8, 2)], (32, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0.5, 0), (1.5, 1)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, -10.0))
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, u, v)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    points.add_field("velocity", (2,), "m/s", (3.0, 0.0))
+    problem = mpm.Explicit(F, u, points, mpm.frictional(V, "bottom", friction=mu))
+    problem.step(0.8)
+    mean = problem.momentum()[0] / 1000.0
+    assert mean == pytest.approx(3.0 - mu * 10.0 * 0.8, abs=0.02)
+    moved = points["x"][:, 0].mean() - 1.0
+    assert moved == pytest.approx(3.0 * 0.8 - 0.5 * mu * 10.0 * 0.64, rel=0.01)
+
+
+def test_friction_is_of_explicit_steps():
+    with pytest.raises(errors.ParameterError, match="frictional face at 'left'"):
+        bar(kind=mpm.Newmark, bcs=lambda V: mpm.frictional(V, "left", friction=0.1))
+
+
+@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark])
+def test_a_driven_end_sends_a_wave(kind):
+    """v(t) at one end arrives at x as v(t − x/c), and its work is the energy of the wave."""
+
+    def pulse(t):
+        return 1e-3 * np.sin(2 * np.pi * t) ** 2 if 0 < t < 0.5 else 0.0
+
+    def conditions(V):
+        return mpm.moving(V, "left", 0, pulse) + mpm.fixed(V, "right")
+
+    options = {} if kind is mpm.Explicit else {"stabilisation": "ghost"}
+    problem = bar(kind=kind, bcs=conditions, **options)
+    for t in mpm.times(1.0, dt=0.01):
+        problem.step(t)
+    x, velocity = problem.points["x"][:, 0], problem.points["velocity"][:, 0]
+    exact = np.array([pulse(1.0 - s / 10.0) for s in x])
+    assert np.abs(velocity - exact).max() < 0.1 * 1e-3
+    energies = problem.energies()
+    stored = energies.kinetic + energies.strain
+    assert energies.external == pytest.approx(stored, rel=0.01)
+    # ρ c ∫ v² dt
+    assert stored == pytest.approx(10.0 * 1e-6 * 0.5 * 3 / 8, rel=0.02)
+
+
+def test_velocities_are_of_steps_in_time():
+    with pytest.raises(errors.ParameterError, match="prescribes a velocity, and QuasiStatic"):
+        bar(kind=mpm.QuasiStatic, bcs=lambda V: mpm.moving(V, "left", 0, 1.0))
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_an_unstable_run_ends_with_a_named_error(fused):
+    problem = disc(fused=fused, scheme="usl")
+    problem.courant = 6.0
+    with pytest.raises(errors.InstabilityError, match=r"The step is .* s, the critical one .* s;"):
+        problem.step(3.0)
+
+
+def test_mass_cut_off_stops_light_nodes_and_redistribution_keeps_their_forces():
+    """Both bound the accelerations of nodes that a corner of a domain just reaches."""
+
+    def largest(**options):
+        grid = mesh.create_interval(COMM, 8, [0, 8])
+        points = mpm.fill(grid, mpm.Box((2 - 1e-5,), (4 - 1e-5,)), 2, 1.0, aligned="body")
+        V = mpm.Space(grid, "linear")
+        u, v = V.increment, V.test
+        F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, u, v)
+        points.add_field("velocity", (1,), "m/s", lambda x: 0.1 * np.sin(x).T)
+        problem = mpm.Explicit(F, u, points, fused=False, **options)
+        for _ in range(20):
+            problem.step(problem.time + 0.05)
+        return np.abs(points["acceleration"]).max(), problem.momentum()[0]
+
+    plain, first = largest()
+    redistributed, momentum = largest(redistribution=0.1)
+    assert momentum == pytest.approx(first, abs=1e-12)
+    cut, _ = largest(mass_cutoff=1e-3)
+    assert max(redistributed, cut) <= plain * 1.001
+
+
+def test_bulk_viscosity_takes_energy_from_a_shock_only():
+    def lost(viscosity):
+        problem = bar(bcs=lambda V: mpm.fixed(V, "left"), bulk_viscosity=viscosity)
+        problem.points["velocity"][:, 0] = -0.5
+        first = problem.energies().kinetic
+        problem.step(1.0)
+        energies = problem.energies()
+        return 1 - (energies.kinetic + energies.strain) / first
+
+    assert lost((0.0, 0.0)) < lost((0.06, 1.2)) < 0.1
+
+
+def test_automatic_steps_end_at_the_end():
+    problem = disc()
+    times = []
+    for t in mpm.times(0.02):
+        problem.step(t)
+        times.append(problem.time)
+    assert times[-1] == 0.02
+    assert np.all(np.diff(times) <= problem.courant * problem.critical_step() * 1.05)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_run_goes_on_from_its_file(tmp_path, fused):
+    whole, halved = disc(fused=fused), disc(fused=fused)
+    for problem in (whole, halved):
+        for t in (0.02, 0.04):
+            problem.step(t)
+    halved.save(tmp_path / "half.h5")
+    again = disc(fused=fused)
+    again.load(tmp_path / "half.h5")
+    for problem in (whole, again):
+        problem.step(0.06)
+    assert again.time == whole.time == 0.06
+    order = [np.argsort(problem.points["id"]) for problem in (whole, again)]
+    for name in ("x", "velocity", "F", "stress"):
+        a, b = (p.points[name][o] for p, o in zip((whole, again), order))
+        assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), name
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scheme": "euler"}, "scheme"),
+        ({"mapping": "accel"}, "of implicit steps"),
+        ({"courant": -1.0}, "courant"),
+        ({"damping": 2.0}, "damping"),
+        ({"mass": "diagonal"}, "mass"),
+        ({"ghost_mass": 0.25}, "lumping takes away"),
+        ({"bulk_viscosity": 0.1}, "bulk_viscosity"),
+        ({"mass_cutoff": -1e-3}, "mass_cutoff"),
+    ],
+)
+def test_bad_arguments(options, message):
+    with pytest.raises(errors.ParameterError, match=message):
+        bar(**options)
+
+
+def test_time_goes_forward():
+    problem = bar()
+    problem.step(0.1)
+    with pytest.raises(errors.ParameterError, match="later than the time of the state"):
+        problem.step(0.1)
