@@ -98,6 +98,12 @@ def arguments():
     options.add_argument("--modulus", type=float, help="Young's modulus (Pa) of Tresca's clay")
     options.add_argument("--stabilisation", choices=remedies, default="aggregation")
     options.add_argument(
+        "--integrator", choices=("static", "explicit"), default="static",
+        help="explicit: a flexible footing loaded in time by explicit steps after the weight",
+    )  # fmt: skip
+    options.add_argument("--duration", type=float, default=100.0, help="of explicit loading (s)")
+    options.add_argument("--damping", type=float, default=0.1, help="local, of explicit steps")
+    options.add_argument(
         "--compare", action="store_true", help="cam-clay: measures of strain; tresca: bases with "
         "and without F-bar; tresca-perfect: F-bar on finer and finer cells"
     )  # fmt: skip
@@ -116,8 +122,10 @@ def arguments():
         options.error(f"coarsest = {given.coarsest:g} m must be at most 2 m")
     if given.steps < 1 or given.points_per_cell < 1:
         options.error("steps and points-per-cell must be at least 1")
-    if not min(given.load, given.settlement, given.modulus) > 0:
-        options.error("load, settlement and modulus must be positive")
+    if not min(given.load, given.settlement, given.modulus, given.duration) > 0:
+        options.error("load, settlement, modulus and duration must be positive")
+    if given.integrator == "explicit" and (given.footing, given.strain) != ("flexible", "large"):
+        options.error("explicit steps load a flexible footing, under large strain")
     return given
 
 
@@ -220,17 +228,22 @@ class Scene:
         else:
             F -= under.traction(self.pressure, v)
         if rough and not self.rigid:
-            stiffness = fem.Constant(grid, 1e3 * args.modulus / args.h)
+            # a stiff one would shorten explicit steps
+            stiff = 1e3 if args.integrator == "static" else 4.0
+            stiffness = fem.Constant(grid, stiff * args.modulus / args.h)
             slip = moved + ufl.dot(turned, under.offset) + under.at(u)
             F -= under.traction(ufl.as_vector((-stiffness * slip[0], 0.0)), v)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        updates = {"moved": moved + u, "turned": turned + ufl.dot(ufl.grad(u), points.F)}
         self.problem = mpm.QuasiStatic(
-            F,
-            u,
-            points,
-            mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom"),
-            updates={"moved": moved + u, "turned": turned + ufl.dot(ufl.grad(u), points.F)},
+            F, u, points, bcs, updates=updates,
             stabilisation=mpm.Stabilisation(args.stabilisation, E=args.modulus),
-        )
+        )  # fmt: skip
+        self.explicit, self.settled = None, 0.0
+        if args.integrator == "explicit":
+            self.explicit = mpm.Explicit(
+                F, u, points, bcs, updates=updates, damping=args.damping, mapping="flip"
+            )
 
     def load(self):
         """Mean pressure on the footing (Pa). Collective."""
@@ -244,6 +257,23 @@ class Scene:
         if self.args.strain == "small" and not self.rigid:
             self.put_back()
         return record.residuals[-2:]
+
+    def press(self, part):
+        """Bring the load to a part of the last one; see `step`. Collective.
+
+        Explicit steps come there in time, by a tenth of the step's load at once.
+        """
+        if self.explicit is None:
+            self.pressure.value[1] = -self.args.load * part
+            self.settlement.value = self.args.settlement * part
+            return self.step()
+        start, self.settled = self.settled, part
+        for k in range(1, 11):
+            now = start + (part - start) * k / 10
+            self.pressure.value[1] = -self.args.load * (now - 0.05 * (part - start))
+            self.explicit.step(self.args.duration * now)
+        self.pressure.value[1] = -self.args.load * part
+        return []
 
     def put_back(self):
         """Return the points to where they were at first. Collective."""
@@ -299,9 +329,7 @@ def run(args):
         first = scene.sunk()
         history.record(load=0.0, centre=0.0, mean=0.0, edge=0.0)
         for part in mpm.steps(args.steps, label="footing"):
-            scene.pressure.value[1] = -args.load * part
-            scene.settlement.value = args.settlement * part
-            residuals.append(scene.step())
+            residuals.append(scene.press(part))
             names = "centre", "mean", "edge"
             history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
     except ConvergenceError as error:
@@ -321,7 +349,9 @@ def run(args):
         "settlement_before": float(first[0]),
         "curve": curve.tolist(),
         "last_ratios": residuals,
-        **solver_figures(scene.problem),
+        "integrator": args.integrator,
+        "explicit_steps": sum(r.parts for r in scene.explicit.history) if scene.explicit else 0,
+        **solver_figures(scene.problem if scene.problem.here else scene.explicit),
         "seconds_setup": ready - started,
         "seconds_solve": time.perf_counter() - ready,
     }

@@ -464,7 +464,7 @@ class Explicit(Problem):
                 if self._fused is not None
                 else "The state is that before the step: take "
             )
-            + 'a smaller courant number, a mapping that damps, mass="consistent" or aggregation where cuts are small'
+            + "a smaller courant number, a mapping that damps, or aggregation where cuts are small"
         )
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
