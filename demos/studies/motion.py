@@ -6,7 +6,11 @@ import argparse
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 import dolfinmpm as mpm
+from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.transfer import moments
 
 INTEGRATORS = ("newmark", "generalised-alpha", "explicit")
 BASES = ("linear", "gimp", "bspline2", "bspline3")
@@ -68,6 +72,41 @@ def times_of(args: argparse.Namespace, end: float, speed: float, label: str = ""
     """Times to step to (s): Courant's number of h/c, or what an explicit problem chooses."""
     dt = "auto" if args.integrator == "explicit" else args.courant * args.h / speed
     return mpm.times(end, dt=dt, label=label)
+
+
+def mapping_on(problem: Any) -> mpm.Mapping:
+    """The velocity mapping that a problem goes by."""
+    return problem.motion.mapping if hasattr(problem, "motion") else problem.mapping
+
+
+def give_affine_part(problem: Any, gradient: Any) -> None:
+    """Let points whose mapping has an affine part begin with it. Collective.
+
+    Args:
+        problem: The problem, before its first step.
+        gradient: Gradient of the velocity (1/s), shape (d, d).
+    """
+    points, kind = problem.points, mapping_on(problem).kind
+    if kind == "tpic":
+        points["velocity_gradient"] = gradient
+    if kind == "apic":
+        field = problem.activate().fields[0]
+        x, nodes = points["x"], field.basis.node_coordinates()[:, : points.gdim]
+        points["velocity_moment"] = gradient @ moments(field.stencils, nodes, x, nodes, x)
+
+
+def nodal_velocities(problem: Any) -> tuple[Any, Any]:
+    """Velocities of the active nodes that the points would give now, and their places. Collective.
+
+    Returns:
+        Velocities (m/s) and positions (m), shape (n, d) each.
+    """
+    field = problem.activate().fields[0]
+    mass, x = Mass(problem.form.inertia, problem.here), field.basis.node_coordinates()
+    momenta = mass.nodal()
+    mapping_on(problem).to_grid(problem.points, field.stencils, x, momenta)
+    (v,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays
+    return v[field.nodes], x[field.nodes, : problem.points.gdim]
 
 
 def total_energy(problem: Any) -> float:
