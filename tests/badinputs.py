@@ -69,6 +69,19 @@ class Scene:
         points = mpm.fill(self.grid, mpm.Box((0, 0), (2, 1)), 2, 1000.0)
         return mpm.set_stress(points, **{"law": self.law, "stress": stress, **given})
 
+    def motion(self, rule=None, **given):
+        form, u = given.pop("form", self.F), given.pop("increment", self.u)
+        points, bcs = given.pop("points", self.points), given.pop("bcs", self.bcs)
+        return (rule or mpm.Newmark)(form, u, points, bcs, **given)
+
+    def total(self):
+        V = mpm.Space(self.grid, configuration="total")
+        F = mpm.momentum(self.law, self.points, V.increment, V.test)
+        return self.motion(form=F, increment=V.increment, bcs=())
+
+    def alpha(self, **given):
+        return self.motion(mpm.GeneralisedAlpha, **given)
+
     def plot(self, path="picture.png", *arguments, **given):
         return mpm.plot(self.points, path, *arguments, **given)
 
@@ -338,6 +351,69 @@ BAD = {
         lambda s: s.path(bcs=mpm.prescribed(s.V, "left", 0, 0.1)),
         "only zero ones may be",
     ),
+    # -- steps in time
+    "motion: mass": (lambda s: s.motion(mass="x"), "mass = 'x' must be one of \"consistent\""),
+    "motion: mass a number": (lambda s: s.motion(mass=1.0), "mass = 1.0 must be one of"),
+    "motion: mapping": (lambda s: s.motion(mapping="y"), "mapping = 'y' must be one of \"pic\""),
+    "motion: mapping a near miss": (lambda s: s.motion(mapping="flipp"), 'did you mean "flip"'),
+    "motion: mapping a number": (
+        lambda s: s.motion(mapping=1),
+        "mapping = 1 must be a dolfinmpm.M",
+    ),
+    "motion: mapping of a lumped mass": (
+        lambda s: s.motion(mapping="apic"),
+        'mapping = "apic" puts back what a lumped mass smears; .* give mass="lumped"',
+    ),
+    "mapping: share": (
+        lambda s: mpm.Mapping("flip", share=2.0),
+        "share = 2 must be at least 0 and",
+    ),
+    "mapping: order": (lambda s: mpm.Mapping("xpic", order=0), "order = 0 must be a whole number"),
+    "mapping: order a float": (
+        lambda s: mpm.Mapping("xpic", order=2.0),
+        "order = 2.0 must be a wh",
+    ),
+    "motion: beta": (lambda s: s.motion(beta=0.0), "beta = 0 must be above 0"),
+    "motion: gamma a word": (lambda s: s.motion(gamma="1/2"), "gamma = '1/2' must be a number"),
+    "motion: ghost_mass": (
+        lambda s: s.motion(ghost_mass=-1.0),
+        "ghost_mass = -1 must be at least 0",
+    ),
+    "motion: ghost_mass of a lumped mass": (
+        lambda s: s.motion(mass="lumped", ghost_mass=0.25),
+        'ghost_mass = 0.25 is of a consistent mass, .* give mass="consistent"',
+    ),
+    "motion: error": (lambda s: s.motion(error=0.0), "error = 0 must be above 0"),
+    "motion: rho_inf": (
+        lambda s: s.alpha(rho_inf=2),
+        "rho_inf = 2 must be at least 0 and at most 1",
+    ),
+    "motion: rho_inf negative": (
+        lambda s: s.alpha(rho_inf=-0.1),
+        "rho_inf = -0.1 must be at least",
+    ),
+    "motion: rho_inf a word": (lambda s: s.alpha(rho_inf="1"), "rho_inf = '1' must be a number"),
+    "motion: total Lagrangian": (lambda s: s.total(), 'configuration="updated"\\), got "total"'),
+    "motion: a scalar": (
+        lambda s: s.motion(increment=s.S.increment, bcs=()),
+        "must be a displacement of 2 components, got shape ",
+    ),
+    "motion: a space": (lambda s: s.motion(increment=s.V), r"is a Space; .*Space\.increment"),
+    "motion: points": (lambda s: s.motion(points=None), "points = None must be a MaterialPoints"),
+    "motion: one condition": (lambda s: s.motion(bcs=s.bcs[0]), "must be a list of conditions"),
+    "motion: no such option": (lambda s: s.motion(stabilisation="gost"), "'gost' must be one of"),
+    "motion: no time": (lambda s: s.motion().step(), r"step\(t\) needs the time to go to \(s\)"),
+    "motion: time 0": (lambda s: s.motion().step(0.0), "t = 0 s must be later than .* state, 0 s"),
+    "motion: time negative": (lambda s: s.motion().step(-0.1), "t = -0.1 s must be later"),
+    "motion: time nan": (lambda s: s.motion().step(np.nan), "t = nan s must be finite"),
+    "motion: time a word": (lambda s: s.motion().step("1"), "t = '1' must be a number"),
+    "motion: automatic": (
+        lambda s: [s.motion().step(t) for t in mpm.times(1.0)],
+        "give the problem error=1e-3, or times a dt",
+    ),
+    "times: dt negative": (lambda s: list(mpm.times(1.0, dt=-0.1)), "dt = -0.1 s must be above 0"),
+    "times: dt a word": (lambda s: list(mpm.times(1.0, dt="a")), "dt = 'a' must be a time in s or"),
+    "times: end": (lambda s: list(mpm.times(-1.0, dt=0.1)), "end = -1 s must be above 0"),
     # -- loads that are no numbers
     "load: nan": (
         lambda s: s.nan_load(),

@@ -244,6 +244,12 @@ class Mass:
         matrix, _ = ksp.getOperators()
         b, x = matrix.createVecRight(), matrix.createVecRight()
         b.getArray()[:], x.getArray()[:] = right, guess
+        rest = b.duplicate()
+        matrix.mult(x, rest)
+        rest.aypx(-1.0, b)
+        if rest.norm() > b.norm():
+            # where next to no points are, forces over the lumped mass are no guess
+            x.set(0.0)
         ksp.solve(b, x)
         self.iterations = ksp.getIterationNumber()
         error = None

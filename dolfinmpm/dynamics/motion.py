@@ -105,6 +105,11 @@ class Motion:
         self._starting = True
         self._largest = 0.0
 
+    @property
+    def chooses(self) -> bool:
+        """Whether the lengths of steps may follow from their errors."""
+        return self._error is not None
+
     def begin(self, end: float, jumped: bool, varying: bool) -> None:
         """Begin a step to a time (s), in which a load jumps, or any changes."""
         self.start, self.end, self.jumped = self.time, end, jumped

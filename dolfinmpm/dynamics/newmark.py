@@ -202,6 +202,11 @@ class TimeStepping(QuasiStatic):
             raise ParameterError("step(t) needs the time to go to (s)")
         end = number("t", t, unit="s")
         if isinstance(t, Time) and t.open:
+            if not motion.chooses:
+                raise ParameterError(
+                    'with times(end, dt="auto") the error of a step chooses the length of the '
+                    "next: give the problem error=1e-3, or times a dt in s"
+                )
             end = min(t.end, motion.time + (motion.wanted or math.inf))
         if not end > motion.time:
             raise ParameterError(

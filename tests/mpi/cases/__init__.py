@@ -5,6 +5,7 @@ from __future__ import annotations
 from . import (
     arguments,
     bodies,
+    dynamics,
     failures,
     fbar,
     loads,
@@ -64,5 +65,8 @@ CASES = {
         restart.restart_splines,
         restart.restart_arch,
         restart.restart_errors,
+        dynamics.dynamics,
+        dynamics.dynamics_lumped,
+        dynamics.dynamics_restart,
     )
 }

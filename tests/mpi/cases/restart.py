@@ -70,7 +70,7 @@ def _bits(problem):
     return fields, [vars(record) | {"seconds": None} for record in problem.history]
 
 
-def _goes_on(build, steps, moves=True):
+def goes_on(build, steps, moves=True):
     """The figures of a run; one that went on in the middle has the same bits on every rank."""
     folder = _folder()
     problem, step = build()
@@ -91,29 +91,29 @@ def _goes_on(build, steps, moves=True):
 
 def restart_ghost():
     """A column that yields, with ghost penalty."""
-    return _goes_on(lambda: block(petsc_options=REPEATABLE, tolerance=1e-12), 9)
+    return goes_on(lambda: block(petsc_options=REPEATABLE, tolerance=1e-12), 9)
 
 
 def restart_aggregation():
     """The same with aggregation."""
-    return _goes_on(lambda: block("aggregation", petsc_options=REPEATABLE, tolerance=1e-12), 9)
+    return goes_on(lambda: block("aggregation", petsc_options=REPEATABLE, tolerance=1e-12), 9)
 
 
 def restart_triangles():
     """The same on triangles, whose roots are looked for on all ranks."""
     options = {"petsc_options": REPEATABLE, "tolerance": 1e-12}
-    return _goes_on(lambda: block("aggregation", "linear", **options), 9)
+    return goes_on(lambda: block("aggregation", "linear", **options), 9)
 
 
 def restart_splines():
     """The same with splines, whose facet terms have one tensor for all that are alike."""
     options = {"petsc_options": REPEATABLE, "tolerance": 1e-12}
-    return _goes_on(lambda: block("ghost", "bspline2", **options), 5, moves=False)
+    return goes_on(lambda: block("ghost", "bspline2", **options), 5, moves=False)
 
 
 def restart_arch():
     """An arc length that goes on."""
-    return _goes_on(lambda: arch(petsc_options=REPEATABLE), 9, moves=False)
+    return goes_on(lambda: arch(petsc_options=REPEATABLE), 9, moves=False)
 
 
 def _refused(action, problem):
