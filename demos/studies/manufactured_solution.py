@@ -38,7 +38,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from scene import finish, numbers, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -49,11 +49,6 @@ E, RHO = 1e3, 1.0
 
 
 # %%
-def numbers(kind):
-    """A list of numbers on the command line, by commas."""
-    return lambda text: [kind(item) for item in text.split(",")]
-
-
 def arguments():
     """The command line."""
     options = parser("A manufactured solution in full and in cut cells: observed orders.")

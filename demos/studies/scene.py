@@ -26,6 +26,11 @@ def parser(description: str) -> argparse.ArgumentParser:
     return result
 
 
+def numbers(kind: type) -> Any:
+    """A list of numbers on the command line, by commas."""
+    return lambda text: [kind(item) for item in text.split(",")]
+
+
 def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
     """Write the inputs and the figures where `--json` asks for them; on rank 0."""
     if arguments.json is None or MPI.COMM_WORLD.rank != 0:

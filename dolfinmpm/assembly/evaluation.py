@@ -231,9 +231,10 @@ class _Region:
     def prepare(self) -> None:
         """Let laws take their means over cells. Collective if there are any."""
         for k in self.terms.by_mean:
-            assert self.part.couplings is not None
+            means = self.part.means
+            assert means is not None
             everywhere = np.arange(len(self._points))
-            law, means = self.averaging(k), self.part.couplings[0].means
+            law = self.averaging(k)
             law.prepare(self.operand(k, everywhere), means.mean)
 
     def averaging(self, k: int) -> AveragingLaw:

@@ -210,6 +210,7 @@ class LatticeBasis:
         )
         self.nodes = self.halo.nodes
         self.cells = self.halo.cells
+        self._node_x: npt.NDArray[np.float64] | None = None
 
     def grown(self, layers: int) -> LatticeBasis:
         """The basis that knows what is within so many layers of this rank's own cells. Collective.
@@ -227,10 +228,13 @@ class LatticeBasis:
 
     def node_coordinates(self) -> npt.NDArray[np.float64]:
         """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
-        x = np.zeros((self.nodes.size, 3))
-        for d, line in enumerate(self.lattice.lines):
-            x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
-        return x
+        if self._node_x is None:
+            x = np.zeros((self.nodes.size, 3))
+            for d, line in enumerate(self.lattice.lines):
+                x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
+            # every step in time asks for them
+            self._node_x = x
+        return self._node_x.copy()
 
     def _spans(self, where: Placement, origin):
         """Half-lengths that count, and first overlapped cell and number of them a direction."""
@@ -260,8 +264,8 @@ class LatticeBasis:
             p = int(np.argmax(count.max(axis=1)))
             error = PointsOutsideGridError(
                 f"the domain of the point at {where.x[p]} m spans {count[p].max()} cells, at most "
-                f"60 are possible; its half-lengths are {half[p]} m: use a coarser grid or "
-                "basis='linear'"
+                f"60 are possible; its half-lengths are {half[p]} m: use a coarser grid, "
+                "domains='volume' where the body flows, or basis='linear'"
             )
         raise_together(self.grid.comm, error)
         own = self.lattice.cell_ijk[where.cell]

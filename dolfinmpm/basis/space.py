@@ -152,6 +152,10 @@ class Space:
             start of every step; "total" where they were at first: no point crosses a cell,
             as long as the body stays one (Coombs, Petit & Ghaffari Motlagh 2020, doi
             10.1016/j.cma.2019.112622).
+        domains: How the points' domains grow if the basis averages: "stretch" by diag U with
+            U = √(FᵀF), so that they go on to tile a body that is stretched; "volume" by
+            J^(1/d), or "fixed", for flow, in which F grows without bound and has no more to do
+            with the space that a point takes.
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -179,11 +183,13 @@ class Space:
         shape: tuple[int, ...] | None = None,
         averaged: bool = True,
         configuration: str = "updated",
+        domains: str = "stretch",
     ):
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
         shape = _shape(shape, grid.geometry.dim)
         averaged = truth("averaged", averaged)
+        self.domains = choice("domains", domains, ("stretch", "volume", "fixed"))
         self.configuration = choice("configuration", configuration, ("updated", "total"))
         if basis == "gimp" and not averaged:
             raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')

@@ -33,13 +33,21 @@ def _stretches(F, l0, lengths):
             lengths[p, i] = l0[p, i] * stretch
 
 
-def update_domains(F: Array, l0: Array) -> Array:
-    """Half-lengths l = l0 · diag(U), U = √(FᵀF), of the GIMP domains (m).
+def update_domains(F: Array, l0: Array, growth: str = "stretch") -> Array:
+    """Half-lengths of the GIMP domains (m): l = l0 · diag(U) with U = √(FᵀF), or another rule.
+
+    See Coombs, Augarde & others (2020, doi 10.1016/j.cma.2019.112622) on what rule suits which
+    motion.
 
     Args:
         F: Deformation gradients, shape (points, d, d).
         l0: First half-lengths (m), shape (points, d).
+        growth: "stretch" for diag(U), "volume" for J^(1/d), "fixed" for l = l0.
     """
+    if growth == "fixed":
+        return l0.copy()
+    if growth == "volume":
+        return l0 * (np.linalg.det(F) ** (1.0 / F.shape[1]))[:, None]
     lengths = np.empty_like(l0)
     _stretches(F, l0, lengths)
     return lengths

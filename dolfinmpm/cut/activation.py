@@ -30,6 +30,7 @@ from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "Kept", "activate"]
 
@@ -127,11 +128,35 @@ class ActiveRegion:
 
     Attributes:
         stencils: Stencils in every field, in common groups.
-        couplings: What cell means couple, in every field, or None if there are none.
+        means: Means over cells, or None if no law takes any.
+        within: Numbering of the nodes and active nodes of every field.
     """
 
     stencils: list[Stencils]
-    couplings: list[CellCouplings] | None
+    means: CellMeans | None
+    within: list[tuple[Numbering, npt.NDArray[np.int32]]]
+
+    @functools.cached_property
+    def couplings(self) -> list[CellCouplings] | None:
+        """What cell means couple, in every field, or None if there are none. Collective at first.
+
+        Only a tangent asks.
+
+        Raises:
+            ParameterError: Ranks differ in what they tie.
+        """
+        if self.means is None:
+            return None
+        found = [
+            CellCouplings(self.means, s, numbering, nodes)
+            for s, (numbering, nodes) in zip(self.stencils, self.within)
+        ]
+        if not all(c.complete for c in found):
+            raise ParameterError(
+                "a prolongation ties nodes at a rank border differently on the two sides; make it "
+                "a function of the nodes' positions alone"
+            )
+        return found
 
 
 @dataclass(frozen=True)
@@ -319,7 +344,7 @@ def activate(
 
 
 def region_on(region: Region, points: MaterialPoints, here: Participants) -> ActiveRegion:
-    """Stencils and couplings of a part of the body. Collective if it takes means over cells.
+    """Stencils and means of a part of the body. Collective if it takes means over cells.
 
     Args:
         region: The part.
@@ -343,7 +368,7 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         now = {id(s): pushed_forward(s, F) for s in stencils}
         return [now[id(s)] for s in stencils]
 
-    own, couplings = [f.stencils for f in fields], None
+    own, means = [f.stencils for f in fields], None
     if not region.averages:
         stencils = pushed(made(own))
     else:
@@ -351,16 +376,8 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
         stencils = pushed(stencils)
         means = CellMeans(points["V"], here.where, shared, first.basis)
-        couplings = [
-            CellCouplings(means, s, f.basis.nodes, u.nodes)
-            for s, f, u in zip(stencils, fields, unknowns.fields)
-        ]
-        if not all(c.complete for c in couplings):
-            raise ParameterError(
-                "a prolongation ties nodes at a rank border differently on the two sides; make it "
-                "a function of the nodes' positions alone"
-            )
-    return ActiveRegion(stencils, couplings)
+    within = [(f.basis.nodes, u.nodes) for f, u in zip(fields, unknowns.fields)]
+    return ActiveRegion(stencils, means, within)
 
 
 def _unmoved(points: MaterialPoints, where: Placement, old: Activation) -> bool:

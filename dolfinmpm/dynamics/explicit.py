@@ -30,7 +30,7 @@ from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.critical import critical_step, wave_speed
 from dolfinmpm.dynamics.energies import Energies, Work, angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Faces, divided, set_velocities
-from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
+from dolfinmpm.dynamics.fusable import Laws, Loads, only_momentum, why_not
 from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.lightnodes import checked_viscosity, filters, viscous_pressure
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion, mapping_of
@@ -139,6 +139,7 @@ class Explicit(Problem):
         self._on: dict[Any, Faces] = {}
         self.terms: MassTerms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.form.inertia = self.terms
+        self._by_stress = only_momentum(self.form)
         self.time = 0.0
         self._clock = time
         self._work = Work()
@@ -159,6 +160,8 @@ class Explicit(Problem):
             return "faces of the grid, bulk viscosity or filters of light nodes act"
         if any(condition.velocity for condition in self.bcs):
             return "velocities are prescribed in time"
+        if basis.averaged and self.fields[0].space.domains != "stretch":
+            return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if self.mapping.kind not in ("flip", "pic", "tpic"):
@@ -379,24 +382,24 @@ class Explicit(Problem):
         Collective. Returns why there are none where the increment admits no state.
         """
         forces = mass.nodal()
-        if u is None:
+        if u is None and not self._by_stress:
             operator.rest()
             forces.arrays[0][:] = -operator.forces()[0]
             return forces
-        operator.place([u])
-        state = advance(
-            operator, self._updates, False, largest_cell(self.points.grid), len(self.history) + 1
-        )
-        if isinstance(state, str):
-            return state
         points, d = self.points, self.points.gdim
-        J = np.linalg.det(operator.points.gradient[0] + np.eye(d))
-        weight = J * points["V"]
+        weight, stress = points["V"].copy(), points["stress"]
+        if u is not None:
+            operator.place([u])
+            cell = largest_cell(points.grid)
+            state = advance(operator, self._updates, False, cell, len(self.history) + 1)
+            if isinstance(state, str):
+                return state
+            weight *= np.linalg.det(operator.points.gradient[0] + np.eye(d))
+            stress = state.fields["stress"]
         for declaration in self.form.parts.declarations:
             if declaration.strain == "small":
                 weight[declaration.rows] = points["V0"][declaration.rows]
-        stress = weight[:, None, None] * state.fields["stress"][:, :d, :d]
-        scatter_stress(s, stress, forces.arrays[0])
+        scatter_stress(s, weight[:, None, None] * stress[:, :d, :d], forces.arrays[0])
         forces.arrays[0][:] *= -1.0
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]

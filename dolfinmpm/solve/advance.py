@@ -77,7 +77,7 @@ def advance(
         new["V"] = J * points["V0"]
         new["x"] = points["x"] + evaluation.value[0] if x is None else x
         if operator.here.fields[0].basis.averaged:
-            new["l"] = update_domains(new["F"], points["l0"])
+            new["l"] = update_domains(new["F"], points["l0"], operator.here.fields[0].space.domains)
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:

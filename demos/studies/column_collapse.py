@@ -1,0 +1,379 @@
+# %% [markdown]
+# # A column of sand collapses
+#
+# Bui, Fukagawa, Sako & Ohno (2008, doi 10.1002/nag.688) piled up small aluminium bars, 0.2 m wide
+# and 0.1 m high, took away the wall beside them, and measured the surface when all had come
+# to rest, and the line along which the pile had failed. Nguyen and others (2017) calibrated a
+# Mohr–Coulomb material by it, and Xie and others (doi 10.1002/nag.3599) compared explicit and
+# implicit material point methods on it:
+#
+# - $E = 5.84$ MPa, $\nu = 0.3$, $\varphi = 21.9°$, no cohesion, no dilation, 2040 kg/m³
+#   at $g = 10$ m/s²;
+# - a fixed base, a smooth wall on the left, none on the right; the whole of gravity at $t = 0$,
+#   when the sand has no stress;
+# - 0.607 s, in which all motion dies down.
+#
+# **What sand without cohesion asks of a law.** At the surface, and where the front of the heap
+# breaks up, points lose all contact: they have been stretched, and there is no tension. The
+# return of `mpm.materials.MohrCoulomb` goes to the apex of the pyramid, which is $\tau = 0$
+# for $c = 0$: stress and elastic strain become zero, whatever the strain was, the rest is
+# plastic. Such a point has no stiffness either. It falls freely, by its inertia alone, and takes
+# stress again as soon as it is compressed. In implicit steps it is the mass in $K + 4M/\Delta t^2$
+# that keeps the equations solvable.
+
+# %%
+from __future__ import annotations
+
+import itertools
+import time
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import draw_points, finish, numbers, parser, say
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import DolfinMPMError
+
+# the surface at rest, and the line of failure (Bui and others 2008), x and y in m
+PLACES = np.array([0.04, 0.08, 0.12, 0.16, 0.20, 0.241, 0.282, 0.322, 0.362, 0.402, 0.442])
+MEASURED = np.array(
+    [0.0959, 0.0844, 0.0722, 0.0616, 0.0474, 0.0348, 0.0265, 0.0189, 0.0109, 0.0037, 0.0015]
+)
+CREST = 0.0992
+MEASURED_TOE = 0.434
+LINE = np.array(
+    [(0.021, 0.0989), (0.080, 0.0652), (0.120, 0.0368), (0.160, 0.0104), (0.179, 0.0005)]
+)
+COLUMN = 0.01
+TIMES = [0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]
+BASES = ("linear", "gimp", "bspline2", "bspline3")
+
+
+# %%
+def words(*allowed):
+    """A list of words on the command line, by commas."""
+
+    def read(text):
+        found = text.split(",")
+        for word in found:
+            if word not in allowed:
+                raise ValueError(word)
+        return found
+
+    return read
+
+
+def arguments():
+    """The command line."""
+    options = parser("A column of sand collapses under its weight.")
+    options.add_argument("--width", type=float, default=0.2, help="(m)")
+    options.add_argument("--height", type=float, default=0.1, help="(m)")
+    options.add_argument("--modulus", type=float, default=0.84e6, help="Young's (Pa)")
+    options.add_argument("--poisson", type=float, default=0.3)
+    options.add_argument("--friction-angle", type=float, default=21.9, help="(degrees)")
+    options.add_argument("--density", type=float, default=2040.0, help="(kg/m³)")
+    options.add_argument("--gravity", type=float, default=10.0, help="(m/s²)")
+    options.add_argument("--h", type=float, default=0.005, help="size of the cells (m)")
+    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+    options.add_argument("--basis", choices=BASES, default="gimp")
+    options.add_argument(
+        "--domains", choices=("stretch", "volume", "fixed"), default="volume", help="how they grow"
+    )
+    options.add_argument("--fbar", choices=("on", "off"), default="on")
+    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
+    options.add_argument("--integrator", choices=("implicit", "explicit"), default="explicit")
+    options.add_argument(
+        "--law", choices=("mohr-coulomb", "drucker-prager"), default="mohr-coulomb"
+    )
+    options.add_argument("--duration", type=float, default=0.607, help="(s)")
+    options.add_argument(
+        "--times", type=numbers(float), default=TIMES, help="at which to measure (s), by commas"
+    )
+    options.add_argument(
+        "--scheme", choices=("musl", "usl", "usf"), default="musl", help="explicit"
+    )
+    options.add_argument("--courant", type=float, default=0.8, help="explicit: of the stable step")
+    options.add_argument("--dt", type=float, default=5e-4, help="implicit: step (s)")
+    options.add_argument("--mass", choices=("lumped", "consistent"), default="lumped")
+    options.add_argument("--mapping", help="of velocities; see below")
+    options.add_argument("--stabilisation", default="none", help="besides that of the mass")
+    options.add_argument(
+        "--full", action="store_true", help="115 200 points: E = 5.84 MPa, h = 2.5 mm, 6² a cell"
+    )
+    options.add_argument("--variants", action="store_true", help="all of the lists below")
+    options.add_argument(
+        "--integrators", type=words("implicit", "explicit"), default=["implicit", "explicit"]
+    )
+    options.add_argument("--bases", type=words(*BASES), default=["linear", "gimp", "bspline2"])
+    options.add_argument("--fbars", type=words("on", "off"), default=["on", "off"])
+    options.add_argument(
+        "--strains", type=words("large", "small", "jaumann"), default=["large", "small", "jaumann"]
+    )
+    given = options.parse_args()
+    if given.full:
+        given.modulus, given.h, given.points_per_cell = 5.84e6, 0.0025, 6
+    if min(given.width, given.height, given.h, given.duration, given.dt) <= 0:
+        options.error("lengths and times must be positive")
+    if given.points_per_cell < 1:
+        options.error("points-per-cell must be at least 1")
+    if given.times != sorted(given.times) or given.times[:1] <= [0.0]:
+        options.error("times must be positive and rise")
+    given.times = [t for t in given.times if t < given.duration] + [given.duration]
+    return given
+
+
+# %% [markdown]
+# ## Mass and mapping
+# Explicit steps take the lumped mass and "flip", in the order "musl".
+#
+# Implicit ones can take the consistent mass with "pic", or, as Xie and others do, the lumped mass
+# with "accel". The consistent mass is the default here: behind it "pic" is a projection, which
+# damps no motion that the grid has room for, and what points have besides, one against the other
+# within a cell, does not stay. With "accel" the points add up accelerations and keep such
+# motion; in sand, which offers it no resistance where it is loose, the front of the heap then
+# scatters. `--mass lumped --mapping accel` shows it.
+#
+# The consistent mass needs its ghost penalty, $\gamma_M = \rho/4$ and more for splines; none of the
+# stiffness is needed at such steps, $c\,\Delta t/h$ being about 2 to 3, and there is none: it would
+# act on the increments of flow as a viscosity $E\,\Delta t/30$.
+
+
+# %%
+def law_of(args):
+    """The law; the cone is that which fits the pyramid in plane strain."""
+    E, nu, phi = args.modulus, args.poisson, args.friction_angle
+    if args.law == "mohr-coulomb":
+        return mpm.materials.MohrCoulomb(E, nu, cohesion=0.0, friction_angle=phi)
+    return mpm.materials.DruckerPrager(
+        E, nu, cohesion=0.0, friction_angle=phi, dilation_angle=0.0, fit="plane strain"
+    )
+
+
+def problem_of(args, integrator, basis, fbar, strain):
+    """The points and the problem of one run. Collective."""
+    h = args.h
+    # centres of quadratic splines lie in the middle of cells
+    first = -2.5 * h if basis == "bspline2" else -2.0 * h
+    extent = 3.5 * args.width - first, 1.6 * args.height - first
+    cells = [round(np.ceil(side / h - 1e-9)) for side in extent]
+    corners = [first] * 2, [first + n * h for n in cells]
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+    sand = mpm.Box((0, 0), (args.width, args.height))
+    points = mpm.fill(grid, sand, args.points_per_cell, args.density, aligned="body")
+    V = mpm.Space(grid, basis, domains=args.domains)
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, -args.gravity))
+    F = mpm.momentum(law_of(args), points, u, v, strain=strain, fbar=fbar)
+    F -= ufl.inner(points.density * gravity, v) * points.dX
+    bcs = mpm.fixed(V, lambda x: x[1] < 1e-6 * h)
+    bcs += mpm.prescribed(V, lambda x: x[0] < 1e-6 * h, 0)
+    kind = args.stabilisation
+    remedy = mpm.Stabilisation(kind, E=args.modulus, nu=args.poisson) if kind != "none" else "none"
+    options = {"stabilisation": remedy}
+    if args.mapping is not None:
+        options["mapping"] = args.mapping
+    if integrator == "explicit":
+        options["mass"] = args.mass
+        options |= {"scheme": args.scheme, "courant": args.courant}
+        return points, mpm.Explicit(F, u, points, bcs, **options)
+    options["mass"] = args.mass or "consistent"
+    return points, mpm.Newmark(F, u, points, bcs, **options)
+
+
+# %% [markdown]
+# ## What is measured
+# The surface is taken as the area of sand in columns 10 mm wide over their width: the highest
+# point of a column would overstate the front by single bars that fly ahead. A point's area is
+# spread over the width that it had at first. The toe is where this height first falls below
+# 2 mm; $x_{99}$ is what 99 % of the mass lie left of.
+
+
+# %%
+def surface(points, args, centres):
+    """Area a width in columns around centres (m), shape (n,). Collective."""
+    x, V, l0 = points["x"][:, 0], points["V"], points["l0"][:, 0]
+    low, high = x - l0, x + l0
+    heights = np.empty(len(centres))
+    for k, centre in enumerate(centres):
+        inside = np.minimum(high, centre + COLUMN / 2) - np.maximum(low, centre - COLUMN / 2)
+        # what the wall cuts off is not there to be filled
+        heights[k] = np.sum(V * np.clip(inside, 0, None) / (high - low)) / COLUMN
+    return points.comm.allreduce(heights, op=MPI.SUM)
+
+
+def measure(points, args, problem):
+    """Toe, place of 99 % (m) and kinetic energy (J/m). Collective."""
+    centres = np.arange(COLUMN / 2, 3.5 * args.width, COLUMN)
+    heights = surface(points, args, centres)
+    k = int(np.argmax(heights < 0.002))
+    share = (heights[k - 1] - 0.002) / (heights[k - 1] - heights[k])
+    rows = points.gather("x", "V0")
+    reach = None
+    if rows is not None:
+        order = np.argsort(rows[0][:, 0])
+        mass = np.cumsum(rows[1][order])
+        reach = float(rows[0][order, 0][np.searchsorted(mass, 0.99 * mass[-1])])
+    strain = points["plastic_strain"]
+    sums = points.comm.allreduce(np.array([strain @ points["V0"], points["V0"].sum()]), op=MPI.SUM)
+    return {
+        "toe": float(centres[k - 1] + COLUMN * share) if k else 0.0,
+        "x99": points.comm.bcast(reach),
+        "kinetic": problem.energies().kinetic,
+        "plastic_strain": float(sums[0] / sums[1]),
+        "max_plastic_strain": points.comm.allreduce(strain.max(initial=0.0), op=MPI.MAX),
+    }
+
+
+STATE = "x", "F", "l0", "plastic_strain"
+
+
+def run(args, integrator, basis, fbar, strain, keep=()):
+    """Let the column collapse; returns the figures, and the states at the times to keep."""
+    started = time.perf_counter()
+    points, problem = problem_of(args, integrator, basis, fbar, strain)
+    ready = time.perf_counter()
+    name = f"{integrator}, {basis}{', F-bar' if fbar else ''}, {strain}"
+    found, states, reason = [], [], ""
+    try:
+        for t in args.times:
+            if integrator == "explicit":
+                problem.step(t)
+            else:
+                for now in mpm.times(t, args.dt, problem.time, label=name):
+                    problem.step(now)
+            found.append(measure(points, args, problem))
+            if t in keep:
+                states.append((t, points.gather(*STATE)))
+    except DolfinMPMError as error:
+        # the run's outcome is what is asked for, good or bad
+        reason = f"{type(error).__name__}: {error}"
+    seconds = time.perf_counter() - ready
+    heights = surface(points, args, PLACES)
+    steps = sum(record.parts for record in problem.history)
+    history = problem.history
+    figures = {
+        "completed": not reason,
+        "reason": reason,
+        **{key: [one[key] for one in found] for key in (found[0] if found else ())},
+        "places": PLACES.tolist(),
+        "heights": heights.tolist(),
+        "rms": float(np.sqrt(np.mean((heights - MEASURED) ** 2))),
+        "reached": problem.time,
+        "steps": steps,
+        "newton_iterations": sum(getattr(record, "iterations", 0) for record in history),
+        "halvings": sum(getattr(record, "halvings", 0) for record in history),
+        "points": points.total,
+        "ranks": points.comm.size,
+        "seconds_setup": ready - started,
+        "seconds": seconds,
+        "microseconds_per_point_step": 1e6 * seconds / max(steps * points.total, 1),
+    }
+    centres = np.arange(COLUMN / 2, 3.5 * args.width, COLUMN)
+    profile = centres, surface(points, args, centres)
+    toe = f"{figures['toe'][-1]:.3f}" if found else "-"
+    x99 = f"{figures['x99'][-1]:.3f}" if found else "-"
+    say(
+        f"{name:40s} toe {toe} m, 99 % point {x99} m, RMS {1e3 * figures['rms']:.2f} mm, "
+        f"{steps} steps, {seconds:.1f} s, "
+        f"{figures['microseconds_per_point_step']:.2f} µs a point and step"
+        + (f"\n    ended at {problem.time:.4f} s: {reason[:200]}" if reason else "")
+    )
+    return figures, states, profile
+
+
+# %% [markdown]
+# ## Pictures
+
+
+# %%
+def draw_measured(axes):
+    """The measured surface."""
+    look = {"color": "black", "ls": "none", "zorder": 4}
+    axes.plot([0, *PLACES], [CREST, *MEASURED], "o", ms=3, mfc="white", **look)
+    axes.lines[-1].set_label("measured")
+
+
+def picture(path, args, figures, states, profile):
+    """Draw snapshots, and the surface at rest against the measured one."""
+    reach, top = 1.03 * max(0.48, figures["toe"][-1]), 1.12 * args.height
+    rows = len(states) + 1
+    height = 0.6 + rows * (0.25 + 5.2 * top / reach)
+    with mpm.figure(path, 6.5, height, nrows=rows, sharex=True) as (whole, axes):
+        for ax, (t, (x, F, l0, strain)) in zip(axes, states):
+            # undeformed, and a little larger than they are: F of what flows tells nothing of shape
+            whole_squares = np.broadcast_to(np.eye(2), F.shape)
+            drawn = draw_points(ax, x, whole_squares, 1.2 * l0, strain, cmap="viridis", clim=(0, 3))
+            ax.text(0.98, 0.8, f"$t$ = {t:g} s", transform=ax.transAxes, ha="right")
+            ax.set(xlim=(0, reach), ylim=(0, top), xlabel="")
+        axes[-2].plot(*LINE.T, "x", ms=3.5, color="#D55E00", label="line of failure, measured")
+        axes[-2].legend(loc="center right")
+        bar = whole.colorbar(drawn, ax=[*axes[:-1]], extend="max", shrink=0.6, aspect=30)
+        bar.set_label("plastic strain")
+        last = axes[-1]
+        x, y = np.append(0.0, profile[0]), np.append(profile[1][0], profile[1])
+        last.fill_between(x, y, color="#0072B2", alpha=0.2, lw=0)
+        last.plot(x, y, label="computed, at rest")
+        last.plot(
+            [0, args.width, args.width], [args.height, args.height, 0], color="0.5", ls="--",
+            lw=0.6, label="before",
+        )  # fmt: skip
+        draw_measured(last)
+        last.set(aspect="equal", xlim=(0, reach), ylim=(0, top), xlabel="$x$ (m)", ylabel="$y$ (m)")
+        last.legend()
+
+
+def variants_picture(path, args, results):
+    """Draw the surfaces of all variants against the measured one."""
+    rows, columns = len(args.integrators), len(args.bases)
+    colours = {"on": "C0", "off": "C1"}
+    lines = {"large": "-", "small": "--", "jaumann": ":"}
+    with mpm.figure(
+        path, 7.2, 0.7 + 1.5 * rows, nrows=rows, ncols=columns, sharex=True, sharey=True,
+        squeeze=False,
+    ) as (whole, axes):  # fmt: skip
+        for row, integrator in zip(axes, args.integrators):
+            for ax, basis in zip(row, args.bases):
+                draw_measured(ax)
+                for one, profile in results:
+                    if (one["integrator"], one["basis"]) != (integrator, basis):
+                        continue
+                    label = f"{one['strain']}, F-bar {one['fbar']}"
+                    label += "" if one["completed"] else " (not to the end)"
+                    ax.plot(*profile, lines[one["strain"]], color=colours[one["fbar"]], lw=0.9,
+                            label=label)  # fmt: skip
+                ax.set_title(f"{integrator}, {basis}")
+                ax.set(xlim=(0, 0.56), ylim=(0, 0.11))
+        for ax in axes[-1]:
+            ax.set_xlabel("$x$ (m)")
+        for ax in axes[:, 0]:
+            ax.set_ylabel("$y$ (m)")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        whole.legend(handles, labels, loc="outside lower center", ncols=4)
+
+
+# %% [markdown]
+# ## Runs
+
+# %%
+args = arguments()
+if args.variants:
+    results = []
+    for integrator, basis, strain, fbar in itertools.product(
+        args.integrators, args.bases, args.strains, args.fbars
+    ):
+        figures, _, profile = run(args, integrator, basis, fbar == "on", strain)
+        chosen = {"integrator": integrator, "basis": basis, "fbar": fbar, "strain": strain}
+        results.append(({**chosen, **figures}, profile))
+    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+        variants_picture(args.output / "column_collapse_variants.png", args, results)
+    finish(args, {"runs": [one for one, _ in results]})
+else:
+    shown = [t for t in args.times if t in (0.1, 0.2, 0.3)] + [args.times[-1]]
+    figures, states, profile = run(
+        args, args.integrator, args.basis, args.fbar == "on", args.strain, shown
+    )
+    if not args.no_plot and MPI.COMM_WORLD.rank == 0 and states:
+        picture(args.output / "column_collapse.png", args, figures, states, profile)
+    finish(args, figures)

@@ -1,0 +1,83 @@
+"""How the points' domains follow the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ParameterError, PointsOutsideGridError
+from dolfinmpm.body.domains import update_domains
+
+F = np.array([[[4.0, 1.0], [0.0, 0.5]]])
+HALF = np.array([[0.1, 0.2]])
+
+
+def test_rules():
+    values, Q = np.linalg.eigh(F[0].T @ F[0])
+    U = (Q * np.sqrt(values)) @ Q.T
+    assert update_domains(F, HALF) == pytest.approx(HALF * np.diag(U), rel=1e-13)
+    assert update_domains(F, HALF, "volume") == pytest.approx(HALF * np.sqrt(2.0), rel=1e-13)
+    assert np.array_equal(update_domains(F, HALF, "fixed"), HALF)
+    with pytest.raises(ParameterError, match="domains = 'round'"):
+        mpm.Space(grid(), "gimp", domains="round")
+
+
+def grid():
+    cells = mesh.CellType.quadrilateral
+    return mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (80, 2)], (80, 2), cells)
+
+
+def stretched(domains):
+    """A strip, stretched to eight times its length by what moves all nodes."""
+    background = grid()
+    points = mpm.fill(background, mpm.Box((0, 0), (2, 1)), 1, 1.0)
+    points["l0"][:] = points["l"][:] = 5.0, 0.5
+    V = mpm.Space(background, "gimp", domains=domains)
+    F = mpm.momentum(mpm.materials.Hencky(1.0, 0.0), points, V.increment, V.test)
+    bcs = mpm.prescribed(V, lambda x: x[0] > -1.0, 0, lambda x: x[0])
+    bcs += mpm.prescribed(V, lambda x: x[0] > -1.0, 1)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    for _ in range(4):
+        problem.step()
+    return points
+
+
+def test_what_spans_too_many_cells_is_told_the_remedy():
+    with pytest.raises(PointsOutsideGridError, match="domains='volume' where the body flows"):
+        stretched("stretch")
+    points = stretched("fixed")
+    assert points["F"][0, 0, 0] > 5.0
+    assert np.all(points["l"] == points["l0"])
+
+
+def forces(stress_only, strain, fbar):
+    cells = mesh.CellType.quadrilateral
+    background = mesh.create_rectangle(MPI.COMM_SELF, [(-1, -1), (6, 5)], (7, 6), cells)
+    points = mpm.fill(background, mpm.Box((0, 0), (3, 2.3)), 2, 2000.0)
+    V = mpm.Space(background, "gimp")
+    u, v = V.increment, V.test
+    sand = mpm.materials.MohrCoulomb(1e6, 0.3, 0.0, 22.0)
+    gravity = fem.Constant(background, (0.0, -10.0))
+    form = mpm.momentum(sand, points, u, v, strain=strain, fbar=fbar)
+    form -= ufl.inner(points.density * gravity, v) * points.dX
+    bcs = mpm.fixed(V, lambda x: x[1] < 1e-6) + mpm.prescribed(V, lambda x: x[0] < 1e-6, 0)
+    problem = mpm.Explicit(form, u, points, bcs, fused=False)
+    assert problem._by_stress
+    problem._by_stress = stress_only
+    problem.step(0.5)
+    return points
+
+
+@pytest.mark.parametrize("fbar", [True, False])
+@pytest.mark.parametrize("strain", ["large", "small", "jaumann"])
+def test_forces_of_explicit_steps_are_those_of_the_stress(strain, fbar):
+    """What the points' stress gives is what the law gives of no increment."""
+    one, other = forces(True, strain, fbar), forces(False, strain, fbar)
+    assert one["plastic_strain"].max() > 0.01
+    assert one["x"] == pytest.approx(other["x"], abs=1e-11)
+    largest = np.abs(other["stress"]).max()
+    assert one["stress"] == pytest.approx(other["stress"], abs=1e-7 * largest)
