@@ -312,7 +312,7 @@ class Fused:
             points["stress"], self._loads.body, points["acceleration"], tau, e_out,
         )  # fmt: skip
 
-    def _pass(self, parts: Pass, dt: float) -> str | None:
+    def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
         points, basis = self._points, self._window
         general = not basis.lattice.uniform or (basis.averaged and basis.degree > 1)
@@ -321,22 +321,26 @@ class Fused:
             rows, skipped = self._rows_of
             left = len(points)
             if not general:
-                bad, left, behind = self._loop(parts, dt, rows, False)
+                bad, left, behind = self._loop(parts, dt, record, rows, False)
                 if bad < 0 and behind:
-                    bad, *_ = self._loop(Pass(new=parts.new), dt, skipped[1, :behind].copy(), True)
+                    bad, *_ = self._loop(
+                        Pass(new=parts.new), dt, record, skipped[1, :behind].copy(), True
+                    )
                 rows = skipped[0]
             if bad < 0 and left:
-                bad, *_ = self._loop(parts, dt, rows[:left].copy(), True)
+                bad, *_ = self._loop(parts, dt, record, rows[:left].copy(), True)
         return self._together(bad)
 
-    def _loop(self, parts: Pass, dt: float, rows, general: bool) -> tuple[int, int, int]:
+    def _loop(
+        self, parts: Pass, dt: float, record: bool, rows, general: bool
+    ) -> tuple[int, int, int]:
         basis, laws = self._window, self._laws
         loop = laws.kernel(self._points.gdim)(
             basis.degree, basis.averaged, laws.kind, self._affine, parts, general
         )
         return loop(
-            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, rows,
-            self._rows_of[1], self.done,
+            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, record,
+            rows, self._rows_of[1], self.done,
         )  # fmt: skip
 
     def _together(self, bad: int) -> str | None:
@@ -380,7 +384,7 @@ class Fused:
         forces = range(columns.force, columns.force + d)
         if self._scheme == "usf":
             _divide(box, columns, self._out, 0, self._nodes, *held, False)
-            reason = self._pass(others[0]._replace(record=record), dt)
+            reason = self._pass(others[0], dt, record)
             self._exchange(forces.start, forces.stop)
             if reason is not None:
                 return reason
@@ -389,12 +393,12 @@ class Fused:
             usl = self._scheme == "usl"
             _move_nodes(box, columns, self._out, self._nodes, *held, *rest, False, usl, self.done)
             if not usl:
-                reason = self._pass(others[0]._replace(record=record), dt)
+                reason = self._pass(others[0], dt, record)
                 self._exchange(momenta.start, momenta.stop)
                 if reason is not None:
                     return reason
                 _divide(box, columns, self._out, columns.second, self._nodes, *held, True)
-        reason = self._pass(main._replace(record=record), dt)
+        reason = self._pass(main, dt, record)
         if main.new:
             self._exchange(0, self._out.shape[1])
         return reason

@@ -81,12 +81,13 @@ def weights(degree: int, averaged: bool):
 def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
-    `kernel(grid, nodes, out, points, law, dt, share, rows, skipped, done)` returns the first bad
-    point or -1, and the numbers of points skipped and not scattered; see `Fused` in
+    `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the first
+    bad point or -1, and the numbers of points skipped and not scattered; see `Fused` in
     `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
     wherever they are; the others take all points, and skip those that `weights` does not know.
+    `record` tells whether what only others read is written: accelerations, volumes, stresses.
     """
-    velocity, strain, move, same, new, record = parts
+    velocity, strain, move, same, new = parts
     APIC, TPIC = affine == 1, affine == 2
     gradient = strain or (TPIC and velocity)
     # changes and velocities are gathered together, or velocities and those of the strain
@@ -97,7 +98,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     near, usual = weights(degree, averaged), degree + 1 + int(averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    def run(grid, nodes, out, points, law, dt, share, rows, skipped, done):
+    def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
         line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, body, acceleration = points[:14]
         tau_old, e_out = points[14:]

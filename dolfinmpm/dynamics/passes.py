@@ -22,7 +22,6 @@ class Pass(NamedTuple):
         move: Whether they move.
         same: What they scatter where they were: 0 nothing, 1 momenta, 2 forces.
         new: What they scatter where they are then: 0 nothing, 1 masses and momenta, 2 forces too.
-        record: Whether what only others read is written: accelerations, volumes, stresses.
     """
 
     velocity: bool = False
@@ -30,7 +29,6 @@ class Pass(NamedTuple):
     move: bool = False
     same: int = 0
     new: int = 0
-    record: bool = False
 
 
 class Columns(NamedTuple):
