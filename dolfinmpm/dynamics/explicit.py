@@ -243,6 +243,9 @@ class Explicit(Problem):
         record = MotionRecord()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         whole = target - self.time
+        if self._fused is not None:
+            raise_together(self.comm, self.points.fault())
+            self._fused.start(1.0 / whole)
         while self.time < target:
             if record.parts % _EVERY == 0:
                 self._check_energy(record.dt)
@@ -255,8 +258,8 @@ class Explicit(Problem):
                 at = self.time + dt
                 set_velocities(self.bcs, lambda v: v(at) * whole)  # noqa: B023
             if self._fused is not None:
-                count = 1 if single else min(count, _EVERY)
-                self._advance_fused(count, dt, whole, record)
+                now = 1 if single else min(count, _EVERY)
+                self._advance_fused(now, dt, now < count and not single, record)
             else:
                 record.migrated += self._advance_by(Step(self.time + dt, dt, dt / whole))
                 record.parts, self.time, record.dt = record.parts + 1, self.time + dt, dt
@@ -275,10 +278,9 @@ class Explicit(Problem):
             t.reached = self.time
         return record
 
-    def _advance_fused(self, count: int, dt: float, whole: float, record: MotionRecord) -> None:
+    def _advance_fused(self, count: int, dt: float, more: bool, record: MotionRecord) -> None:
         """Equal steps by the fused loops. Collective."""
         assert self._fused is not None
-        raise_together(self.comm, self.points.fault())
         start = self.time
 
         def set_time(taken: int) -> None:
@@ -286,7 +288,7 @@ class Explicit(Problem):
                 self._clock.value = start + taken * dt
 
         fused = self._fused
-        taken, migrated, reason = fused.run(count, dt, 1.0 / whole, set_time)
+        taken, migrated, reason = fused.run(count, dt, more, set_time)
         self._work.internal, self._work.external = fused.work()
         record.parts, record.migrated = record.parts + taken, record.migrated + migrated
         self.time, record.dt = start + taken * dt, dt

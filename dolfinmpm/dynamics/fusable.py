@@ -173,13 +173,15 @@ class Loads:
         form: The weak form.
 
     Attributes:
-        body: Acceleration of all points (m/s²), shape (1, d), or forces of each (N), shape (n, d).
-        gravity: The acceleration, zeros where forces differ.
+        uniform: Whether they are one acceleration of all points.
+        gravity: The acceleration (m/s²), shape (d,); zeros where they differ.
+        body: Forces of the points (N), shape (n, d), or (0, d) where they are one acceleration.
         varies: Whether they depend on what a step changes.
     """
 
-    body: Array
+    uniform: bool
     gravity: Array
+    body: Array
 
     def __init__(self, form: WeakForm):
         self._form = form
@@ -190,13 +192,18 @@ class Loads:
         self._constants = [
             c for region in form.regions for c in region.slots.constants if not is_own(c)
         ]
+        self._taken = self._values()
 
-    def values(self) -> list[Array]:
-        """Values of the constants, to see whether they have changed."""
+    def _values(self) -> list[Array]:
         return [np.array(c.value) for c in self._constants]
+
+    def changed(self) -> bool:
+        """Whether constants of the form are not what they were at the last evaluation."""
+        return any(not np.array_equal(a, b) for a, b in zip(self._taken, self._values()))
 
     def evaluate(self) -> None:
         """Take the loads as they are now. Collective."""
+        self._taken = self._values()
         points = self._form.points
         d, n = points.gdim, len(points)
         forces = np.zeros((n, d))
@@ -222,7 +229,8 @@ class Loads:
         low, high = a.min(axis=0, initial=np.inf), a.max(axis=0, initial=-np.inf)
         points.comm.Allreduce(MPI.IN_PLACE, low, op=MPI.MIN)
         points.comm.Allreduce(MPI.IN_PLACE, high, op=MPI.MAX)
-        if np.all(high - low <= 1e-14 * np.abs(high).max()):
-            self.gravity, self.body = high, high[None, :].copy()
+        self.uniform = bool(np.all(high - low <= 1e-14 * np.abs(high).max()))
+        if self.uniform:
+            self.gravity, self.body = high, np.empty((0, d))
         else:
             self.gravity, self.body = np.zeros(d), forces

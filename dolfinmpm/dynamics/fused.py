@@ -23,7 +23,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.passes import PASSES, Pass
+from dolfinmpm.dynamics.passes import COLUMNS, FAST, PASSES, SMALL, Pass
 
 __all__ = ["Fused"]
 
@@ -35,54 +35,55 @@ _MARGIN = 2
 _SORT = 256
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _move_nodes(first, last, row, out, nodes, fixed, held, g, dt, scaling, damping, known, done):
-    """Accelerate the nodes of a box; known tells whether velocities have been set before."""
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _move_nodes(box, columns, out, nodes, fixed, held, g, dt, scaling, damping, known, last, done):
+    """Accelerate the nodes of a box.
+
+    Args:
+        known: Whether velocities for the strain have been set before.
+        last: Whether the sums are done with, and cleared.
+    """
+    _, mass, force, _, velocity, strain = columns
     d = fixed.shape[1]
-    for block in range(first[0], last[0]):
-        for at in range(first[1], last[1]):
-            k = block * row + at
-            m = out[k, 0]
+    work = 0.0
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            m = out[k, mass]
+            per_mass = 1.0 / m if m > 0.0 else 0.0
             for i in range(d):
-                y = 0.0
-                a = 0.0
-                if m > 0.0:
-                    y = out[k, 1 + i] / m
-                    f = out[k, 1 + d + i]
-                    if damping > 0.0:
-                        f -= damping * abs(f) * np.sign(y)
-                    a = f / (scaling * m)
-                end = y + dt * a
+                y = out[k, i] * per_mass
+                f = out[k, force + i] + m * g[i]
+                if damping > 0.0:
+                    f -= damping * abs(f) * np.sign(y)
+                end = y + dt * f * per_mass / scaling
                 if fixed[k, i]:
                     # what holds the node does work on it
-                    done[1] += scaling * m * (held[k, i] - end) * held[k, i]
+                    work += scaling * m * (held[k, i] - end) * held[k, i]
                     y = end = held[k, i]
-                nodes[k, i] = end
-                nodes[k, d + i] = end - y
+                nodes[k, i] = end - y
+                nodes[k, velocity + i] = end
                 if not known:
-                    nodes[k, 2 * d + i] = end
-                done[1] += dt * m * g[i] * end
+                    nodes[k, strain + i] = end
+                work += dt * m * g[i] * end
+            if last:
+                for i in range(out.shape[1]):
+                    out[k, i] = 0.0
+    done[1] += work
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _divide(first, last, row, out, column, nodes, fixed, held):
-    """Velocities for the strain from momenta."""
-    d = fixed.shape[1]
-    for block in range(first[0], last[0]):
-        for at in range(first[1], last[1]):
-            k = block * row + at
-            m = out[k, 0]
-            for i in range(d):
-                y = out[k, column + i] / m if m > 0.0 else 0.0
-                nodes[k, 2 * d + i] = held[k, i] if fixed[k, i] else y
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _clear(first, last, row, out, begin, end):
-    for block in range(first[0], last[0]):
-        for at in range(first[1], last[1]):
-            for i in range(begin, end):
-                out[block * row + at, i] = 0.0
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _divide(box, columns, out, momentum, nodes, fixed, held, last):
+    """Velocities for the strain from momenta; the sums are cleared if they are done with."""
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            m = out[k, columns[1]]
+            per_mass = 1.0 / m if m > 0.0 else 0.0
+            for i in range(fixed.shape[1]):
+                y = out[k, momentum + i] * per_mass
+                nodes[k, columns[5] + i] = held[k, i] if fixed[k, i] else y
+            if last:
+                for i in range(out.shape[1]):
+                    out[k, i] = 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -139,7 +140,10 @@ class Fused:
         self._points, self._held, self._laws, self._loads = points, held, laws, loads
         self._scheme, self._mapping = scheme, mapping
         self._scaling, self._damping = scaling, damping
-        self.done = np.zeros(2)
+        # and the cells that the fastest point has crossed in a step
+        self.done = np.zeros(3)
+        self._columns = COLUMNS[points.gdim]
+        self._live, self._travelled = False, 0.0
         self._basis = basis
         self._window: Any = None
         self._steps_since_sorted = _SORT
@@ -148,7 +152,7 @@ class Fused:
 
     def work(self) -> tuple[float, float]:
         """Work of the stresses, and of loads and prescribed motions, so far (J). Collective."""
-        internal, external = self._points.comm.allreduce(self.done, op=MPI.SUM)
+        internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
         return float(internal), float(external)
 
     # -- the window -------------------------------------------------------------
@@ -162,27 +166,28 @@ class Fused:
         shape = np.array(halo.node_table.shape, np.int64)
         self._shape = shape
         size = int(np.prod(shape))
-        self._nodes, self._out = np.zeros((size, 3 * d)), np.zeros((size, 1 + 3 * d))
+        self._nodes, self._out = (np.zeros((size, self._columns.width)) for _ in range(2))
         ijk = halo.node_ijk - halo.origin
         inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
         self._known = np.flatnonzero(inside)
         self._at = np.ravel_multi_index(tuple(ijk[inside].T), tuple(shape))
-        self._vector = basis.nodes.vector(1 + 3 * d) if points.comm.size > 1 else None
+        self._vector = basis.nodes.vector(self._columns.width) if points.comm.size > 1 else None
         self._window = basis
+        self._first, self._last = np.zeros(d, np.int64), shape.copy()
         self._grid = (
             *lattice.lines,
             *(np.ascontiguousarray(greville(line, basis.degree)) for line in lattice.lines),
-            lattice.uniform, halo.origin.astype(np.int64), shape,
+            lattice.uniform, halo.origin.astype(np.int64), shape, self._first, self._last,
+            np.array([1.0 / np.diff(line).min() for line in lattice.lines]),
         )  # fmt: skip
         self._lines = np.concatenate(lattice.lines)
         self._starts = np.cumsum([0] + [line.size for line in lattice.lines])
         self._scale = np.array([(x.size - 1) / (x[-1] - x[0]) for x in lattice.lines])
         self._table = halo.cell_table.ravel()
         self._table_shape = np.array(halo.cell_table.shape, np.int64)
-        self._first, self._last = np.zeros(d, np.int64), shape.copy()
 
     def _box(self) -> None:
-        """Nodes that points may reach now and until they are sorted again."""
+        """Nodes that points may reach until they are given to ranks again: see `_MARGIN`."""
         points, basis = self._points, self._window
         x, origin = points["x"], basis.halo.origin
         if not len(points):
@@ -192,8 +197,8 @@ class Fused:
         for k, line in enumerate(basis.lattice.lines):
             low, high = x[:, k].min() - half[k], x[:, k].max() + half[k]
             i = np.searchsorted(line, [low, high], side="right") - 1 - origin[k]
-            self._first[k] = min(max(i[0] - 1, 0), self._shape[k])
-            self._last[k] = min(max(i[1] + basis.degree + 2, 0), self._shape[k])
+            self._first[k] = min(max(i[0] - _MARGIN, 0), self._shape[k])
+            self._last[k] = min(max(i[1] + basis.degree + 1 + _MARGIN, 0), self._shape[k])
 
     def _flags(self, rate: float) -> None:
         """What is held, and at which velocities, in the window. Collective."""
@@ -224,57 +229,66 @@ class Fused:
 
     # -- steps ------------------------------------------------------------------
 
-    def run(self, count: int, dt: float, rate: float, set_time) -> tuple[int, int, str | None]:
-        """Take equal steps. Collective.
+    def start(self, rate: float) -> None:
+        """Take the points as they are now, before steps that follow each other. Collective.
 
         Args:
-            count: How many.
-            dt: Their length (s).
             rate: Prescribed velocities over prescribed increments (1/s).
-            set_time: Tells the form how many of the steps have been taken.
-
-        Returns:
-            Steps taken, points that changed rank, and why it ended before the last, or None.
         """
         if self._window is None:
             self._build()
         self._sort()
         self._flags(rate)
+        self._live = False
+
+    def run(self, count: int, dt: float, more: bool, set_time) -> tuple[int, int, str | None]:
+        """Take equal steps. Collective.
+
+        Args:
+            count: How many.
+            dt: Their length (s).
+            more: Whether others follow without a new start.
+            set_time: Tells the form how many of the steps have been taken.
+
+        Returns:
+            Steps taken, points that changed rank, and why it ended before the last, or None.
+        """
         migrated, reason, taken = 0, None, 0
-        passes = [*PASSES[self._scheme]]
-        # the first scatter of a call stands alone, and so do the last steps of each point
-        *others, main = passes
-        ending = main._replace(new=0)
+        *others, main = PASSES[self._scheme]
         begin = Pass(new=2 if self._scheme != "usf" else 1)
-        fresh, travelled = True, 0.0
         while taken < count and reason is None:
-            if fresh:
+            set_time(taken)
+            if self._loads.changed() and self._live:
+                # what has been scattered has the loads of before if they differ by points
+                before = self._loads.uniform
+                self._loads.evaluate()
+                self._live = before and self._loads.uniform
+            if not self._live:
                 self._box()
                 self._prepare()
                 reason = self._scatter(begin, dt)
-                fresh = False
-            set_time(taken)
-            # what scatters in the last step of a call would only be scattered again
-            travelled += self._reach(dt)
-            last = taken == count - 1 or travelled > 0.5 * _MARGIN
-            if reason is None:
-                reason = self._step(others, ending if last else main, dt, taken == count - 1)
+                self._live, self._travelled = True, 0.0
             taken += 1
-            if last and reason is None:
+            last = taken == count
+            # what scatters in the last step of all would only be scattered again
+            ending = last and not more
+            if reason is None:
+                reason = self._step(others, main._replace(new=0) if ending else main, dt, last)
+            self._travelled += self._reach()
+            if reason is None and last:
+                self._laws.scatter()
+            if reason is None and (ending or self._travelled > 0.5 * _MARGIN):
                 migrated += self._settle()
-                fresh, travelled = True, 0.0
+                self._live = False
+        self._live = self._live and reason is None
         self._steps_since_sorted += taken
         return taken, migrated, reason
 
-    def _reach(self, dt: float) -> float:
-        """Cells that the fastest node crosses in a step, at most, on any rank. Collective."""
-        if self._points.comm.size == 1:
-            d = self._points.gdim
-            speed = self._nodes[:, :d]
-            return float(np.abs(speed * self._scale).max(initial=0.0)) * dt
-        d = self._points.gdim
-        local = float(np.abs(self._nodes[:, :d] * self._scale).max(initial=0.0)) * dt
-        return self._points.comm.allreduce(local, op=MPI.MAX)
+    def _reach(self) -> float:
+        """Cells that the fastest point has crossed in the step, on any rank. Collective."""
+        fastest, self.done[2] = float(self.done[2]), 0.0
+        comm = self._points.comm
+        return fastest if comm.size == 1 else comm.allreduce(fastest, op=MPI.MAX)
 
     def _prepare(self) -> None:
         """Arrays of the points as the loops take them; anew when points have come or gone."""
@@ -284,17 +298,22 @@ class Fused:
         affine = {1: "velocity_moment", 2: "velocity_gradient"}.get(self._affine)
         C = points[affine] if affine else np.empty((n, d, d))
         self._laws.gather()
-        state = points[self._laws.state] if self._laws.state else np.empty((n, 6))
+        state = points[self._laws.state] if self._laws.state else np.ones((n, 6))
+        small = self._laws.kind == SMALL
+        e_out = state[:, 2].copy() if small else 0.5 * np.log(state[:, 2])
+        # Kirchhoff's stresses, in the order in which the loop takes them
+        i, j = ([0, 1, 0], [0, 1, 1]) if d == 2 else ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])
+        J = np.ones(n) if small else points["V"] / points["V0"]
+        tau = np.ascontiguousarray(J[:, None] * points["stress"][:, i, j])
         self._loads.evaluate()
         self._rows_of = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
-        body = self._loads.body
         self._data = (
             points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
             points["V"], points["V0"], point_masses(points), state, self._laws.internal,
-            points["stress"], body, points["acceleration"],
+            points["stress"], self._loads.body, points["acceleration"], tau, e_out,
         )  # fmt: skip
 
-    def _pass(self, parts: Pass, dt: float) -> str | None:
+    def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
         points, basis = self._points, self._window
         general = not basis.lattice.uniform or (basis.averaged and basis.degree > 1)
@@ -303,22 +322,26 @@ class Fused:
             rows, skipped = self._rows_of
             left = len(points)
             if not general:
-                bad, left, behind = self._loop(parts, dt, rows, False)
+                bad, left, behind = self._loop(parts, dt, record, rows, False)
                 if bad < 0 and behind:
-                    bad, *_ = self._loop(Pass(new=parts.new), dt, skipped[1, :behind].copy(), True)
+                    bad, *_ = self._loop(
+                        Pass(new=parts.new), dt, record, skipped[1, :behind].copy(), True
+                    )
                 rows = skipped[0]
             if bad < 0 and left:
-                bad, *_ = self._loop(parts, dt, rows[:left].copy(), True)
+                bad, *_ = self._loop(parts, dt, record, rows[:left].copy(), True)
         return self._together(bad)
 
-    def _loop(self, parts: Pass, dt: float, rows, general: bool) -> tuple[int, int, int]:
+    def _loop(
+        self, parts: Pass, dt: float, record: bool, rows, general: bool
+    ) -> tuple[int, int, int]:
         basis, laws = self._window, self._laws
         loop = laws.kernel(self._points.gdim)(
             basis.degree, basis.averaged, laws.kind, self._affine, parts, general
         )
         return loop(
-            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, rows,
-            self._rows_of[1], self.done,
+            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, record,
+            rows, self._rows_of[1], self.done,
         )  # fmt: skip
 
     def _together(self, bad: int) -> str | None:
@@ -347,61 +370,50 @@ class Fused:
         self._out[self._at, begin:end] = values[self._known, begin:end]
 
     def _scatter(self, parts: Pass, dt: float) -> str | None:
-        self._wipe(0, self._out.shape[1])
+        self._out[:] = 0.0
         reason = self._pass(parts, dt)
         self._exchange(0, self._out.shape[1])
         return reason
 
-    def _wipe(self, begin: int, end: int) -> None:
-        self._out[:, begin:end] = 0.0
-
     def _step(self, others, main: Pass, dt: float, record: bool) -> str | None:
         """One step from what has been scattered. Collective."""
         d = self._points.gdim
-        first, last, row = np.zeros(2, np.int64), np.ones(2, np.int64), 0
-        # the window as rows of its last direction
-        first[0], last[0], row = self._rows()
-        first[1], last[1] = self._first[-1], self._last[-1]
-        box = first, last, row
+        columns, box = self._columns, self._rows()
         held = self._fixed, self._speed
-        g = self._loads.gravity
-        rest = self._scaling, self._damping
+        rest = self._loads.gravity, dt, self._scaling, self._damping
+        momenta = range(columns.second, columns.second + d)
+        forces = range(columns.force, columns.force + d)
         if self._scheme == "usf":
-            _divide(*box, self._out, 1, self._nodes, *held)
-            reason = self._pass(others[0], dt)
-            self._exchange(1 + d, 1 + 2 * d)
+            _divide(box, columns, self._out, 0, self._nodes, *held, False)
+            reason = self._pass(others[0], dt, record)
+            self._exchange(forces.start, forces.stop)
             if reason is not None:
                 return reason
-            _move_nodes(*box, self._out, self._nodes, *held, g, dt, *rest, True, self.done)
+            _move_nodes(box, columns, self._out, self._nodes, *held, *rest, True, True, self.done)
         else:
-            _move_nodes(*box, self._out, self._nodes, *held, g, dt, *rest, False, self.done)
-            if self._scheme == "musl":
-                reason = self._pass(others[0]._replace(record=record), dt)
-                self._exchange(1 + 2 * d, 1 + 3 * d)
+            usl = self._scheme == "usl"
+            _move_nodes(box, columns, self._out, self._nodes, *held, *rest, False, usl, self.done)
+            if not usl:
+                reason = self._pass(others[0], dt, record)
+                self._exchange(momenta.start, momenta.stop)
                 if reason is not None:
                     return reason
-                _divide(*box, self._out, 1 + 2 * d, self._nodes, *held)
-        self._wipe(0, self._out.shape[1])
-        if main.velocity:
-            main = main._replace(record=record)
-        reason = self._pass(main, dt)
+                _divide(box, columns, self._out, columns.second, self._nodes, *held, True)
+        reason = self._pass(main, dt, record)
         if main.new:
             self._exchange(0, self._out.shape[1])
         return reason
 
-    def _rows(self) -> tuple[int, int, int]:
-        """First and last row of nodes in use, and the length of a row."""
-        row = int(self._shape[-1])
-        if self._points.gdim == 2:
-            return int(self._first[0]), int(self._last[0]), row
-        plane = int(self._shape[1])
-        return int(self._first[0]) * plane, int(self._last[0]) * plane, row
+    def _rows(self) -> tuple[int, ...]:
+        """Nodes in use: first and last row, first and last node of each, and length of a row."""
+        row, across = int(self._shape[-1]), 1 if self._points.gdim == 2 else int(self._shape[1])
+        rows = int(self._first[0]) * across, int(self._last[0]) * across
+        return *rows, int(self._first[-1]), int(self._last[-1]), row
 
     def _settle(self) -> int:
         """Cells and ranks of the points where they are now. Collective."""
-        points = self._points
+        points, halo = self._points, self._window.halo
         self._laws.scatter()
-        halo = self._window.halo
         lost = _cells(
             points["x"], self._lines, self._starts, self._scale, halo.origin, self._table,
             self._table_shape, points["cell"],

@@ -17,7 +17,18 @@ import numpy as np
 from dolfinmpm.basis.bspline import uniform_weights
 from dolfinmpm.basis.gimp import uniform_domain_weights
 from dolfinmpm.basis.lattice import SNAP, line_weights, overlapped
-from dolfinmpm.dynamics.passes import FAST, LAW, NEO, SMALL, Pass
+from dolfinmpm.dynamics.lanes import (
+    add_at,
+    axpy,
+    exponential,
+    four,
+    lanes,
+    load,
+    logarithm,
+    store,
+    times,
+)
+from dolfinmpm.dynamics.passes import COLUMNS, FAST, LAW, NEO, SMALL, Pass
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
@@ -36,7 +47,7 @@ def weights(degree: int, averaged: bool):
         def near(x, half, start, per_length, last):
             at = (x - start) * per_length
             i = int(at)
-            known = i >= degree - 1 and i <= last - degree + 1 and at >= 0.0
+            known = i >= degree - 1 and i <= last - degree + 1 and (degree > 1 or at >= 0.0)
             a, b, c, e, da, db, dc, de = uniform_weights(degree, at - i, per_length)
             return known, i, a, b, c, e, da, db, dc, de
 
@@ -70,49 +81,63 @@ def weights(degree: int, averaged: bool):
 def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
-    `kernel(grid, nodes, out, points, law, dt, share, rows, skipped, done) -> (first bad point or -1,
-    points skipped, points not scattered)`; see `Fused` in `dolfinmpm.dynamics.fused` for what
-    the tuples hold. A general one takes the points of `rows`, wherever they are; the others take
-    all points, and skip those that `weights` does not know.
+    `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
+    first bad point or -1, and the numbers of points skipped and not scattered; see `Fused` in
+    `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
+    wherever they are; the others take all points, and skip those that `weights` does not know.
+    `record` tells whether what only others read is written: accelerations, volumes, stresses.
     """
-    velocity, strain, move, same, new, record = parts
+    velocity, strain, move, same, new = parts
     APIC, TPIC = affine == 1, affine == 2
-    # a pass that also gives the velocities strains by these
-    column = 0 if velocity and strain else 4
+    gradient = strain or (TPIC and velocity)
+    # changes and velocities are gathered together, or velocities and those of the strain
+    column = 0 if velocity else 8 * COLUMNS[2].velocity
+    STRIDE, MASS = 8 * COLUMNS[2].width, 8 * COLUMNS[2].mass
+    second = 8 * COLUMNS[2].second
 
     near, usual = weights(degree, averaged), degree + 1 + int(averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    def run(grid, nodes, out, points, law, dt, share, rows, skipped, done):
-        line0, line1, node0, node1, uniform, origin, shape = grid
-        x, half, half0, v, C, F, V, V0, m, state, internal, stress, body, acceleration = points
+    def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
+        line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
+        x, half, half0, v, C, F, V, V0, m, state, internal, stress, body, acceleration = points[:14]
+        tau_old, e_out = points[14:]
         addresses, numbers, stride, which = law
         S0, S1 = np.empty(64), np.empty(64)
         d0, d1 = np.empty(64), np.empty(64)
         part, slope = np.empty(4), np.empty(4)
         e, tau, tangent = np.empty(3), np.empty(3), np.empty(9)
         scratch = np.empty(max(internal.shape[1], 1))
-        work = 0.0
-        row = shape[1]
+        work = outer = fastest = 0.0
+        row = STRIDE * shape[1]
         last0, last1 = line0.size - 2, line1.size - 2
         s0 = (last0 + 1) / (line0[last0 + 1] - line0[0])
         s1 = (last1 + 1) / (line1[last1 + 1] - line1[0])
         start0, start1 = line0[0], line1[0]
         end0, end1 = line0[last0 + 1], line1[last1 + 1]
+        low0, low1 = origin[0] + first[0], origin[1] + first[1]
+        top0, top1 = origin[0] + last[0], origin[1] + last[1]
+        fine0, fine1 = fine[0], fine[1]
         e_at, tau_at, tangent_at = e.ctypes.data, tau.ctypes.data, tangent.ctypes.data
         scratch_at, inner_at = scratch.ctypes.data, internal.ctypes.data
-        numbers_at = numbers.ctypes.data
-        single, one_body = which.shape[0] == 1, body.shape[0] == 1
-        t00 = t01 = t11 = 0.0
+        numbers_at, nodes_at, out_at = numbers.ctypes.data, nodes.ctypes.data, out.ctypes.data
+        nodes_at -= origin[0] * row + origin[1] * STRIDE - column
+        out_at -= origin[0] * row + origin[1] * STRIDE
+        single, alike = which.shape[0] == 1, body.shape[0] == 0
+        nothing = four(0.0, 0.0, 0.0, 0.0)
+        t00 = t01 = t11 = t22 = g0 = g1 = 0.0
         left = behind = 0
         number_of_points = rows.size if general else x.shape[0]
         for index in range(number_of_points):
-            p = rows[index] if general else index
+            # an index without a sign needs no look at whether it counts from the end
+            p = np.uintp(rows[index] if general else index)
             x0, x1 = x[p, 0], x[p, 1]
             l0 = l1 = 0.0
             if averaged:
                 l0, l1 = half[p, 0], half[p, 1]
             mp, vp = m[p], V0[p]
+            if not alike:
+                g0, g1 = body[p, 0], body[p, 1]
             if velocity or strain or move or same:
                 n0 = n1 = usual
                 if general:
@@ -130,52 +155,46 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     )
                     if not (known0 and known1):
                         # one of the few at an edge or with a large domain: see `general`
-                        skipped[0, left] = p
+                        skipped[0, left] = rows[index]
                         left += 1
                         continue
-                base = (i0 - origin[0]) * row + i1 - origin[1]
-                v0 = v1 = w0 = w1 = b00 = b01 = b10 = b11 = D0 = D1 = 0.0
-                h00 = h01 = h10 = h11 = 0.0
+                base = i0 * row + i1 * STRIDE
+                Y = H0 = H1 = B0 = B1 = nothing
                 for a in range(n0):
-                    at = base + a * row
-                    Sa, da = S0[a], d0[a]
+                    at = nodes_at + base + a * row
+                    R = Q = K = nothing
                     for b in range(n1):
-                        k = at + b
-                        N = Sa * S1[b]
-                        if move or velocity:
-                            y0, y1 = nodes[k, 0], nodes[k, 1]
-                            v0 += N * y0
-                            v1 += N * y1
-                            if APIC and velocity:
-                                r0, r1 = node0[i0 + a] - x0, node1[i1 + b] - x1
-                                b00 += N * y0 * r0
-                                b01 += N * y0 * r1
-                                b10 += N * y1 * r0
-                                b11 += N * y1 * r1
-                                D0 += N * r0 * r0
-                                D1 += N * r1 * r1
-                            if TPIC and velocity:
-                                b00 += da * S1[b] * y0
-                                b01 += Sa * d1[b] * y0
-                                b10 += da * S1[b] * y1
-                                b11 += Sa * d1[b] * y1
-                        if velocity:
-                            w0 += N * nodes[k, 2]
-                            w1 += N * nodes[k, 3]
-                        if strain:
-                            y0, y1 = nodes[k, column], nodes[k, column + 1]
-                            g0, g1 = da * S1[b], Sa * d1[b]
-                            h00 += g0 * y0
-                            h01 += g1 * y0
-                            h10 += g0 * y1
-                            h11 += g1 * y1
+                        Z = load(at + b * STRIDE)
+                        R = axpy(S1[b], Z, R)
+                        if gradient:
+                            Q = axpy(d1[b], Z, Q)
+                        if APIC and velocity:
+                            K = axpy(S1[b] * (node1[i1 + b] - x1), Z, K)
+                    Y = axpy(S0[a], R, Y)
+                    if gradient:
+                        H0, H1 = axpy(d0[a], R, H0), axpy(S0[a], Q, H1)
+                    if APIC and velocity:
+                        B0 = axpy(S0[a] * (node0[i0 + a] - x0), R, B0)
+                        B1 = axpy(S0[a], K, B1)
+                v0, v1, w0, w1 = lanes(Y)
+                if velocity:
+                    w0, w1, v0, v1 = v0, v1, w0, w1
+                _, _, h00, h10 = lanes(H0)
+                _, _, h01, h11 = lanes(H1)
                 if velocity:
                     if affine:
                         v[p, 0], v[p, 1] = v0, v1
+                        b00, b01, b10, b11 = h00, h01, h10, h11
                         if APIC:
+                            D0 = D1 = 0.0
+                            for a in range(n0):
+                                D0 += S0[a] * (node0[i0 + a] - x0) ** 2
+                            for b in range(n1):
+                                D1 += S1[b] * (node1[i1 + b] - x1) ** 2
                             q0 = 1.0 / D0 if D0 > 1e-18 else 0.0
                             q1 = 1.0 / D1 if D1 > 1e-18 else 0.0
-                            b00, b10, b01, b11 = b00 * q0, b10 * q0, b01 * q1, b11 * q1
+                            _, _, b00, b10 = lanes(times(q0, B0))
+                            _, _, b01, b11 = lanes(times(q1, B1))
                         C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1] = b00, b01, b10, b11
                     else:
                         v[p, 0] = share * (v[p, 0] + w0) + (1.0 - share) * v0
@@ -184,28 +203,22 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         acceleration[p, 0], acceleration[p, 1] = w0 / dt, w1 / dt
                 if strain:
                     a00, a01, a10, a11 = 1.0 + dt * h00, dt * h01, dt * h10, 1.0 + dt * h11
-                    det = a00 * a11 - a01 * a10
-                    if not det > 0.0:
-                        return p, left, behind
                     f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
-                    J_old = f00 * f11 - f01 * f10
-                    F[p, 0, 0], F[p, 0, 1] = a00 * f00 + a01 * f10, a00 * f01 + a01 * f11
-                    F[p, 1, 0], F[p, 1, 1] = a10 * f00 + a11 * f10, a10 * f01 + a11 * f11
-                    f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
+                    f00, f01, f10, f11 = (
+                        a00 * f00 + a01 * f10, a00 * f01 + a01 * f11,
+                        a10 * f00 + a11 * f10, a10 * f01 + a11 * f11,
+                    )  # fmt: skip
+                    F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1] = f00, f01, f10, f11
                     J = f00 * f11 - f01 * f10
-                    if not J > 0.0:
-                        return p, left, behind
-                    V[p] = J * vp
-                    L = 0 if single else which[p]
+                    if not (J > 0.0 and a00 * a11 - a01 * a10 > 0.0):
+                        return np.intp(p), left, behind
+                    L = np.intp(0) if single else np.intp(which[p])
                     if kind == NEO:
                         lmbda, mu = numbers[L, 0], numbers[L, 1]
-                        if stride:
-                            lmbda, mu = numbers[p, 0], numbers[p, 1]
-                        spread = lmbda * math.log(J)
+                        t22 = lmbda * logarithm(J)
                         b00, b11 = f00 * f00 + f01 * f01, f10 * f10 + f11 * f11
-                        t00, t11 = spread + mu * (b00 - 1.0), spread + mu * (b11 - 1.0)
+                        t00, t11 = t22 + mu * (b00 - 1.0), t22 + mu * (b11 - 1.0)
                         t01 = mu * (f00 * f10 + f01 * f11)
-                        t22 = spread
                     else:
                         if kind == LAW:
                             y00, y11, y01 = state[p, 0], state[p, 1], state[p, 3]
@@ -222,97 +235,107 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         r = math.sqrt(gap * gap + y01 * y01)
                         cosine, sine = 1.0, 0.0
                         if r > 0.0:
-                            cosine, sine = gap / r, y01 / r
+                            q = 1.0 / r
+                            cosine, sine = gap * q, y01 * q
                         high = mid + r
                         low = mid - r
+                        e2 = e_out[p]
                         if kind == LAW:
                             low = (y00 * y11 - y01 * y01) / high
                             if not low > 0.0:
-                                return p, left, behind
-                            e[0], e[1] = 0.5 * math.log(high), 0.5 * math.log(low)
-                            e[2] = 0.5 * math.log(state[p, 2])
+                                return np.intp(p), left, behind
+                            e0, e1 = 0.5 * logarithm(high), 0.5 * logarithm(low)
                         else:
-                            e[0], e[1], e[2] = high, low, state[p, 2]
-                        e0, e1, e2 = e[0], e[1], e[2]
-                        offset = (p if stride else L) * numbers.shape[1] * 8
-                        inner = inner_at + 8 * p * internal.shape[1]
+                            e0, e1 = high, low
+                        e[0], e[1], e[2] = e0, e1, e2
+                        offset = (np.intp(p) if stride else L) * numbers.shape[1] * 8
+                        inner = inner_at + 8 * np.intp(p) * internal.shape[1]
                         status = call_law(
                             addresses[L], numbers_at + offset, e_at, inner, scratch_at, tau_at,
                             tangent_at,
                         )  # fmt: skip
                         if status != 0:
-                            return p, left, behind
+                            return np.intp(p), left, behind
                         for k in range(internal.shape[1]):
                             internal[p, k] = scratch[k]
                         if e[0] != e0 or e[1] != e1 or e[2] != e2:
-                            high, low, state[p, 2] = e[0], e[1], e[2]
+                            e_out[p] = e[2]
                             if kind == LAW:
-                                high, low = math.exp(2.0 * e[0]), math.exp(2.0 * e[1])
-                                state[p, 2] = math.exp(2.0 * e[2])
+                                high *= exponential(2.0 * (e[0] - e0))
+                                low *= exponential(2.0 * (e[1] - e1))
+                            else:
+                                high, low = e[0], e[1]
                             mid, gap = 0.5 * (high + low), 0.5 * (high - low)
                             y00, y11, y01 = mid + gap * cosine, mid - gap * cosine, gap * sine
                         state[p, 0], state[p, 1], state[p, 3] = y00, y11, y01
+                        if record:
+                            state[p, 2] = math.exp(2.0 * e[2]) if kind == LAW else e[2]
                         mid, gap = 0.5 * (tau[0] + tau[1]), 0.5 * (tau[0] - tau[1])
                         t00, t11, t01 = mid + gap * cosine, mid - gap * cosine, gap * sine
                         t22 = tau[2]
-                        if kind == SMALL:
-                            J = 1.0
-                    q = J_old if kind != SMALL else 1.0
-                    g00, g11, g01 = stress[p, 0, 0], stress[p, 1, 1], stress[p, 0, 1]
                     if kind != SMALL:
                         # H − H²/2: the rate at the middle of the step, to second order
+                        z = 1.0 - 0.5 * dt * (h00 + h11)
                         z00, z11 = h00 * h00 + h01 * h10, h11 * h11 + h01 * h10
-                        z01, z10 = h01 * (h00 + h11), h10 * (h00 + h11)
                         h00, h11 = h00 - 0.5 * dt * z00, h11 - 0.5 * dt * z11
-                        h01, h10 = h01 - 0.5 * dt * z01, h10 - 0.5 * dt * z10
-                    work += 0.5 * dt * vp * (
-                        (q * g00 + t00) * h00 + (q * g11 + t11) * h11
-                        + (q * g01 + t01) * (h01 + h10)
+                        h01, h10 = h01 * z, h10 * z
+                    work += vp * (
+                        (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
+                        + (tau_old[p, 2] + t01) * (h01 + h10)
                     )  # fmt: skip
-                    q = 1.0 / J
-                    stress[p, 0, 0], stress[p, 1, 1], stress[p, 2, 2] = q * t00, q * t11, q * t22
-                    stress[p, 0, 1] = stress[p, 1, 0] = q * t01
-                if same:
-                    p0, p1 = mp * v[p, 0], mp * v[p, 1]
-                    z00, z01, z11 = vp * t00, vp * t01, vp * t11
-                    at_body = 0 if one_body else p
-                    g0, g1 = body[at_body, 0], body[at_body, 1]
-                    if one_body:
-                        g0, g1 = mp * g0, mp * g1
+                    tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
+                    if record:
+                        V[p] = J * vp
+                        q = 1.0 if kind == SMALL else 1.0 / J
+                        stress[p, 0, 0], stress[p, 1, 1] = q * t00, q * t11
+                        stress[p, 0, 1] = stress[p, 1, 0] = q * t01
+                        stress[p, 2, 2] = q * t22
+                if same == 2:
+                    P = four(0.0, 0.0, g0, g1)
+                    T0 = four(0.0, 0.0, -vp * t00, -vp * t01)
+                    T1 = four(0.0, 0.0, -vp * t01, -vp * t11)
                     for a in range(n0):
-                        at = base + a * row
-                        Sa, da = S0[a], d0[a]
+                        at = out_at + base + a * row
+                        R, Q = axpy(d0[a], T0, times(S0[a], P)), times(S0[a], T1)
                         for b in range(n1):
-                            k = at + b
-                            N = Sa * S1[b]
-                            if same == 1:
-                                y0, y1 = p0, p1
-                                if affine:
-                                    r0, r1 = node0[i0 + a] - x0, node1[i1 + b] - x1
-                                    y0 += mp * (C[p, 0, 0] * r0 + C[p, 0, 1] * r1)
-                                    y1 += mp * (C[p, 1, 0] * r0 + C[p, 1, 1] * r1)
-                                out[k, 5] += N * y0
-                                out[k, 6] += N * y1
-                            else:
-                                k0, k1 = da * S1[b], Sa * d1[b]
-                                out[k, 3] += N * g0 - k0 * z00 - k1 * z01
-                                out[k, 4] += N * g1 - k0 * z01 - k1 * z11
+                            Z = axpy(S1[b], R, load(at + b * STRIDE))
+                            store(at + b * STRIDE, axpy(d1[b], Q, Z))
+                if same == 1:
+                    P, K0, K1 = four(0.0, mp * v[p, 0], mp * v[p, 1], 0.0), nothing, nothing
+                    if affine:
+                        K0 = four(0.0, mp * C[p, 0, 0], mp * C[p, 1, 0], 0.0)
+                        K1 = four(0.0, mp * C[p, 0, 1], mp * C[p, 1, 1], 0.0)
+                    for a in range(n0):
+                        at = out_at + base + a * row + second - 8
+                        R = times(S0[a], P)
+                        if affine:
+                            R = axpy(S0[a] * (node0[i0 + a] - x0), K0, R)
+                        for b in range(n1):
+                            Z = axpy(S1[b], R, load(at + b * STRIDE))
+                            if affine:
+                                Z = axpy(S0[a] * S1[b] * (node1[i1 + b] - x1), K1, Z)
+                            store(at + b * STRIDE, Z)
                 if move:
                     x0, x1 = x0 + dt * v0, x1 + dt * v1
                     x[p, 0], x[p, 1] = x0, x1
-                    if not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
-                        return p, left, behind
-                if averaged and move:
-                    # l = l0 diag(U), U = (FᵀF + J I)/√(tr FᵀF + 2 J)
-                    f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
-                    J = f00 * f11 - f01 * f10
-                    k00, k11 = f00 * f00 + f10 * f10, f01 * f01 + f11 * f11
-                    q = 1.0 / math.sqrt(k00 + k11 + 2.0 * J)
-                    half[p, 0], half[p, 1] = (
-                        half0[p, 0] * (k00 + J) * q,
-                        half0[p, 1] * (k11 + J) * q,
-                    )
-                    l0, l1 = half[p, 0], half[p, 1]
+                    # the others ask where they scatter
+                    asks = general or not new
+                    if asks and not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
+                        return np.intp(p), left, behind
+                    way = max(abs(v0) * fine0, abs(v1) * fine1) * dt
+                    if not alike:
+                        outer += g0 * v0 + g1 * v1
+                    if averaged:
+                        # l = l0 diag(U), U = (FᵀF + J I)/√(tr FᵀF + 2 J)
+                        f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
+                        J = f00 * f11 - f01 * f10
+                        k00, k11 = f00 * f00 + f10 * f10, f01 * f01 + f11 * f11
+                        q = 1.0 / math.sqrt(k00 + k11 + 2.0 * J)
+                        k00, k11 = half0[p, 0] * (k00 + J) * q, half0[p, 1] * (k11 + J) * q
+                        way += max((k00 - l0) * fine0, (k11 - l1) * fine1)
+                        l0, l1 = k00, k11
+                        half[p, 0], half[p, 1] = l0, l1
+                    fastest = max(fastest, way)
             if new:
                 n0 = n1 = usual
                 if general:
@@ -329,47 +352,45 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         x1, l1, start1, s1, last1
                     )
                     if not (known0 and known1):
-                        skipped[1, behind] = p
+                        if not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
+                            return np.intp(p), left, behind
+                        skipped[1, behind] = rows[index]
                         behind += 1
                         continue
-                i0w, i1w = i0 - origin[0], i1 - origin[1]
-                if i0w < 0 or i1w < 0 or i0w + n0 > shape[0] or i1w + n1 > shape[1]:
-                    return p, left, behind
-                base = i0w * row + i1w
-                p0, p1 = mp * v[p, 0], mp * v[p, 1]
-                if new == 2:
-                    if not strain:
-                        q = vp if kind == SMALL else V[p]
-                        t00, t01, t11 = (
-                            q * stress[p, 0, 0],
-                            q * stress[p, 0, 1],
-                            q * stress[p, 1, 1],
-                        )
-                    else:
-                        t00, t01, t11 = vp * t00, vp * t01, vp * t11
-                    at_body = 0 if one_body else p
-                    g0, g1 = body[at_body, 0], body[at_body, 1]
-                    if one_body:
-                        g0, g1 = mp * g0, mp * g1
+                if i0 < low0 or i1 < low1 or i0 + n0 > top0 or i1 + n1 > top1:
+                    return np.intp(p), left, behind
+                base = i0 * row + i1 * STRIDE
+                if new == 2 and not strain:
+                    t00, t11, t01 = tau_old[p, 0], tau_old[p, 1], tau_old[p, 2]
+                if new == 1:
+                    P = four(mp * v[p, 0], mp * v[p, 1], 0.0, 0.0)
+                else:
+                    P = four(mp * v[p, 0], mp * v[p, 1], g0, g1)
+                T0 = four(0.0, 0.0, -vp * t00, -vp * t01)
+                T1 = four(0.0, 0.0, -vp * t01, -vp * t11)
+                K0 = K1 = nothing
+                if affine:
+                    K0 = four(mp * C[p, 0, 0], mp * C[p, 1, 0], 0.0, 0.0)
+                    K1 = four(mp * C[p, 0, 1], mp * C[p, 1, 1], 0.0, 0.0)
                 for a in range(n0):
-                    at = base + a * row
-                    Sa, da = S0[a], d0[a]
+                    at = out_at + base + a * row
+                    R, Q, K, mass = times(S0[a], P), nothing, nothing, S0[a] * mp
+                    if new == 2:
+                        R, Q = axpy(d0[a], T0, R), times(S0[a], T1)
+                    if affine:
+                        R = axpy(S0[a] * (node0[i0 + a] - x0), K0, R)
+                        K = times(S0[a], K1)
                     for b in range(n1):
-                        k = at + b
-                        N = Sa * S1[b]
-                        y0, y1 = p0, p1
-                        if affine:
-                            r0, r1 = node0[i0 + a] - x0, node1[i1 + b] - x1
-                            y0 += mp * (C[p, 0, 0] * r0 + C[p, 0, 1] * r1)
-                            y1 += mp * (C[p, 1, 0] * r0 + C[p, 1, 1] * r1)
-                        out[k, 0] += N * mp
-                        out[k, 1] += N * y0
-                        out[k, 2] += N * y1
+                        Z = axpy(S1[b], R, load(at + b * STRIDE))
                         if new == 2:
-                            k0, k1 = da * S1[b], Sa * d1[b]
-                            out[k, 3] += N * g0 - k0 * t00 - k1 * t01
-                            out[k, 4] += N * g1 - k0 * t01 - k1 * t11
-        done[0] += work
+                            Z = axpy(d1[b], Q, Z)
+                        if affine:
+                            Z = axpy(S1[b] * (node1[i1 + b] - x1), K, Z)
+                        store(at + b * STRIDE, Z)
+                        add_at(at + b * STRIDE + MASS, S1[b] * mass)
+        done[0] += 0.5 * dt * work
+        done[1] += dt * outer
+        done[2] = max(done[2], fastest)
         return -1, left, behind
 
     return run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["FAST", "LAW", "NEO", "PASSES", "SMALL", "Pass"]
+__all__ = ["COLUMNS", "FAST", "LAW", "NEO", "PASSES", "SMALL", "Pass"]
 
 # What compiled sums may do with floating-point numbers: reorder and contract them, nothing else.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -22,7 +22,6 @@ class Pass(NamedTuple):
         move: Whether they move.
         same: What they scatter where they were: 0 nothing, 1 momenta, 2 forces.
         new: What they scatter where they are then: 0 nothing, 1 masses and momenta, 2 forces too.
-        record: Whether accelerations are written.
     """
 
     velocity: bool = False
@@ -30,8 +29,30 @@ class Pass(NamedTuple):
     move: bool = False
     same: int = 0
     new: int = 0
-    record: bool = False
 
+
+class Columns(NamedTuple):
+    """Where a node has what, in numbers from its first.
+
+    Loops take four neighbours at once: momenta with forces, changes of velocity with velocities,
+    velocities with those of the strain.
+
+    Attributes:
+        width: Numbers a node.
+        mass, force, second: Sums at a node besides momentum, which is the first: mass, force,
+            and momentum of the new velocities.
+        velocity, strain: Velocities at a node, and those that strain, after their changes.
+    """
+
+    width: int
+    mass: int
+    force: int
+    second: int
+    velocity: int
+    strain: int
+
+
+COLUMNS = {2: Columns(8, 4, 2, 5, 2, 4), 3: Columns(12, 3, 4, 8, 4, 8)}
 
 # The passes of a step after the first scatter; the last one of each begins the next step.
 PASSES = {
