@@ -164,7 +164,7 @@ class Explicit(Problem):
             return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
-        if self.mapping.kind not in ("flip", "pic", "tpic"):
+        if self.mapping.kind not in ("flip", "pic", "apic", "tpic"):
             return "the mapping filters velocities at the nodes"
         reason = why_not(self.form)
         if reason is not None:

@@ -77,6 +77,15 @@ def weights(degree: int, averaged: bool):
     return near
 
 
+@numba.njit(cache=True, error_model="numpy")
+def spread(S, node, first, count, x):
+    """Second moment Σ S (x_a − x)² of the functions that a point sees in one direction (m²)."""
+    total = 0.0
+    for a in range(count):
+        total += S[a] * (node[first + a] - x) ** 2
+    return total
+
+
 @functools.cache
 def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
@@ -186,15 +195,9 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         v[p, 0], v[p, 1] = v0, v1
                         b00, b01, b10, b11 = h00, h01, h10, h11
                         if APIC:
-                            D0 = D1 = 0.0
-                            for a in range(n0):
-                                D0 += S0[a] * (node0[i0 + a] - x0) ** 2
-                            for b in range(n1):
-                                D1 += S1[b] * (node1[i1 + b] - x1) ** 2
-                            q0 = 1.0 / D0 if D0 > 1e-18 else 0.0
-                            q1 = 1.0 / D1 if D1 > 1e-18 else 0.0
-                            _, _, b00, b10 = lanes(times(q0, B0))
-                            _, _, b01, b11 = lanes(times(q1, B1))
+                            # moments; where the point scatters its functions divide them
+                            _, _, b00, b10 = lanes(B0)
+                            _, _, b01, b11 = lanes(B1)
                         C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1] = b00, b01, b10, b11
                     else:
                         v[p, 0] = share * (v[p, 0] + w0) + (1.0 - share) * v0
@@ -303,8 +306,14 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                 if same == 1:
                     P, K0, K1 = four(0.0, mp * v[p, 0], mp * v[p, 1], 0.0), nothing, nothing
                     if affine:
-                        K0 = four(0.0, mp * C[p, 0, 0], mp * C[p, 1, 0], 0.0)
-                        K1 = four(0.0, mp * C[p, 0, 1], mp * C[p, 1, 1], 0.0)
+                        q0 = q1 = mp
+                        if APIC:
+                            q0, q1 = (
+                                mp / spread(S0, node0, i0, n0, x0),
+                                mp / spread(S1, node1, i1, n1, x1),
+                            )
+                        K0 = four(0.0, q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0)
+                        K1 = four(0.0, q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0)
                     for a in range(n0):
                         at = out_at + base + a * row + second - 8
                         R = times(S0[a], P)
@@ -370,8 +379,14 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                 T1 = four(0.0, 0.0, -vp * t01, -vp * t11)
                 K0 = K1 = nothing
                 if affine:
-                    K0 = four(mp * C[p, 0, 0], mp * C[p, 1, 0], 0.0, 0.0)
-                    K1 = four(mp * C[p, 0, 1], mp * C[p, 1, 1], 0.0, 0.0)
+                    q0 = q1 = mp
+                    if APIC:
+                        q0, q1 = (
+                            mp / spread(S0, node0, i0, n0, x0),
+                            mp / spread(S1, node1, i1, n1, x1),
+                        )
+                    K0 = four(q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0, 0.0)
+                    K1 = four(q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0, 0.0)
                 for a in range(n0):
                     at = out_at + base + a * row
                     R, Q, K, mass = times(S0[a], P), nothing, nothing, S0[a] * mp
