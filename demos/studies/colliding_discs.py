@@ -1,0 +1,170 @@
+# %% [markdown]
+# # Two elastic discs collide and part again
+#
+# Two discs of radius $R$ fly at each other along the diagonal of a square, are pressed
+# flat, and fly apart (Sulsky, Chen & Schreyer 1994, doi 10.1016/0045-7825(94)90112-0). No
+# contact is modelled: both move in one field of velocities, which cannot let one into the
+# other. They come to feel each other as soon as they share a node of the grid, a cell or two
+# before they touch, and do not slide.
+#
+# By symmetry each disc meets a plane. Conforming elements on a disc that meets a frictionless
+# one (default parameters, neo-Hookean) say: contact lasts 1.097 s; 0.518 s after the touch the
+# kinetic energy is least, 0.053 of that at first; the centres part with 0.908 of the speed at
+# which they met, for a tenth of the energy stays in the discs as vibration.
+
+# %%
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import mesh
+from motion import add_options, problem_of, times_of
+from mpi4py import MPI
+from scene import draw_points, finish, parser, say, solver_figures
+
+import dolfinmpm as mpm
+
+
+def arguments():
+    """The command line."""
+    options = parser("Two elastic discs collide.")
+    options.add_argument("--radius", type=float, default=0.2, help="m")
+    options.add_argument("--distance", type=float, default=0.6 * np.sqrt(2), help="of centres (m)")
+    options.add_argument("--modulus", type=float, default=1000.0, help="Young's modulus (Pa)")
+    options.add_argument("--poisson", type=float, default=0.3)
+    options.add_argument("--density", type=float, default=1000.0, help="kg/m^2")
+    options.add_argument("--speed", type=float, default=0.1 * np.sqrt(2), help="of each disc (m/s)")
+    add_options(options, h=0.05, courant=0.5)
+    options.set_defaults(mass="lumped", mapping="flip")
+    options.add_argument("--duration", type=float, default=3.2, help="s")
+    given = options.parse_args()
+    if not given.distance > 2 * given.radius:
+        options.error("the discs must be apart at first")
+    return given
+
+
+args = arguments()
+comm, h, R = MPI.COMM_WORLD, args.h, args.radius
+E, nu = args.modulus, args.poisson
+wave = np.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / args.density)
+along = np.array([1.0, 1.0]) / np.sqrt(2)
+touch = (0.5 * args.distance - R) / args.speed
+
+# %% [markdown]
+# ## The scene
+# The discs carry tags, by which their centres are found.
+
+# %%
+half = 0.5 * args.distance / np.sqrt(2) + R
+n = 2 * (int(np.ceil(half / h)) + 2)
+grid = mesh.create_rectangle(
+    comm,
+    [(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)],
+    (n, n),
+    mesh.CellType.quadrilateral,
+)
+points = mpm.fill(
+    grid, mpm.Ball(-0.5 * args.distance * along, R), args.points_per_cell, args.density, tag=1
+) + mpm.fill(
+    grid, mpm.Ball(0.5 * args.distance * along, R), args.points_per_cell, args.density, tag=2
+)
+V = mpm.Space(grid, args.basis)
+F = mpm.momentum(mpm.materials.NeoHookean(E=E, nu=nu), points, V.increment, V.test)
+points.add_field("velocity", (2,), "m/s")
+points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along
+problem = problem_of(args, F, V.increment, points)
+
+
+def approach():
+    """Speed of the discs' centres towards each other, by half (m/s)."""
+    m = points["density"] * points["V0"]
+    first = np.where(points["tag"] == 1, m, 0.0)
+    sums = [weight @ (points["velocity"] @ along) for weight in (first, m - first)]
+    total = comm.allreduce(np.array([*sums, first.sum(), m.sum() - first.sum()]))
+    return 0.5 * float(total[0] / total[2] - total[1] / total[3])
+
+
+def state():
+    """Time, kinetic and stored energy, and the speed of approach."""
+    now = problem.energies()
+    return problem.time, now.kinetic, now.strain, approach()
+
+
+rows, drift, pictures = [state()], 0.0, {}
+start = rows[0]
+carried = 0.5 * comm.allreduce(float(points["density"] @ points["V0"])) * args.speed
+shown = [touch, touch + 0.4, args.duration]
+for t in times_of(args, args.duration, wave, "collision"):
+    problem.step(t)
+    rows.append(state())
+    drift = max(drift, float(np.abs(problem.momentum()).max()) / carried)
+    if not args.no_plot and len(pictures) < 3 and problem.time > shown[len(pictures)] - 1e-9:
+        pictures[problem.time] = points.gather("x", "F", "l0", "stress")
+t, kinetic, strain, speed = np.array(rows).T
+
+# %%
+k = int(np.clip(np.argmin(kinetic), 1, len(t) - 2))
+a, b, c = np.polyfit(t[k - 1 : k + 2] - t[k], kinetic[k - 1 : k + 2], 2)
+least, when = (c - b**2 / (4 * a), t[k] - b / (2 * a)) if a > 0 else (kinetic[k], t[k])
+felt = np.flatnonzero(kinetic < 0.99 * kinetic[0])
+figures = {
+    "min_kinetic": float(least / kinetic[0]),
+    "time_of_min": float(when - touch),
+    "rebound": float(-speed[-1] / speed[0]),
+    "momentum_drift": drift,
+    "touch": float(touch),
+    "kinetic_below_99_percent": float(t[felt[0]]) if felt.size else None,
+    "max_strain": float(strain.max() / kinetic[0]),
+    "energy_end": float((kinetic[-1] + strain[-1]) / kinetic[0]),
+    "steps": len(t) - 1,
+    **solver_figures(problem),
+}
+say(
+    f"{args.basis}, h = {h:g} m, {points.total} points: least kinetic energy "
+    f"{figures['min_kinetic']:.4f} of that at first, {figures['time_of_min']:+.3f} s after the "
+    f"touch at {touch:.3f} s; felt from {figures['kinetic_below_99_percent'] or np.nan:.3f} s; "
+    f"rebound with {figures['rebound']:.4f} of the speed, energy {figures['energy_end']:.4f}, "
+    f"momentum to {drift:.1e}"
+)
+
+# %% [markdown]
+# ## What to expect
+# The discs feel each other 0.21 s early on cells of R/4, 0.08 s on cells of R/8, and so the kinetic
+# energy is least early too: 0.35 s and 0.44 s after the touch, where it should be 0.52 s. It falls
+# to 0.029, and the discs part with 0.91 and 0.93 of their speed. Momentum stays to rounding.
+#
+# A consistent mass with its ghost penalty (`--mass consistent --mapping pic`) is no good here:
+# where the two bodies share a cell the penalty takes them for one whose velocity has a bend,
+# and makes it less. They feel each other a cell earlier, 29 % of the energy is lost on cells of
+# R/4, 17 % on R/8.
+
+# %% [markdown]
+# ## Picture
+# The discs when they should touch, pressed flat, and in the end; energies over time, in grey as
+# long as conforming discs touch.
+
+# %%
+if not args.no_plot and comm.rank == 0:
+    with mpm.figure(
+        args.output / "colliding_discs.png", 7.2, 3.6, nrows=2, ncols=3, height_ratios=(1.25, 1)
+    ) as (whole, axes):
+        for ax in axes[1]:
+            ax.remove()
+        below = whole.add_subplot(axes[0, 0].get_gridspec()[1, :])
+        values = [np.trace(s, axis1=1, axis2=2) / -3 for *_, s in pictures.values()]
+        top = max(np.percentile(np.abs(value), 97) for value in values)
+        for ax, (time, (x, G, l0, _)), value in zip(axes[0], pictures.items(), values):
+            drawn = draw_points(ax, x, G, l0, value, cmap="RdBu", clim=(-top, top))
+            ax.set(xlim=(-half, half), ylim=(-half, half), title=f"$t$ = {time:.2f} s")
+        for ax in axes[0, 1:]:
+            ax.set(ylabel="")
+        whole.colorbar(drawn, ax=axes[0], label="mean pressure (Pa)")
+        known = 0.2, 1000.0, 0.3, 1000.0, 0.1 * np.sqrt(2)
+        if (R, E, nu, args.density, args.speed) == known:
+            below.axvspan(touch, touch + 1.097, color="0.93", zorder=0)
+        below.plot(t, kinetic / kinetic[0], label="kinetic")
+        below.plot(t, strain / kinetic[0], label="stored")
+        below.plot(t, (kinetic + strain) / kinetic[0], "k--", lw=0.8, label="both")
+        below.set(xlabel="time (s)", ylabel="energy / that at first", xlim=(0, args.duration))
+        below.legend(loc="center left")
+
+finish(args, figures)
