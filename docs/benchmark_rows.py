@@ -107,7 +107,7 @@ def cases(key: str, *names: str) -> Callable[[Answer], list[float]]:
 
 COLUMN, BEAM, ORDER = "The compacting column", "Elasticity", "A manufactured solution"
 CUTS, PLASTIC, FOOTING = "Small cuts", "Plasticity", "Footings"
-SPEED = "Time and memory"
+SPEED, MOTION = "Time and memory", "Motion"
 SIZES = tuple(f"--elements {n}" for n in (4, 16, 64, 256))
 TWO_D = "--dimension 2 --offsets 200"
 TIMES = each("benchmark", "")
@@ -226,6 +226,24 @@ ROWS = (
         "the centre without and with F-bar: linear functions, GIMP, quadratic splines (m)",
         each("footing", "--law tresca --compare"), settlements,
         "{:.3f}, {:.3f}; {:.3f}, {:.3f}; {:.3f}, {:.3f}", "conforming elements 0.929"),
+    Row("bar", MOTION, "vibrating bar, GIMP, h = 1 m, Δt = .1 s: energy kept over 5 periods with "
+        "consistent mass, ghost penalty and PIC; with lumped mass, FLIP and PIC",
+        each("vibrating_bar", "--h 1", "--h 1 --mass lumped --mapping flip",
+             "--h 1 --mass lumped --mapping pic"),
+        lambda *answers: [a["energy"][5] for a in answers], "{:.5f}; {:.5f}, {:.4f}",
+        "an independent code: .99977; .99877, .6906", quick=True),
+    Row("bar-period", MOTION, "the same: period (s) with consistent mass, h = 1 and 0.5 m",
+        each("vibrating_bar", "--h 1", "--h 0.5"), keys("period"), "{:.4f}, {:.4f}",
+        "an independent code: 10.0028, 10.0011; exact 10.0002", quick=True),
+    Row("expansion", MOTION, "affine velocities at the nodes, worst of four cuts: error with "
+        "consistent mass and ghost penalty; with lumped mass",
+        each("expansion", "", "--mass lumped --mapping flip"),
+        lambda *answers: [max(a["velocity_error"]) for a in answers], "{:.0e}, {:.2f}",
+        "rounding; .25 of an independent code", quick=True),
+    Row("turning", MOTION, "disc turned once, R = 4 h: angular momentum and energy kept, "
+        "consistent mass with ghost penalty and PIC", each("rotating_disc", ""),
+        lambda a: [abs(1 - a["angular_momentum"]), a["energy"]], "1 − L/L₀ = {:.0e}, E/E₀ = {:.3f}",
+        "an independent code: 1e-14, .998"),
     Row("time-small", SPEED, "column, 64 elements, 256 points, 40 steps, GIMP (s)", TIMES,
         cases("seconds", "gimp 1x64"), "{:.2f}",
         "Kratos MPM 10.4, neo-Hookean, in the same minutes at 77283f2: 0.32"),
