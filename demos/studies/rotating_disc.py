@@ -98,7 +98,8 @@ def turn(mass, mapping, order):
         stopped = f"{type(error).__name__}: {error}"
         say(f"{name} stopped at t = {problem.time:.3f} s: {stopped}")
     _, L, kinetic, energy = rows[-1]
-    x, x0 = points["x"] - middle, points["x0"] - middle
+    # points may have changed rank since
+    m, x, x0 = points["density"] * points["V0"], points["x"] - middle, points["x0"] - middle
     angle = omega * rows[-1][0]
     # the turn that fits best
     sums = np.array([m @ np.sum(x0 * x, axis=1), m @ (x0[:, 0] * x[:, 1] - x0[:, 1] * x[:, 0])])

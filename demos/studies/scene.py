@@ -58,7 +58,8 @@ def solver_figures(problem: Any) -> dict[str, Any]:
         "halvings": sum(record.halvings for record in history),
         "last_residuals": history[-1].residuals if history else [],
         "points": problem.points.total,
-        "active_cells": problem.here.active_cells,
+        # explicit steps may do without an activation
+        "active_cells": problem.here.active_cells if problem.here is not None else None,
         "unknowns": history[-1].unknowns if history else 0,
         "migrated": sum(record.migrated for record in history),
         "ranks": problem.comm.size,
