@@ -248,7 +248,8 @@ class Explicit(Problem):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(self.terms, here, self._scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        V = self._velocities(mass, s, x_node, held)
+        momenta = self._momenta(mass, s, x_node)
+        V = mass.solve(momenta, held).arrays[0]
         operator = self.form.on(here)
         forces = self._forces(operator, mass, s, dt * V if self.scheme == "usf" else None)
         if isinstance(forces, str):
@@ -266,7 +267,7 @@ class Explicit(Problem):
         moved = points["x"] + dt * collect(s, V_end)
         V_strain = V if self.scheme == "usf" else V_end
         if self.scheme == "musl":
-            V_strain = self._velocities(mass, s, x_node, held, new)
+            V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         operator.place([dt * V_strain])
         state = advance(
             operator, self._updates, True, largest_cell(points.grid), len(self.history) + 1, moved
@@ -274,19 +275,21 @@ class Explicit(Problem):
         if isinstance(state, str):
             raise self._unstable(state, dt)
         external = operator.external_work([dt * V_end])
-        reaction = mass.lumped[:, None] * (V_end - V - dt * A)
+        # what holds a node does work on it: the impulse that momentum and forces leave over
+        impulse = mass.times(V_end).arrays[0] - momenta.arrays[0] - dt * forces.arrays[0]
         owned = here.unknowns.fields[0].owned_nodes
-        external += self.comm.allreduce(float(np.sum((reaction * V_end)[owned])), op=MPI.SUM)
+        work = np.where(fixed, impulse * V_end, 0.0)[owned]
+        external += self.comm.allreduce(float(np.sum(work)), op=MPI.SUM)
         self._work.add(points, state.fields, operator, external)
         state.fields.update(new)
         return commit(points, state)
 
-    def _velocities(self, mass: Mass, s, x_node: Array, held: Array, new=None) -> Array:
-        """Velocities of the nodes from those of the points, or from new ones. Collective."""
+    def _momenta(self, mass: Mass, s, x_node: Array, new=None) -> Nodal:
+        """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
         momenta = mass.nodal()
         self.mapping.to_grid(self.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._scaling
-        return mass.solve(momenta, held).arrays[0]
+        return momenta
 
     def _forces(self, operator, mass: Mass, s, u: Array | None) -> Nodal | str:
         """Forces on the nodes in the present state, or of the stresses after an increment.

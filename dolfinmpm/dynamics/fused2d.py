@@ -100,8 +100,8 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
         line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
-        x, half, half0, v, C, F, V, V0, m, state, internal, stress, body, acceleration = points[:14]
-        tau_old, e_out = points[14:]
+        x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
+        tau_old, e_out, body = points[13:]
         addresses, numbers, stride, which = law
         S0, S1 = np.empty(64), np.empty(64)
         d0, d1 = np.empty(64), np.empty(64)
