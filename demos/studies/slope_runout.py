@@ -35,9 +35,7 @@ ZONE = (4.0, 12.0), (2.0, 3.0)
 def arguments():
     """The command line."""
     options = parser("A slope with a weak zone runs out to rest.")
-    options.add_argument(
-        "--integrator", choices=("implicit", "explicit", "both"), default="both"
-    )
+    options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
     options.add_argument(
         "--h", type=numbers(float), default=[1.0, 0.5, 0.25], help="(m), divide 1, by commas"
     )
@@ -105,7 +103,9 @@ def run(args, integrator, h):
     started = time.perf_counter()
     slope = points["x0"][:, 1] > BASE
     try:
-        for t in mpm.times(args.duration, args.duration / args.samples, label=f"{integrator}, {h:g} m"):
+        for t in mpm.times(
+            args.duration, args.duration / args.samples, label=f"{integrator}, {h:g} m"
+        ):
             inner = [t] if integrator == "explicit" else _between(problem.time, t, args.dt)
             for now in inner:
                 problem.step(now)

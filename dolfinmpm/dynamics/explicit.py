@@ -306,7 +306,8 @@ class Explicit(Problem):
         s, x_node = field.stencils, field.basis.node_coordinates()
         mass = Mass(self.terms, here, self._scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
-        V = self._velocities(mass, s, x_node, self._before(step, held, field.basis))
+        momenta = self._momenta(mass, s, x_node)
+        V = mass.solve(momenta, self._before(step, held, field.basis)).arrays[0]
         operator = self.form.on(here)
         forces = self._forces(operator, mass, s, dt * V if self.scheme == "usf" else None)
         if isinstance(forces, str):
@@ -338,7 +339,7 @@ class Explicit(Problem):
         moved = points["x"] + dt * collect(s, V_end)
         V_strain = V if self.scheme == "usf" else V_end
         if self.scheme == "musl":
-            V_strain = self._velocities(mass, s, x_node, held, new)
+            V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         operator.place([dt * V_strain])
         state = advance(
             operator, self._updates, True, largest_cell(points.grid), len(self.history) + 1, moved
@@ -356,14 +357,12 @@ class Explicit(Problem):
         state.fields.update(new)
         return commit(points, state)
 
-    def _velocities(
-        self, mass: Mass, s, x_node: Array, held: Array, new: dict[str, Array] | None = None
-    ) -> Array:
-        """Velocities of the nodes from those of the points, or from new ones. Collective."""
+    def _momenta(self, mass: Mass, s, x_node: Array, new=None) -> Nodal:
+        """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
         momenta = mass.nodal()
         self.mapping.to_grid(self.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._scaling
-        return mass.solve(momenta, held).arrays[0]
+        return momenta
 
     def _before(self, step: Step, held: Array, basis: Any) -> Array:
         """Velocities of held components at the start of a step, shape (nodes, d). Collective."""
@@ -420,7 +419,7 @@ class Explicit(Problem):
         What moves may lose energy to the grid and gain a little in "usf"; more than half of all
         that there ever was in any form comes from a step that is too long.
         """
-        m = point_masses(self.points)
+        m = self._scaling * point_masses(self.points)
         kinetic = 0.5 * float(np.sum(m[:, None] * self.points["velocity"] ** 2))
         kinetic = self.comm.allreduce(kinetic, op=MPI.SUM)
         work = self._work

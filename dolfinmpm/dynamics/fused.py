@@ -33,6 +33,8 @@ Array = npt.NDArray[np.float64]
 _MARGIN = 2
 # Steps after which points are put in the order of cells again
 _SORT = 256
+# Rows and columns of a symmetric tensor, in the order in which the loops take its components
+_PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -54,11 +56,11 @@ def _move_nodes(box, columns, out, nodes, fixed, held, g, dt, scaling, damping, 
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
                 if damping > 0.0:
-                    f -= damping * abs(f) * np.sign(y)
+                    f -= damping * abs(f) * np.sign(held[k, i] if fixed[k, i] else y)
                 end = y + dt * f * per_mass / scaling
                 if fixed[k, i]:
-                    # what holds the node does work on it
-                    work += scaling * m * (held[k, i] - end) * held[k, i]
+                    # what holds the node does work against its forces
+                    work -= dt * f * held[k, i]
                     y = end = held[k, i]
                 nodes[k, i] = end - y
                 nodes[k, velocity + i] = end
@@ -258,16 +260,18 @@ class Fused:
         begin = Pass(new=2 if self._scheme != "usf" else 1)
         while taken < count and reason is None:
             set_time(taken)
-            if self._loads.changed() and self._live:
-                # what has been scattered has the loads of before if they differ by points
-                before = self._loads.uniform
-                self._loads.evaluate()
-                self._live = before and self._loads.uniform
-            if not self._live:
+            fresh = not self._live
+            if fresh:
                 self._box()
                 self._prepare()
-                reason = self._scatter(begin, dt)
                 self._live, self._travelled = True, 0.0
+            elif self._loads.changed():
+                # what has been scattered has the loads of before if they differ by points
+                fresh = not self._loads.uniform
+                self._loads.evaluate()
+                fresh = fresh or not self._loads.uniform
+            if fresh:
+                reason = self._scatter(begin, dt)
             taken += 1
             last = taken == count
             # what scatters in the last step of all would only be scattered again
@@ -278,6 +282,8 @@ class Fused:
             if reason is None and last:
                 self._laws.scatter()
             if reason is None and (ending or self._travelled > 0.5 * _MARGIN):
+                if not last:
+                    self._publish()
                 migrated += self._settle()
                 self._live = False
         self._live = self._live and reason is None
@@ -301,8 +307,8 @@ class Fused:
         state = points[self._laws.state] if self._laws.state else np.ones((n, 6))
         small = self._laws.kind == SMALL
         e_out = state[:, 2].copy() if small else 0.5 * np.log(state[:, 2])
-        # Kirchhoff's stresses, in the order in which the loop takes them
-        i, j = ([0, 1, 0], [0, 1, 1]) if d == 2 else ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])
+        # Kirchhoff's stresses
+        i, j = _PAIRS[d]
         J = np.ones(n) if small else points["V"] / points["V0"]
         tau = np.ascontiguousarray(J[:, None] * points["stress"][:, i, j])
         self._loads.evaluate()
@@ -310,8 +316,21 @@ class Fused:
         self._data = (
             points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
             points["V"], points["V0"], point_masses(points), state, self._laws.internal,
-            points["stress"], self._loads.body, points["acceleration"], tau, e_out,
+            points["stress"], points["acceleration"], tau, e_out,
         )  # fmt: skip
+
+    def _publish(self) -> None:
+        """Give the fields what steps without a record keep for themselves and go on with."""
+        points, (tau, e_out) = self._points, self._data[-2:]
+        small = self._laws.kind == SMALL
+        J = np.linalg.det(points["F"])
+        points["V"][:] = J * points["V0"]
+        i, j = _PAIRS[points.gdim]
+        sigma = tau if small else tau / J[:, None]
+        points["stress"][:, i, j] = sigma
+        points["stress"][:, j, i] = sigma
+        if self._laws.state and points.gdim == 2:
+            points[self._laws.state][:, 2] = e_out if small else np.exp(2.0 * e_out)
 
     def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
@@ -340,8 +359,8 @@ class Fused:
             basis.degree, basis.averaged, laws.kind, self._affine, parts, general
         )
         return loop(
-            self._grid, self._nodes, self._out, self._data, laws.table, dt, self._share, record,
-            rows, self._rows_of[1], self.done,
+            self._grid, self._nodes, self._out, (*self._data, self._loads.body), laws.table, dt,
+            self._share, record, rows, self._rows_of[1], self.done,
         )  # fmt: skip
 
     def _together(self, bad: int) -> str | None:

@@ -1,0 +1,225 @@
+"""Explicit steps by fused loops: the same as the general ones, and why some are not fused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import COMM
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import InstabilityError
+from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
+
+FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "l")
+HENCKY, NEO = Hencky(E=1e5, nu=0.3), NeoHookean(E=1e5, nu=0.3)
+STEEL, SAND = VonMises(E=1e5, nu=0.3, yield_stress=2e3), MohrCoulomb(1e5, 0.3, 500.0, 25.0, 5.0)
+CLAY = CamClay(0.018, 0.13, 1.05, 5400.0, 0.0, 20.0, 2e4)
+
+
+def lattice(d=2, n=8, power=1.0):
+    """A grid of [-1, 1]^d; with a power, cells are larger away from the middle."""
+    low, high = [-1.0] * d, [1.0] * d
+    if d == 2:
+        grid = mesh.create_rectangle(COMM, [low, high], (n, n), mesh.CellType.quadrilateral)
+    else:
+        grid = mesh.create_box(COMM, [low, high], (n,) * 3, mesh.CellType.hexahedron)
+    x = grid.geometry.x
+    x[:] = np.sign(x) * np.abs(x) ** power
+    return grid
+
+
+def problem(
+    law=HENCKY, basis="bspline2", averaged=None, scheme="usl", mapping="flip", strain="large", d=2,
+    body=None, power=1.0, push=0.0, load=None, more=(), given=(), fused=True, start=None, **options,
+):  # fmt: skip
+    """A body that turns, is strained and falls."""
+    grid = lattice(d, 8 if d == 2 else 5, power)
+    centre = (0.013, -0.021, 0.034)[:d]
+    body = body or (mpm.Disc(centre, 0.55) if d == 2 else mpm.Sphere(centre, 0.6))
+    points = mpm.fill(grid, body, 2, 1000.0)
+    V = mpm.Space(grid, basis) if averaged is None else mpm.Space(grid, basis, averaged=averaged)
+    u, v = V.increment, V.test
+    small = {} if strain == "large" else {"strain": strain}
+    laws = law if isinstance(law, list) else [law]
+    if len(laws) > 1:
+        points["tag"][points["x"][:, 1] > 0] = 1
+        F = sum(mpm.momentum(own, points, u, v, tag=k, **small) for k, own in enumerate(laws))
+    else:
+        F = mpm.momentum(law, points, u, v, **small)
+    g = fem.Constant(grid, (0.3, -1.0, 0.2)[:d])
+    b = g if load is None else load(points, g)
+    F -= ufl.inner(points.density * b, v) * points.dX
+    if start is not None:
+        mpm.set_stress(points, law, start)
+    points.add_field("velocity", (d,), "m/s")
+    x = points["x"]
+    points["velocity"] = 0.1 * x
+    points["velocity"][:, 0] -= 0.5 * x[:, 1]
+    points["velocity"][:, 1] += 0.5 * x[:, 0] + 0.1 * x[:, -1] ** 2
+    bcs = mpm.fixed(V, lambda x: x[1] < -0.4)
+    if push:
+        bcs = mpm.prescribed(V, "bottom", 1, push) + mpm.rollers(V, "left")
+    options = {"courant": 0.4} | options
+    return mpm.Explicit(F, u, points, bcs, scheme=scheme, mapping=mapping, fused=fused, **options)
+
+
+def compare(times=(0.006, 0.02), tolerance=1e-11, **scene):
+    """Both loops on one scene; returns the fused one."""
+    one, other = (problem(fused=fused, **scene) for fused in (True, False))
+    assert one.unfused == "", one.unfused
+    assert other.unfused
+    for t in times:
+        for p in (one, other):
+            p.step(t)
+    a, b = (np.argsort(p.points["id"]) for p in (one, other))
+    names = [*FIELDS, *(set(other.points.fields) & {"be", "elastic_strain", "plastic_strain"})]
+    names += [n for n in other.points.fields if n in ("void_ratio", "preconsolidation")]
+    for name in names:
+        found, expected = one.points[name][a], other.points[name][b]
+        scale = np.abs(expected).max()
+        assert np.abs(found - expected).max() <= tolerance * scale, name
+    assert [r.parts for r in one.history] == [r.parts for r in other.history]
+    mine, theirs = one.energies(), other.energies()
+    work = max(abs(theirs.kinetic), abs(theirs.strain), abs(theirs.external))
+    assert abs(mine.external - theirs.external) <= 1e-10 * work
+    assert abs(mine.dissipated - theirs.dissipated) <= 1e-9 * work
+    return one
+
+
+BASES = [
+    {"basis": "linear", "scheme": "usl", "law": NEO},
+    {"basis": "gimp", "scheme": "musl", "law": HENCKY},
+    {"basis": "gimp", "scheme": "usl", "mapping": "tpic", "law": NEO},
+    {"basis": "bspline2", "averaged": False, "scheme": "usf"},
+    {"basis": "bspline2", "averaged": True, "scheme": "usl"},
+    {"basis": "bspline3", "averaged": False, "scheme": "musl", "mapping": "apic"},
+    {"basis": "bspline3", "averaged": True, "scheme": "usl", "law": NEO},
+    {"basis": "bspline2", "averaged": False, "mapping": mpm.Mapping("flip", share=0.9)},
+    {"basis": "bspline2", "averaged": False, "scheme": "usf", "mapping": "pic"},
+    {"basis": "bspline2", "averaged": False, "scheme": "usf", "mapping": "apic"},
+    {"basis": "linear", "scheme": "musl", "mapping": "tpic"},
+]
+
+
+@pytest.mark.parametrize("scene", BASES, ids=lambda s: "-".join(str(x) for x in s.values())[:40])
+def test_bases_schemes_and_mappings(scene):
+    compare(**scene)
+
+
+def test_small_strain():
+    for scheme in ("usl", "usf"):
+        compare(basis="gimp", scheme=scheme, strain="small", law=STEEL)
+
+
+@pytest.mark.parametrize("law", [STEEL, SAND], ids=["steel", "sand"])
+def test_laws_that_yield(law):
+    weak = {STEEL: VonMises(E=1e5, nu=0.3, yield_stress=50.0), SAND: MohrCoulomb(1e5, 0.3, 20, 25)}
+    one = compare(law=weak[law], averaged=False)
+    assert np.any(one.points["plastic_strain"] > 0)
+
+
+def test_clay():
+    stress = np.zeros((3, 3)) - 60e2 * np.eye(3)
+    compare(law=CLAY, averaged=False, start=lambda x: np.tile(stress, (x.shape[1], 1, 1)))
+
+
+def test_two_laws_by_tags_and_parameters_by_points():
+    varying = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, yield_stress=80.0)
+    compare(law=[HENCKY, varying], averaged=False)
+    compare(law=[NEO, NeoHookean(E=3e5, nu=0.2)], averaged=False)
+    compare(law=varying, basis="gimp")
+
+
+def test_cells_of_different_sizes():
+    compare(power=1.3, averaged=False)
+    compare(power=1.3, basis="gimp", scheme="musl")
+
+
+@pytest.mark.parametrize(("basis", "averaged"), [("gimp", None), ("bspline2", False)])
+def test_points_at_the_grids_edges(basis, averaged):
+    compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)))
+
+
+@pytest.mark.parametrize("scheme", ["usl", "musl", "usf"])
+def test_prescribed_motion_damping_and_scaled_mass(scheme):
+    body = mpm.Box((-1, -1), (0.6, 0.4))
+    compare(body=body, push=0.01, averaged=False, damping=0.1, mass_scaling=4.0, scheme=scheme)
+
+
+def test_many_steps_of_a_call_and_loads_that_change():
+    t = None
+
+    def load(points, g):
+        return ufl.as_vector((g[0] * t, g[1] - t * t))
+
+    found = []
+    for fused in (True, False):
+        grid = lattice()
+        t = fem.Constant(grid, 0.0)
+        points = mpm.fill(grid, mpm.Disc((0.01, 0.02), 0.5), 2, 1000.0)
+        V = mpm.Space(grid, "bspline2", averaged=False)
+        F = mpm.momentum(NEO, points, V.increment, V.test)
+        F -= ufl.inner(points.density * ufl.as_vector((50 * t, -100 * t * t)), V.test) * points.dX
+        # and a load that differs from point to point
+        F -= 20 * t * points.density * points.x0[0] * V.test[1] * points.dX
+        p = mpm.Explicit(F, V.increment, points, time=t, courant=0.1, fused=fused, scheme="usl")
+        assert (p.unfused == "") == fused
+        p.step(0.2)
+        p.step(0.3)
+        assert p.history[0].parts > 40
+        order = np.argsort(points["id"])
+        found.append({name: points[name][order] for name in FIELDS} | {"work": p.energies()})
+    for name in FIELDS:
+        scale = np.abs(found[1][name]).max()
+        assert np.abs(found[0][name] - found[1][name]).max() <= 1e-11 * max(scale, 1e-3), name
+    one, other = (x["work"] for x in found)
+    assert other.external > 0
+    assert one.external == pytest.approx(other.external, rel=1e-10)
+
+
+def test_fields_may_be_changed_between_calls():
+    pair = [problem(fused=fused, averaged=False) for fused in (True, False)]
+    for p in pair:
+        p.step(0.005)
+        p.points["velocity"] *= 2.0
+        p.step(0.01)
+    a, b = (np.argsort(p.points["id"]) for p in pair)
+    for name in ("x", "velocity", "stress"):
+        expected = pair[1].points[name][b]
+        scale = np.abs(expected).max()
+        assert np.abs(pair[0].points[name][a] - expected).max() <= 1e-11 * scale
+
+
+def test_single_steps():
+    pair = [problem(fused=fused, averaged=False) for fused in (True, False)]
+    for p in pair:
+        for t in mpm.times(0.02, dt="auto"):
+            p.step(t)
+    a, b = (np.argsort(p.points["id"]) for p in pair)
+    assert len(pair[0].history) == len(pair[1].history) > 2
+    expected = pair[1].points["velocity"][b]
+    assert np.abs(pair[0].points["velocity"][a] - expected).max() <= 1e-11
+
+
+@pytest.mark.parametrize(
+    ("why", "scene"),
+    [
+        ("it was not to be", {"fused": False}),
+        ("consistent", {"mass": "consistent", "basis": "linear"}),
+        ("filters", {"mapping": "xpic"}),
+        ("varies", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
+        ("what moves", {"load": lambda points, g: g * points.V}),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "",
+)
+def test_what_is_not_fused_says_why(why, scene):
+    assert why in problem(**scene).unfused
+
+
+def test_a_point_that_leaves_the_grid_is_an_error():
+    p = problem(averaged=False, body=mpm.Box((0.2, -0.3), (0.9, 0.5)))
+    p.points["velocity"][:] = 60.0, 0.0
+    with pytest.raises(InstabilityError, match="left the grid"):
+        p.step(1.0)
