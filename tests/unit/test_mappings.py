@@ -52,10 +52,12 @@ def block(kind, basis, cut, **options):
 def mapped(problem):
     """Mass, nodal velocities, active nodes and their positions."""
     here = problem.activate()
-    problem.motion.to_grid(here, problem.form, 0.1)
     (field,) = here.fields
-    x = field.basis.node_coordinates()[:, : problem.points.gdim]
-    return problem.motion.mass, problem.motion.V, field.nodes, x[field.nodes]
+    mass, x = Mass(problem.form.inertia, here), field.basis.node_coordinates()
+    momenta = mass.nodal()
+    problem.motion.mapping.to_grid(problem.points, field.stencils, x, momenta)
+    (V,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays
+    return mass, V, field.nodes, x[field.nodes, : problem.points.gdim]
 
 
 def masses(points):
