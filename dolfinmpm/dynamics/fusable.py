@@ -183,7 +183,8 @@ class Loads:
 
     def __init__(self, form: WeakForm):
         self._form = form
-        keys = [key for region in form.regions for key in region.external.inputs]
+        programs = [r.external for r in form.regions if r.external is not None]
+        keys = [key for program in programs for key in program.inputs]
         self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
         self.varies = any(key[0] == "field" and key[1] not in _FIXED for key in keys)
         self._constants = [
@@ -203,6 +204,8 @@ class Loads:
             chosen = region.chosen(points["tag"])
             rows = np.arange(n) if chosen is None else np.flatnonzero(chosen)
             program = region.external
+            if program is None:
+                continue
             data: dict[tuple, Array] = {}
             for key in program.inputs:
                 if key[0] == "field":
@@ -219,7 +222,7 @@ class Loads:
         low, high = a.min(axis=0, initial=np.inf), a.max(axis=0, initial=-np.inf)
         points.comm.Allreduce(MPI.IN_PLACE, low, op=MPI.MIN)
         points.comm.Allreduce(MPI.IN_PLACE, high, op=MPI.MAX)
-        if np.all(high - low <= 1e-14 * np.abs(high).max()):
+        if np.all(high - low <= 1e-14 * np.abs(high).max(initial=0.0)):
             self.gravity, self.body = high, high[None, :].copy()
         else:
             self.gravity, self.body = np.zeros(d), forces

@@ -81,3 +81,17 @@ def test_forces_of_explicit_steps_are_those_of_the_stress(strain, fbar):
     assert one["x"] == pytest.approx(other["x"], abs=1e-11)
     largest = np.abs(other["stress"]).max()
     assert one["stress"] == pytest.approx(other["stress"], abs=1e-7 * largest)
+
+
+def test_explicit_steps_need_no_load():
+    """A form without loads is fused too: a block flies as it was thrown."""
+    cells = mesh.CellType.quadrilateral
+    background = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (6, 6)], (6, 6), cells)
+    points = mpm.fill(background, mpm.Box((1.3, 1.3), (3, 3)), 2, 1000.0)
+    V = mpm.Space(background, "gimp")
+    form = mpm.momentum(mpm.materials.Hencky(1e4, 0.3), points, V.increment, V.test)
+    problem = mpm.Explicit(form, V.increment, points)
+    assert problem.unfused == ""
+    points["velocity"] = np.array([1.0, 0.5])
+    problem.step(0.7)
+    assert points["x"] - points["x0"] == pytest.approx(np.tile([0.7, 0.35], (len(points), 1)))
