@@ -8,9 +8,11 @@
 #   h = 1 - 32 (R-1)^2 + 256 (R-1)^4, \qquad \tfrac34 \le R \le \tfrac54$$
 #
 # (Brannon, Kamojjala & Sadeghirad 2011, Particles). With $A = 1$ the middle of the ring moves by
-# a radian, the shear reaches 3.5, no volume changes, and $h$ and $h'$ vanish at both edges,
+# a radian, no volume changes, and $h$ and $h'$ vanish at both edges,
 # which so are free of strain and of traction. Points cross many cells, and the edges lie in
-# the cells anyhow: what an order shows here is that of the whole method in large motion.
+# the cells anyhow: what an order shows here is that of the whole method in motion. By default
+# $A = 0.1$, so that points cross a cell or two. With $A = 1$ explicit runs on fine grids tear at the
+# free outer edge, where few points lie in the cut cells (`--amplitude 1`).
 #
 # The force per mass that the motion takes has, along the present $e_r$ and $e_\theta$, the parts
 #
@@ -51,11 +53,9 @@ def arguments():
     """The command line."""
     options = parser("A ring turns within itself: observed orders in space and time.")
     options.add_argument("--basis", choices=(*BASES, "all"), default="bspline2")
-    options.add_argument(
-        "--integrator", choices=("implicit", "explicit", "both"), default="both"
-    )
+    options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
     options.add_argument("--law", choices=("neo-hookean", "hencky"), default="neo-hookean")
-    options.add_argument("--amplitude", type=float, default=1.0, help="A (rad)")
+    options.add_argument("--amplitude", type=float, default=0.1, help="A (rad)")
     options.add_argument("--period", type=float, default=1.0, help="T (s), half a cycle")
     options.add_argument("--duration", type=float, default=0.5, help="(s)")
     options.add_argument(
@@ -94,7 +94,11 @@ class Motion:
         g = A * maths.sin(w * t)
         h = 1 - 32 * s**2 + 256 * s**4
         slope = -64 * s + 1024 * s**3
-        self.alpha, self.rate, self.acceleration = g * h, A * w * maths.cos(w * t) * h, -w * w * g * h
+        self.alpha, self.rate, self.acceleration = (
+            g * h,
+            A * w * maths.cos(w * t) * h,
+            -w * w * g * h,
+        )
         self.slope, self.curvature = g * slope, g * (-64 + 3072 * s**2)
         self.maths = maths
 
@@ -173,7 +177,9 @@ def ring(args, integrator, basis, cells, steps=None):
         fastest = args.amplitude * np.pi / args.period
         step = args.share / cells / (np.sqrt((LAMBDA + 2 * MU) / RHO) + fastest)
     else:
-        problem = mpm.Explicit(F, u, points, scheme=args.scheme, mapping=args.explicit_mapping, time=t)
+        problem = mpm.Explicit(
+            F, u, points, scheme=args.scheme, mapping=args.explicit_mapping, time=t
+        )
     end = args.duration
     points["velocity"] = exact(args, points["x0"], 0.0)[1]
     if integrator == "explicit":
@@ -287,7 +293,7 @@ for integrator in integrators:
 # %%
 def picture(path, state):
     """Draw the ring with the lines that were radii, and the errors over cells and steps."""
-    with mpm.figure(path, 7.2, 2.7, ncols=3, width_ratios=(1.1, 1, 1)) as (whole, axes):
+    with mpm.figure(path, 7.2, 2.7, ncols=3, width_ratios=(1.1, 1, 1)) as (_, axes):
         x, x0, l0 = state
         R = np.hypot(*x0.T)
         angle = np.degrees(np.arctan2(x0[:, 1], x0[:, 0])) // 15 % 2
@@ -300,18 +306,26 @@ def picture(path, state):
                 known = [(r["h"], r["displacement"]) for r in rows if r["displacement"]]
                 if known:
                     axes[1].loglog(
-                        *zip(*known), style, marker="o", color=f"C{k}", label=f"{integrator}, {basis}"
+                        *zip(*known),
+                        style,
+                        marker="o",
+                        color=f"C{k}",
+                        label=f"{integrator}, {basis}",
                     )
             rows = times[integrator]
             axes[2].loglog(
                 [r["h"] for r in rows], [r["difference"] for r in rows], style, marker="o",
                 color="C2", label=integrator,
             )  # fmt: skip
-        for ax, label, orders in ((axes[1], "cell size $h$ (m)", (2,)), (axes[2], "step (s)", (1, 2))):
+        for ax, label, orders in (
+            (axes[1], "cell size $h$ (m)", (2,)),
+            (axes[2], "step (s)", (1, 2)),
+        ):
             (low, high), (bottom, _) = ax.get_xlim(), ax.get_ylim()
             for order in orders:
                 h = np.array([low, high])
                 ax.loglog(h, 1.5 * bottom * (h / low) ** order, color="0.6", lw=0.7)
+                ax.minorticks_off()
                 ax.annotate(f"order {order}", (high, 1.5 * bottom * (high / low) ** order),
                             ha="right", fontsize=6, color="0.4")  # fmt: skip
             ax.set_xlabel(label)
