@@ -229,7 +229,7 @@ class Loads:
         low, high = a.min(axis=0, initial=np.inf), a.max(axis=0, initial=-np.inf)
         points.comm.Allreduce(MPI.IN_PLACE, low, op=MPI.MIN)
         points.comm.Allreduce(MPI.IN_PLACE, high, op=MPI.MAX)
-        self.uniform = bool(np.all(high - low <= 1e-14 * np.abs(high).max()))
+        self.uniform = bool(np.all(high - low <= 1e-14 * np.abs(high).max(initial=0.0)))
         if self.uniform:
             self.gravity, self.body = high, np.empty((0, d))
         else:

@@ -215,6 +215,9 @@ class Mass:
         unknowns, out = self._unknowns, self.nodal()
         m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
         (p,) = right.arrays
+        if self._terms.kind != "lumped":
+            # nodes of next to no mass, p/m of which may be anything, are to start from nothing
+            m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
         guess = unknowns.restrict([p / m])
         if self._terms.kind != "lumped":
             fixed = np.where(unknowns.fields[0].fixed, held, 0.0)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 
 import pytest
-from conftest import figures_of, start
-
-import dolfinmpm as mpm
+from conftest import figures_of
 
 
 def run(study, *options, ranks=1):
@@ -279,14 +277,6 @@ def test_a_bar_that_moves(ranks):
     assert figures["momentum_zeros"] == pytest.approx(figures["momentum_zeros_exact"], rel=3e-3)
 
 
-@pytest.mark.skipif(hasattr(mpm, "Explicit"), reason="there are explicit steps")
-def test_explicit_steps_are_not_there_yet():
-    done = start("demos/studies/vibrating_bar.py", "--no-plot", "--integrator", "explicit")
-    assert done.returncode != 0
-    assert "not yet" in done.stderr
-
-
-@pytest.mark.skipif(not hasattr(mpm, "Explicit"), reason="there are no explicit steps")
 def test_vibrating_bar_by_explicit_steps():
     options = "--integrator explicit --courant 0.5 --mass lumped --duration 20"
     figures = run("vibrating_bar", "--no-plot", *options.split())
@@ -373,3 +363,68 @@ def test_colliding_discs(tmp_path):
     assert figures["momentum_drift"] < 1e-12
     assert figures["touch"] == pytest.approx(1.586, abs=1e-3)
     assert (tmp_path / "colliding_discs.png").stat().st_size > 0
+
+
+def test_column_collapse(tmp_path):
+    options = "--h 0.01 --fbar off --domains stretch --times 0.1,0.2 --duration 0.3"
+    figures = run("column_collapse", *options.split(), "--output", str(tmp_path))
+    assert figures["completed"]
+    assert len(figures["toe"]) == len(figures["x99"]) == len(figures["kinetic"]) == 3
+    assert figures["x99"] == pytest.approx([0.225, 0.303, 0.366], rel=0.06)
+    assert figures["kinetic"][0] == pytest.approx(1.04, rel=0.2)
+    assert sorted(figures["plastic_strain"]) == figures["plastic_strain"]
+    assert (tmp_path / "column_collapse.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_column_collapse_implicit(ranks):
+    options = (
+        "--integrator implicit --basis bspline2 --h 0.02 --dt 2e-3 --times 0.1 --duration 0.15"
+    )
+    figures = run("column_collapse", "--no-plot", *options.split(), ranks=ranks)
+    assert figures["completed"]
+    assert figures["x99"][0] == pytest.approx(0.225, rel=0.1)
+    assert figures["newton_iterations"] > 100
+
+
+def test_column_collapse_variants(tmp_path):
+    options = "--variants --h 0.02 --duration 0.05 --dt 5e-3 --bases gimp --strains large,small"
+    figures = run("column_collapse", *options.split(), "--output", str(tmp_path))
+    assert len(figures["runs"]) == 8
+    assert all(r["completed"] for r in figures["runs"])
+    assert (tmp_path / "column_collapse_variants.png").stat().st_size > 0
+
+
+def test_slope_runout(tmp_path):
+    options = "--h 1 --duration 2 --samples 20 --dt 0.05"
+    runs = run("slope_runout", *options.split(), "--output", str(tmp_path))["runs"]
+    assert [r["integrator"] for r in runs] == ["explicit", "implicit"]
+    assert all(r["completed"] for r in runs)
+    # both move alike: there is one peak of kinetic energy, when the toe lands
+    assert runs[0]["peak_kinetic"] == pytest.approx(runs[1]["peak_kinetic"], rel=0.1)
+    assert runs[0]["runout"] == pytest.approx(runs[1]["runout"], rel=0.1)
+    assert (tmp_path / "slope_runout.png").stat().st_size > 0
+
+
+def test_vortex(tmp_path):
+    options = "--cells 8,16 --points-per-cell 2 --amplitude 0.1 --steps 4,8"
+    figures = run("vortex", *options.split(), "--output", str(tmp_path))
+    assert {r["integrator"] for r in figures["runs"]} == {"implicit", "explicit"}
+    for found in figures["overall"].values():
+        assert found["displacement"] > 1.8
+    assert (tmp_path / "vortex.png").stat().st_size > 0
+
+
+def test_explicit_stability(tmp_path):
+    methods = "GIMP, consistent;GIMP, consistent + ghost;GIMP, aggregation"
+    options = "--laws", "elastic", "--cells", "1", "--places", "3", "--long", "100"
+    figures = run("explicit_stability", "--methods", methods, *options, "--output", str(tmp_path))
+    bare, ghost, tied = figures["rows"]
+    assert not bare["elastic_completed"]
+    assert bare["step_sliver"] < 1e-4
+    for row in (ghost, tied):
+        assert row["elastic_completed"]
+        assert row["step_worst"] > 0.5 * row["step_uncut"]
+        assert row["long_bounded"]
+        assert row["long_steps"] == 100
+    assert (tmp_path / "explicit_stability.png").stat().st_size > 0

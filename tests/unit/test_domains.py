@@ -81,3 +81,33 @@ def test_forces_of_explicit_steps_are_those_of_the_stress(strain, fbar):
     assert one["x"] == pytest.approx(other["x"], abs=1e-11)
     largest = np.abs(other["stress"]).max()
     assert one["stress"] == pytest.approx(other["stress"], abs=1e-7 * largest)
+
+
+def test_explicit_steps_need_no_load():
+    """A form without loads is fused too: a block flies as it was thrown."""
+    cells = mesh.CellType.quadrilateral
+    background = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (6, 6)], (6, 6), cells)
+    points = mpm.fill(background, mpm.Box((1.3, 1.3), (3, 3)), 2, 1000.0)
+    V = mpm.Space(background, "gimp")
+    form = mpm.momentum(mpm.materials.Hencky(1e4, 0.3), points, V.increment, V.test)
+    problem = mpm.Explicit(form, V.increment, points)
+    assert problem.unfused == ""
+    points["velocity"] = np.array([1.0, 0.5])
+    problem.step(0.7)
+    assert points["x"] - points["x0"] == pytest.approx(np.tile([0.7, 0.35], (len(points), 1)))
+
+
+def test_a_consistent_mass_is_solved_where_nodes_have_next_to_none():
+    """The first guess of conjugate gradients is not p/m where m is a billionth of the others."""
+    cells = mesh.CellType.quadrilateral
+    background = mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (8, 8)], (8, 8), cells)
+    low = 2 + 1e-6
+    points = mpm.fill(background, mpm.Box((low, low), (low + 3,) * 2), 3, 1e3, aligned="body")
+    V = mpm.Space(background, "bspline2")
+    form = mpm.momentum(mpm.materials.Hencky(1e4, 0.3), points, V.increment, V.test)
+    problem = mpm.Explicit(form, V.increment, points, mass="consistent", mapping="pic")
+    points["velocity"] = 0.03 * np.sin(np.pi * (points["x"] - low - 1.5) / 3)
+    first = problem.energies().kinetic
+    problem.step(20.0)
+    energies = problem.energies()
+    assert 0.5 < (energies.kinetic + energies.strain) / first < 1.2
