@@ -274,11 +274,10 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         t00, t11, t01 = mid + gap * cosine, mid - gap * cosine, gap * sine
                         t22 = tau[2]
                     if kind != SMALL:
-                        # H − H²/2: the rate at the middle of the step, to second order
-                        z = 1.0 - 0.5 * dt * (h00 + h11)
-                        z00, z11 = h00 * h00 + h01 * h10, h11 * h11 + h01 * h10
-                        h00, h11 = h00 - 0.5 * dt * z00, h11 - 0.5 * dt * z11
-                        h01, h10 = h01 * z, h10 * z
+                        # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
+                        z = 0.5 * dt * (h00 * h11 - h01 * h10)
+                        q = 1.0 / (1.0 + 0.5 * dt * (h00 + h11 + z))
+                        h00, h11, h01, h10 = q * (h00 + z), q * (h11 + z), q * h01, q * h10
                     work += vp * (
                         (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
                         + (tau_old[p, 2] + t01) * (h01 + h10)
