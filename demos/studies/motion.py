@@ -63,8 +63,6 @@ def problem_of(args: argparse.Namespace, form: Any, u: Any, points: Any, bcs: An
         return mpm.Newmark(form, u, points, bcs, **options)
     if args.integrator == "generalised-alpha":
         return mpm.GeneralisedAlpha(form, u, points, bcs, rho_inf=args.rho_inf, **options)
-    if not hasattr(mpm, "Explicit"):
-        raise SystemExit("--integrator explicit: not yet, there is no dolfinmpm.Explicit here")
     return mpm.Explicit(form, u, points, bcs, courant=args.courant, **options)
 
 

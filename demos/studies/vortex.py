@@ -11,8 +11,8 @@
 # a radian, no volume changes, and $h$ and $h'$ vanish at both edges,
 # which so are free of strain and of traction. Points cross many cells, and the edges lie in
 # the cells anyhow: what an order shows here is that of the whole method in motion. By default
-# $A = 0.1$, so that points cross a cell or two. With $A = 1$ explicit runs on fine grids tear at the
-# free outer edge, where few points lie in the cut cells (`--amplitude 1`).
+# $A = 0.1$, so that points cross a cell or two. With $A = 1$ explicit runs on fine grids tear at
+# the free outer edge, where few points lie in the cut cells (`--amplitude 1`).
 #
 # The force per mass that the motion takes has, along the present $e_r$ and $e_\theta$, the parts
 #

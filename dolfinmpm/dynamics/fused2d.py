@@ -277,7 +277,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         t00, t11, t01 = mid + gap * cosine, mid - gap * cosine, gap * sine
                         t22 = tau[2]
                     if kind != SMALL:
-                        # H (I + H/2)⁻¹, the rate at the middle, by H² = (tr H) H − (det H) I
+                        # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
                         z = 0.5 * dt * (h00 * h11 - h01 * h10)
                         q = 1.0 / (1.0 + 0.5 * dt * (h00 + h11 + z))
                         h00, h11, h01, h10 = q * (h00 + z), q * (h11 + z), q * h01, q * h10

@@ -84,7 +84,7 @@ def compare(times=(0.006, 0.02), tolerance=1e-11, **scene):
     mine, theirs = one.energies(), other.energies()
     work = max(abs(theirs.kinetic), abs(theirs.strain), abs(theirs.external))
     assert abs(mine.external - theirs.external) <= 1e-10 * work
-    assert abs(mine.dissipated - theirs.dissipated) <= 1e-9 * work
+    assert abs(mine.dissipated - theirs.dissipated) <= 1e-10 * work
     return one
 
 
