@@ -103,23 +103,38 @@ BASES = [
 ]
 
 
-@pytest.mark.parametrize("scene", BASES, ids=lambda s: "-".join(str(x) for x in s.values())[:40])
+# every scene compiles loops of its own: three are enough for every day
+_DAILY = (1, 3, 5)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(scene, marks=[] if k in _DAILY else [pytest.mark.long])
+        for k, scene in enumerate(BASES)
+    ],
+    ids=lambda s: "-".join(str(x) for x in s.values())[:40],
+)
 def test_bases_schemes_and_mappings(scene):
     compare(**scene)
 
 
+@pytest.mark.long
 def test_small_strain():
     for scheme in ("usl", "usf"):
         compare(basis="gimp", scheme=scheme, strain="small", law=STEEL)
 
 
-@pytest.mark.parametrize("law", [STEEL, SAND], ids=["steel", "sand"])
+@pytest.mark.parametrize(
+    "law", [STEEL, pytest.param(SAND, marks=pytest.mark.long)], ids=["steel", "sand"]
+)
 def test_laws_that_yield(law):
     weak = {STEEL: VonMises(E=1e5, nu=0.3, yield_stress=50.0), SAND: MohrCoulomb(1e5, 0.3, 20, 25)}
     one = compare(law=weak[law], averaged=False)
     assert np.any(one.points["plastic_strain"] > 0)
 
 
+@pytest.mark.long
 def test_clay():
     stress = np.zeros((3, 3)) - 60e2 * np.eye(3)
     compare(law=CLAY, averaged=False, start=lambda x: np.tile(stress, (x.shape[1], 1, 1)))
@@ -132,17 +147,21 @@ def test_two_laws_by_tags_and_parameters_by_points():
     compare(law=varying, basis="gimp")
 
 
+@pytest.mark.long
 def test_cells_of_different_sizes():
     compare(power=1.3, averaged=False)
     compare(power=1.3, basis="gimp", scheme="musl")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("basis", "averaged"), [("gimp", None), ("bspline2", False)])
 def test_points_at_the_grids_edges(basis, averaged):
     compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)))
 
 
-@pytest.mark.parametrize("scheme", ["usl", "musl", "usf"])
+@pytest.mark.parametrize(
+    "scheme", ["usl", *(pytest.param(s, marks=pytest.mark.long) for s in ("musl", "usf"))]
+)
 def test_prescribed_motion_damping_and_scaled_mass(scheme):
     body = mpm.Box((-1, -1), (0.6, 0.4))
     compare(body=body, push=0.01, averaged=False, damping=0.1, mass_scaling=4.0, scheme=scheme)
