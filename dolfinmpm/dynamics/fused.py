@@ -212,7 +212,7 @@ class Fused:
         self._speed[self._at] = rate * values[0][self._known]
 
     def _sort(self) -> None:
-        """Put the points in the order of the cells."""
+        """Put the points in the order of the cells. Collective."""
         points = self._points
         if self._steps_since_sorted < _SORT:
             return
@@ -222,7 +222,9 @@ class Fused:
         for k, line in enumerate(lines):
             i = ((points["x"][:, k] - line[0]) * scale[k]).astype(np.int64)
             key = key * line.size + i
-        if np.all(np.diff(key) >= 0):
+        sorted_here = bool(np.all(np.diff(key) >= 0))
+        # forms bind their laws anew, all ranks together, where points have another order
+        if points.comm.allreduce(sorted_here, op=MPI.LAND):
             return
         order = np.argsort(key, kind="stable")
         for name, values in points.fields.items():
@@ -418,6 +420,9 @@ class Fused:
                 if reason is not None:
                     return reason
                 _divide(box, columns, self._out, columns.second, self._nodes, *held, True)
+        if self._vector is not None:
+            # sums of other ranks lie beyond the nodes that this rank moves
+            self._out[:] = 0.0
         reason = self._pass(main, dt, record)
         if main.new:
             self._exchange(0, self._out.shape[1])
