@@ -144,6 +144,7 @@ class Explicit(Problem):
         self._clock = time
         self._work = Work()
         self._first_energy: float | None = None
+        self._last_energy = 0.0
         self._most = 0.0
         self._fused: Fused | None = None
         #: Why steps are not fused, or an empty string.
@@ -248,7 +249,7 @@ class Explicit(Problem):
             self._fused.start(1.0 / whole)
         while self.time < target:
             if record.parts % _EVERY == 0:
-                self._check_energy(record.dt)
+                self._check_energy(record.dt, begins=record.parts == 0)
                 longest = self.courant * self.critical_step()
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
@@ -413,8 +414,10 @@ class Explicit(Problem):
             f -= self._damping * np.abs(f) * np.sign(V)
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
 
-    def _check_energy(self, dt: float) -> None:
+    def _check_energy(self, dt: float, begins: bool = False) -> None:
         """Raise InstabilityError if energy comes from nowhere. Collective.
+
+        What the user gives the points between two calls of `step` does not, see `begins`.
 
         What moves may lose energy to the grid and gain a little in "usf"; more than half of all
         that there ever was in any form comes from a step that is too long.
@@ -425,7 +428,10 @@ class Explicit(Problem):
         work = self._work
         total = kinetic + work.internal - work.external
         if self._first_energy is None:
-            self._first_energy = total
+            self._first_energy = self._last_energy = total
+        if begins:
+            self._first_energy += total - self._last_energy
+        self._last_energy = total
         self._most = max(self._most, abs(self._first_energy), abs(work.external))
         gained = total - self._first_energy
         if not math.isfinite(total) or gained > 0.5 * self._most > 0.0:
