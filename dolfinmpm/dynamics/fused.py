@@ -205,7 +205,7 @@ class Fused:
         self._speed[self._at] = rate * values[0][self._known]
 
     def _sort(self) -> None:
-        """Put the points in the order of the cells."""
+        """Put the points in the order of the cells. Collective."""
         points = self._points
         if self._steps_since_sorted < _SORT:
             return
@@ -215,7 +215,8 @@ class Fused:
         for k, line in enumerate(lines):
             i = ((points["x"][:, k] - line[0]) * scale[k]).astype(np.int64)
             key = key * line.size + i
-        if np.all(np.diff(key) >= 0):
+        # a revision is of all ranks: what follows from it is collective
+        if points.comm.allreduce(bool(np.all(np.diff(key) >= 0)), op=MPI.LAND):
             return
         order = np.argsort(key, kind="stable")
         for name, values in points.fields.items():
