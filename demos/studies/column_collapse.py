@@ -186,14 +186,15 @@ def problem_of(args, integrator, basis, fbar, strain):
 # ## What is measured
 # The surface is taken as the area of sand in columns 10 mm wide over their width: the highest
 # point of a column would overstate the front by single bars that fly ahead. A point's area is
-# spread over the width that it had at first. The toe is where this height first falls below
+# the first one, as its mass is: what flies apart gains volume in $\det F$, but no sand. It is
+# spread over the width that the point had at first. The toe is where this height first falls below
 # 2 mm; $x_{99}$ is what 99 % of the mass lie left of.
 
 
 # %%
 def surface(points, args, centres):
     """Area a width in columns around centres (m), shape (n,). Collective."""
-    x, V, l0 = points["x"][:, 0], points["V"], points["l0"][:, 0]
+    x, V, l0 = points["x"][:, 0], points["V0"], points["l0"][:, 0]
     low, high = x - l0, x + l0
     heights = np.empty(len(centres))
     for k, centre in enumerate(centres):

@@ -277,7 +277,7 @@ def picture(path):
         left.barh(y - 0.2, [max(r["step_worst"], 1e-4) for r in rows], 0.38, label="worst cut")
         left.set(xscale="log", xlabel="critical step $\\Delta t\\, c/h$", xlim=(1e-4, 3))
         left.set_yticks(y, labels=[r["method"] for r in rows])
-        left.legend(loc="lower left", framealpha=0.8, frameon=True)
+        left.legend(loc="lower center", bbox_to_anchor=(0.3, 1.0), ncols=2)
         for ax, law in zip(axes[1:], args.laws):
             for k, method in enumerate(args.methods):
                 values = np.array(histories[method, law])

@@ -222,9 +222,8 @@ class Fused:
         for k, line in enumerate(lines):
             i = ((points["x"][:, k] - line[0]) * scale[k]).astype(np.int64)
             key = key * line.size + i
-        sorted_here = bool(np.all(np.diff(key) >= 0))
-        # forms bind their laws anew, all ranks together, where points have another order
-        if points.comm.allreduce(sorted_here, op=MPI.LAND):
+        # a revision is of all ranks: what follows from it is collective
+        if points.comm.allreduce(bool(np.all(np.diff(key) >= 0)), op=MPI.LAND):
             return
         order = np.argsort(key, kind="stable")
         for name, values in points.fields.items():

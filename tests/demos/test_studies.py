@@ -251,6 +251,7 @@ def test_vibrating_bar(tmp_path):
     assert (tmp_path / "vibrating_bar.png").stat().st_size > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "kept"),
     [
@@ -268,6 +269,7 @@ def test_vibrating_bar_otherwise(options, kept):
     assert figures["momentum_zeros"] == pytest.approx(figures["momentum_zeros_exact"], rel=5e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_bar_that_moves(ranks):
     options = "--moving --length 10 --h 0.5 --duration 4"
@@ -277,6 +279,7 @@ def test_a_bar_that_moves(ranks):
     assert figures["momentum_zeros"] == pytest.approx(figures["momentum_zeros_exact"], rel=3e-3)
 
 
+@pytest.mark.long
 def test_vibrating_bar_by_explicit_steps():
     options = "--integrator explicit --courant 0.5 --mass lumped --duration 20"
     figures = run("vibrating_bar", "--no-plot", *options.split())
@@ -284,6 +287,7 @@ def test_vibrating_bar_by_explicit_steps():
     assert figures["period"] == pytest.approx(10.0067, abs=0.005)
 
 
+@pytest.mark.long
 def test_cantilever_swing(tmp_path):
     options = "--h", "0.5", "--courant", "4", "--output", str(tmp_path)
     figures = run("cantilever_swing", *options)
@@ -304,6 +308,7 @@ def test_a_thin_cantilever_that_swings_a_little():
         assert figures[name] == pytest.approx(figures[f"{name}_thin_beam"], rel=0.03)
 
 
+@pytest.mark.long
 def test_expansion(tmp_path):
     figures = run("expansion", "--steps", "10", "--output", str(tmp_path))
     assert len(figures["velocity_error"]) == len(figures["position_error"]) == 4
@@ -312,6 +317,7 @@ def test_expansion(tmp_path):
     assert (tmp_path / "expansion.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_expansion_with_lumped_masses():
     options = "--no-plot", "--mass", "lumped", "--matrix", "1"
     nodes = [0.075, 0.19, 0.15, 0.25]
@@ -325,6 +331,7 @@ def test_expansion_with_lumped_masses():
     assert fine["kinetic_energy"] == pytest.approx([0.758] * 4, abs=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("matrix", ["0,-1,1,0", "0.3,0.5,-0.4,0.2"])
 def test_expansion_of_any_matrix(matrix):
     tpic = "--mass", "lumped", "--mapping", "tpic", "--basis", "bspline2"
@@ -334,6 +341,7 @@ def test_expansion_of_any_matrix(matrix):
         assert found == pytest.approx([0, 0], abs=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_rotating_disc(tmp_path, ranks):
     options = "--compare", "--revolutions", "0.1", "--output", str(tmp_path)
@@ -353,6 +361,7 @@ def test_rotating_disc(tmp_path, ranks):
     assert (tmp_path / "rotating_disc.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_colliding_discs(tmp_path):
     figures = run("colliding_discs", "--output", str(tmp_path))
     # an independent explicit code on these cells: 0.027 to 0.045 at 1.94 s, felt from 1.36 s, 0.93
@@ -365,6 +374,7 @@ def test_colliding_discs(tmp_path):
     assert (tmp_path / "colliding_discs.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_column_collapse(tmp_path):
     options = "--h 0.01 --fbar off --domains stretch --times 0.1,0.2 --duration 0.3"
     figures = run("column_collapse", *options.split(), "--output", str(tmp_path))
@@ -376,6 +386,7 @@ def test_column_collapse(tmp_path):
     assert (tmp_path / "column_collapse.png").stat().st_size > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_column_collapse_implicit(ranks):
     options = (
@@ -387,6 +398,7 @@ def test_column_collapse_implicit(ranks):
     assert figures["newton_iterations"] > 100
 
 
+@pytest.mark.long
 def test_column_collapse_variants(tmp_path):
     options = "--variants --h 0.02 --duration 0.05 --dt 5e-3 --bases gimp --strains large,small"
     figures = run("column_collapse", *options.split(), "--output", str(tmp_path))
@@ -395,6 +407,7 @@ def test_column_collapse_variants(tmp_path):
     assert (tmp_path / "column_collapse_variants.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_slope_runout(tmp_path):
     options = "--h 1 --duration 2 --samples 20 --dt 0.05"
     runs = run("slope_runout", *options.split(), "--output", str(tmp_path))["runs"]
@@ -406,6 +419,7 @@ def test_slope_runout(tmp_path):
     assert (tmp_path / "slope_runout.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_vortex(tmp_path):
     options = "--cells 8,16 --points-per-cell 2 --amplitude 0.1 --steps 4,8"
     figures = run("vortex", *options.split(), "--output", str(tmp_path))
@@ -415,6 +429,7 @@ def test_vortex(tmp_path):
     assert (tmp_path / "vortex.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_explicit_stability(tmp_path):
     methods = "GIMP, consistent;GIMP, consistent + ghost;GIMP, aggregation"
     options = "--laws", "elastic", "--cells", "1", "--places", "3", "--long", "100"
