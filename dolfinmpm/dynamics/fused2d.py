@@ -70,8 +70,8 @@ def weights(degree: int, averaged: bool):
 def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
-    `kernel(grid, nodes, out, points, law, dt, share, rows, skipped, done)` returns the first bad
-    point or -1, points skipped and points not scattered; see `Fused` in `dolfinmpm.dynamics.fused` for what
+    `kernel(grid, nodes, out, points, law, dt, share, rows, skipped, done) -> (first bad point or -1,
+    points skipped, points not scattered)`; see `Fused` in `dolfinmpm.dynamics.fused` for what
     the tuples hold. A general one takes the points of `rows`, wherever they are; the others take
     all points, and skip those that `weights` does not know.
     """
