@@ -128,16 +128,18 @@ def arguments():
 # ## Mass and mapping
 # Explicit steps take the lumped mass and "flip", in the order "musl".
 #
-# Implicit ones can take the consistent mass with "pic", or, as Xie and others do, the lumped mass
-# with "accel". The consistent mass is the default here: behind it "pic" is a projection, which
-# damps no motion that the grid has room for, and what points have besides, one against the other
-# within a cell, does not stay. With "accel" the points add up accelerations and keep such
-# motion; in sand, which offers it no resistance where it is loose, the front of the heap then
-# scatters. `--mass lumped --mapping accel` shows it.
+# Implicit ones take the lumped mass with "accel", as Xie and others do. The consistent mass with
+# "pic" (`--mass consistent`) is a projection, which damps nothing in the middle of a body; but its
+# ghost penalty, which it cannot do without, acts along the surface, and all sand that runs is
+# near the surface. On 10 mm cells with quadratic splines, F-bar and steps of 1 ms the 99 % point
+# comes to 0.349 m with it and to 0.420 m with the lumped mass, of 0.42 m in explicit steps; the
+# surfaces are off the measured one by 4.7 and 2.9 mm.
 #
-# The consistent mass needs its ghost penalty, $\gamma_M = \rho/4$ and more for splines; none of the
-# stiffness is needed at such steps, $c\,\Delta t/h$ being about 2 to 3, and there is none: it would
-# act on the increments of flow as a viscosity $E\,\Delta t/30$.
+# There is no ghost penalty of the stiffness: it would act on the increments of flow as a
+# viscosity $E\,\Delta t/30$.
+#
+# Points' domains grow with their volume, not with the stretch: that of a point at the front,
+# where F grows without bound, would come to span the whole grid.
 
 
 # %%
