@@ -38,10 +38,13 @@ _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def _move_nodes(box, columns, out, nodes, fixed, held, g, dt, scaling, damping, known, last, done):
+def _move_nodes(
+    box, columns, out, nodes, own, fixed, held, g, dt, scaling, damping, known, last, done
+):
     """Accelerate the nodes of a box.
 
     Args:
+        own: Whose work this rank counts.
         known: Whether velocities for the strain have been set before.
         last: Whether the sums are done with, and cleared.
     """
@@ -59,14 +62,16 @@ def _move_nodes(box, columns, out, nodes, fixed, held, g, dt, scaling, damping, 
                     f -= damping * abs(f) * np.sign(held[k, i] if fixed[k, i] else y)
                 end = y + dt * f * per_mass / scaling
                 if fixed[k, i]:
-                    # what holds the node does work against its forces
-                    work -= dt * f * held[k, i]
+                    if own[k]:
+                        # what holds the node does work against its forces
+                        work -= dt * f * held[k, i]
                     y = end = held[k, i]
                 nodes[k, i] = end - y
                 nodes[k, velocity + i] = end
                 if not known:
                     nodes[k, strain + i] = end
-                work += dt * m * g[i] * end
+                if own[k]:
+                    work += dt * m * g[i] * end
             if last:
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
@@ -173,6 +178,8 @@ class Fused:
         inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
         self._known = np.flatnonzero(inside)
         self._at = np.ravel_multi_index(tuple(ijk[inside].T), tuple(shape))
+        self._own = np.zeros(size, np.bool_)
+        self._own[self._at] = np.flatnonzero(inside) < basis.nodes.owned
         self._vector = basis.nodes.vector(self._columns.width) if points.comm.size > 1 else None
         self._window = basis
         self._first, self._last = np.zeros(d, np.int64), shape.copy()
@@ -192,6 +199,9 @@ class Fused:
         """Nodes that points may reach until they are given to ranks again: see `_MARGIN`."""
         points, basis = self._points, self._window
         x, origin = points["x"], basis.halo.origin
+        if self._vector is not None:
+            # sums of other ranks too must be cleared, and the work at every node counted
+            return
         if not len(points):
             self._first[:], self._last[:] = 0, 0
             return
@@ -399,7 +409,7 @@ class Fused:
         """One step from what has been scattered. Collective."""
         d = self._points.gdim
         columns, box = self._columns, self._rows()
-        held = self._fixed, self._speed
+        held, own = (self._fixed, self._speed), self._own
         rest = self._loads.gravity, dt, self._scaling, self._damping
         momenta = range(columns.second, columns.second + d)
         forces = range(columns.force, columns.force + d)
@@ -409,19 +419,20 @@ class Fused:
             self._exchange(forces.start, forces.stop)
             if reason is not None:
                 return reason
-            _move_nodes(box, columns, self._out, self._nodes, *held, *rest, True, True, self.done)
+            _move_nodes(
+                box, columns, self._out, self._nodes, own, *held, *rest, True, True, self.done
+            )
         else:
             usl = self._scheme == "usl"
-            _move_nodes(box, columns, self._out, self._nodes, *held, *rest, False, usl, self.done)
+            _move_nodes(
+                box, columns, self._out, self._nodes, own, *held, *rest, False, usl, self.done
+            )
             if not usl:
                 reason = self._pass(others[0], dt, record)
                 self._exchange(momenta.start, momenta.stop)
                 if reason is not None:
                     return reason
                 _divide(box, columns, self._out, columns.second, self._nodes, *held, True)
-        if self._vector is not None:
-            # sums of other ranks lie beyond the nodes that this rank moves
-            self._out[:] = 0.0
         reason = self._pass(main, dt, record)
         if main.new:
             self._exchange(0, self._out.shape[1])
