@@ -330,7 +330,7 @@ class Matrix:
         self.pattern = pattern
         self.data = np.zeros(pattern.indices.size)
         comm = unknowns.comm
-        size = (unknowns.owned, unknowns.total)
+        size = (unknowns.owned, unknowns.rows)
         if comm.size == 1:
             self.petsc = PETSc.Mat().createAIJWithArrays(
                 (size, size), (pattern.indptr, pattern.indices, self.data), comm=comm
@@ -341,10 +341,14 @@ class Matrix:
             self.petsc.setType("aij")
             rows = np.repeat(unknowns.to_global, np.diff(pattern.indptr))
             preallocate_coo(self.petsc, rows, unknowns.to_global[pattern.indices])
+        self.petsc.setBlockSize(unknowns.block)
         self._serial = comm.size == 1
 
     def finish(self) -> None:
         """Tell PETSc that the entries changed. Collective."""
+        if self.pattern.still.size:
+            # of the others' size, so that smoothers do not see them
+            self.data[self.pattern.still] = max(self.data.max(), -self.data.min()) or 1.0
         if self._serial:
             self.petsc.assemble()
             self.petsc.stateIncrease()

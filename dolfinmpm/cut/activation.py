@@ -294,6 +294,7 @@ def activate(
     share: float = 1.0,
     old: Activation | None = None,
     kept: Kept | None = None,
+    blocks: Callable[[int], bool] | None = None,
 ) -> Activation:
     """The activation for where the points are now. Collective.
 
@@ -305,6 +306,7 @@ def activate(
         share: Share of the step's prescribed increments.
         old: A former activation of the same problem, of which is kept what did not change.
         kept: Couplings that the pattern is to have if the same nodes are active.
+        blocks: Whether so many unknowns are to stand in blocks, see `Unknowns`; never without.
     """
     configuration = fields[0].space.configuration
     where = points.placement(configuration)
@@ -325,8 +327,9 @@ def activate(
         )
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
-    if unknowns is None or not unknowns.same(remaining, fixed):
-        unknowns = Unknowns([b.nodes for b in bases], remaining, fixed)
+    blocked = blocks is not None and _in_blocks(active, fixed, blocks)
+    if unknowns is None or not unknowns.same(remaining, fixed, blocked):
+        unknowns = Unknowns([b.nodes for b in bases], remaining, fixed, blocked)
         old = None
     grid, soft = terms.grid_blocks(active)
     here = Participants(where, total, tuple(active), unknowns)
@@ -341,6 +344,15 @@ def activate(
         where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
         later,
     )  # fmt: skip
+
+
+def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
+    """Whether the unknowns of one field with several components are to stand in blocks."""
+    if len(fields) > 1 or fields[0].space.components == 1:
+        return False
+    nodes, numbering = fields[0].nodes, fields[0].basis.nodes
+    owned = nodes[: np.searchsorted(nodes, numbering.owned)]
+    return blocks(numbering.comm.allreduce(int(np.count_nonzero(~fixed[0][owned]))))
 
 
 def region_on(region: Region, points: MaterialPoints, here: Participants) -> ActiveRegion:

@@ -97,8 +97,11 @@ def _covers(start, neighbours, new_start, new_neighbours):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _expand(start, neighbours, rows, indptr, indices):
-    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none."""
+def _expand(start, neighbours, rows, still, indptr, indices):
+    """Unknowns of a graph of nodes; rows (active nodes, components) is -1 where there is none.
+
+    Rows of components that stand still, likewise, have an entry on the diagonal only.
+    """
     nc = rows.shape[1]
     for a in range(start.size - 1):
         count = 0
@@ -109,6 +112,8 @@ def _expand(start, neighbours, rows, indptr, indices):
         for i in range(nc):
             if rows[a, i] >= 0:
                 indptr[rows[a, i] + 1] = count
+            elif still[a, i] >= 0:
+                indptr[still[a, i] + 1] = 1
     for row in range(indptr.size - 1):
         indptr[row + 1] += indptr[row]
     if indices.size == 0:
@@ -122,6 +127,8 @@ def _expand(start, neighbours, rows, indptr, indices):
                         if rows[neighbours[at], k] >= 0:
                             indices[put] = rows[neighbours[at], k]
                             put += 1
+            elif still[a, i] >= 0:
+                indices[indptr[still[a, i]]] = still[a, i]
 
 
 @dataclass(frozen=True)
@@ -131,12 +138,14 @@ class Pattern:
     Attributes:
         start, neighbours: Graph of the active nodes.
         indptr, indices: Rows and columns of the local unknowns.
+        still: Where entries of the prescribed components' rows are, which are on the diagonal.
     """
 
     start: npt.NDArray[np.int64]
     neighbours: npt.NDArray[np.int32]
     indptr: npt.NDArray[np.int32]
     indices: npt.NDArray[np.int32]
+    still: npt.NDArray[np.int32]
 
     @staticmethod
     def build(
@@ -175,17 +184,20 @@ class Pattern:
         if old is not None:
             kept = np.repeat(active, np.diff(old.start)), active[old.neighbours]
             return Pattern.build(lists, unknowns, [*pairs, kept], None)
-        rows = np.full((n, max(f.components for f in fields)), -1, np.int32)
+        rows, still = (np.full((n, max(f.components for f in fields)), -1, np.int32) for _ in "ab")
         at = 0
         for f in fields:
             rows[at : at + f.nodes.size, : f.components] = f.row_of[f.nodes]
+            still[at : at + f.nodes.size, : f.components] = f.still
             at += f.nodes.size
+        # a ghost's row of a prescribed component is its owner's alone
+        still[still >= unknowns.owned] = -1
         indptr = np.zeros(unknowns.local + 1, np.int32)
-        _expand(start, neighbours, rows, indptr, np.empty(0, np.int32))
+        _expand(start, neighbours, rows, still, indptr, np.empty(0, np.int32))
         indices = np.empty(indptr[-1], np.int32)
         indptr[:] = 0
-        _expand(start, neighbours, rows, indptr, indices)
-        return Pattern(start, neighbours, indptr, indices)
+        _expand(start, neighbours, rows, still, indptr, indices)
+        return Pattern(start, neighbours, indptr, indices, indptr[still[still >= 0]])
 
 
 def _one_after_the_other(lists):

@@ -29,6 +29,7 @@ class FieldUnknowns:
         fixed: Which components are prescribed, shape (nodes, components).
         row_of: Local row of each component, -1 where there is none, likewise.
         offset: What is added to a node's number where nodes of all fields stand in one list.
+        blocks: Whether prescribed components have rows too, see `Unknowns`.
     """
 
     numbering: Numbering
@@ -37,6 +38,7 @@ class FieldUnknowns:
     fixed: npt.NDArray[np.bool_]
     row_of: npt.NDArray[np.int32]
     offset: int
+    blocks: bool = False
 
     @functools.cached_property
     def owned_nodes(self) -> npt.NDArray[np.int32]:
@@ -49,6 +51,25 @@ class FieldUnknowns:
         flat = self.owned_nodes[:, None] * self.components + np.arange(self.components)
         held = self.fixed[self.owned_nodes]
         return flat[~held].astype(np.intp), flat[held].astype(np.intp)
+
+    @functools.cached_property
+    def size(self) -> int:
+        """Owned rows, those of prescribed components included where they have some."""
+        return self.owned_nodes.size * self.components if self.blocks else self.places[0].size
+
+    @functools.cached_property
+    def rows(self) -> npt.NDArray[np.intp] | slice:
+        """Owned unknowns among the field's owned rows."""
+        if not self.blocks:
+            return slice(None)
+        return np.flatnonzero(~self.fixed[self.owned_nodes].ravel())
+
+    @functools.cached_property
+    def still(self) -> npt.NDArray[np.int32]:
+        """Local rows of prescribed components, shape (known nodes, components), -1 elsewhere."""
+        count = self.nodes.size * self.components
+        row = np.arange(count, dtype=np.int32).reshape(-1, self.components)
+        return np.where(self.fixed[self.nodes] & self.blocks, row, np.int32(-1))
 
 
 class Nodal:
@@ -86,14 +107,20 @@ class Unknowns:
     The rows of a rank are those of the nodes that it owns, one field after the other.
     Everything but this class sees nodes only, so that who owns a row is decided here.
 
+    In blocks every active node has a row for each component, so that multigrid knows which
+    belong together; those of prescribed components stand for x = 0.
+
     Args:
         numberings: Numbering of each field's nodes.
         nodes: Active nodes of each field that carry unknowns, increasing.
         fixed: Which components are prescribed, (nodes, components) for each field.
+        blocks: Whether there is to be a row for each component; of one field only.
 
     Attributes:
         fields: One entry a field.
-        owned, local, total: Number of rows here, with those of ghosts, on all ranks.
+        owned, local, rows: Number of rows here, with those of ghosts, on all ranks.
+        total: Number of unknowns on all ranks.
+        block: Components that stand together, 1 if they do not.
         to_global: Global row of every local row.
     """
 
@@ -102,32 +129,42 @@ class Unknowns:
         numberings: Sequence[Numbering],
         nodes: Sequence[npt.NDArray[np.int32]],
         fixed: Sequence[npt.NDArray[np.bool_]],
+        blocks: bool = False,
     ):
+        assert not blocks or len(numberings) == 1
         self.comm: MPI.Intracomm = numberings[0].comm
         made, self.local, self.owned, offset = [], 0, 0, 0
         free_of = []
         for numbering, active, held in zip(numberings, nodes, fixed):
             free = ~held[active]
+            # those that have rows
+            numbered = np.ones_like(free) if blocks else free
             rows = np.full(free.shape, -1, np.int32)
-            count = int(np.count_nonzero(free))
-            rows[free] = np.arange(self.local, self.local + count, dtype=np.int32)
+            count = int(np.count_nonzero(numbered))
+            rows[numbered] = np.arange(self.local, self.local + count, dtype=np.int32)
+            rows[~free] = -1
             row_of = np.full(held.shape, -1, np.int32)
             row_of[active] = rows
-            made.append(FieldUnknowns(numbering, held.shape[1], active, held, row_of, offset))
+            components = held.shape[1]
+            made.append(FieldUnknowns(numbering, components, active, held, row_of, offset, blocks))
             self.local += count
-            self.owned += int(np.count_nonzero(free[active < numbering.owned]))
+            self.owned += made[-1].size
             offset += numbering.size
-            free_of.append(free)
+            free_of.append(numbered)
         self.fields = tuple(made)
-        self.total = self.comm.allreduce(self.owned, op=MPI.SUM)
+        self.block = made[0].components if blocks else 1
+        free_here = sum(f.places[0].size for f in made)
+        self.rows, self.total = (
+            int(n) for n in self.comm.allreduce(np.array([self.owned, free_here]), op=MPI.SUM)
+        )
         self.to_global: npt.NDArray[np.int32] = np.arange(self.local, dtype=np.int32)
         if self.comm.size > 1:
             self.to_global = self._number(free_of)
 
-    def _number(self, free_of) -> npt.NDArray[np.int32]:
+    def _number(self, numbered) -> npt.NDArray[np.int32]:
         first = self.comm.exscan(self.owned) or 0
         pieces = []
-        for field, free in zip(self.fields, free_of):
+        for field, free in zip(self.fields, numbered):
             shared = field.numbering.vector(field.components, np.int64)
             mine = shared.array.reshape(-1, field.components)
             own = free[: field.owned_nodes.size]
@@ -140,11 +177,17 @@ class Unknowns:
             pieces.append(mine[field.nodes][free].astype(np.int32))
         return np.concatenate(pieces)
 
-    def same(self, nodes: Sequence[npt.NDArray[np.int32]], fixed: Sequence) -> bool:
+    def same(
+        self, nodes: Sequence[npt.NDArray[np.int32]], fixed: Sequence, blocks: bool = False
+    ) -> bool:
         """Whether these are the nodes and conditions of all fields, on all ranks. Collective."""
-        here = len(nodes) == len(self.fields) and all(
-            f.fixed is held and np.array_equal(f.nodes, active)
-            for f, active, held in zip(self.fields, nodes, fixed)
+        here = (
+            blocks == (self.block > 1)
+            and len(nodes) == len(self.fields)
+            and all(
+                f.fixed is held and np.array_equal(f.nodes, active)
+                for f, active, held in zip(self.fields, nodes, fixed)
+            )
         )
         return self.comm.allreduce(here, op=MPI.LAND)
 
@@ -163,14 +206,19 @@ class Unknowns:
         at = 0
         for field, values, u in zip(self.fields, prescribed, out.arrays):
             free, held = field.places
-            u.reshape(-1)[free] = x[at : at + free.size]
+            u.reshape(-1)[free] = x[at : at + field.size][field.rows]
             u.reshape(-1)[held] = values.reshape(-1)[held]
-            at += free.size
+            at += field.size
         out.spread()
 
     def restrict(self, nodal: Sequence[Array]) -> Array:
-        """The owned unknowns' entries of nodal values, shape (owned,)."""
-        return _joined([r.reshape(-1)[f.places[0]] for f, r in zip(self.fields, nodal)])
+        """The owned unknowns' entries of nodal values, 0 in rows of others, shape (owned,)."""
+        pieces = [r.reshape(-1)[f.places[0]] for f, r in zip(self.fields, nodal)]
+        if self.block == 1:
+            return _joined(pieces)
+        result = np.zeros(self.owned)
+        result[self.fields[0].rows] = pieces[0]
+        return result
 
     def reactions(self, nodal: Sequence[Array]) -> Array:
         """Entries of nodal values where components of owned nodes are prescribed."""

@@ -282,8 +282,12 @@ class Law(Parametrised):
     kernel reads them), `internal` (name → (unit, first value), where the first value
     is a number or the name of a parameter) and `kernel`; and `admissible` if
     parameters bound each other. See `Parametrised` for how values are given.
+
+    A law whose stress by trial strain is symmetric, elastic or of associated flow, says so by
+    `symmetric`: linear systems take half the time then. The first tangent is checked.
     """
 
+    symmetric: bool = False
     internal: dict[str, tuple[str, float | str]] = {}
     kernel: _Kernel
 

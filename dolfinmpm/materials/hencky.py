@@ -39,6 +39,7 @@ class Hencky(Law):
 
     parameters = ELASTIC
     kernel = _hencky
+    symmetric = True
 
     def __init__(self, E: Value, nu: Value):
         super().__init__(E=E, nu=nu)

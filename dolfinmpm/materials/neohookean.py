@@ -27,6 +27,7 @@ class NeoHookean(Parametrised):
     """
 
     parameters = ELASTIC
+    symmetric = True
 
     def __init__(self, E: Value, nu: Value):
         super().__init__(E=E, nu=nu)

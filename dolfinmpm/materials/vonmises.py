@@ -135,6 +135,7 @@ class VonMises(Law):
     }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _vonmises
+    symmetric = True
 
     def __init__(
         self,

@@ -1,7 +1,8 @@
-"""The linear systems of Newton's method: LU factors by MUMPS, unless PETSc options say else."""
+"""The linear systems of Newton's method: factors or multigrid, by what the tangent is."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.grid.lattice import smallest_height
+from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
+from dolfinmpm.solve.spectra import near_kernel
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -22,6 +27,10 @@ _FACTORISATION = (76, 71)
 # MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
 _ORDERING, WORKSPACE = 7, 14
 _SHORT_OF_WORKSPACE = (-8, -9, -17)
+# Share of a product's size that a symmetric matrix may be off by rounding
+_SYMMETRIC = 1e-9
+# Size of increments at which it is looked at, in cells
+_NEAR = 1e-4
 
 
 class LinearSolver:
@@ -30,8 +39,7 @@ class LinearSolver:
     Args:
         comm: Communicator of the problem.
         gdim: Dimension of space.
-        softened: Whether the factors are those of a softened matrix, which
-            precondition GMRES for the true one.
+        tangent: What is known of the tangent.
         options: PETSc options.
 
     Attributes:
@@ -39,34 +47,54 @@ class LinearSolver:
         matrix: The matrix, or None before the first and after a failure.
         true: The matrix that products are taken with, as PETSc sees it.
         mumps: Settings of MUMPS by their numbers.
+        method: What solves, or None before the first matrix.
     """
 
-    def __init__(self, comm: MPI.Intracomm, gdim: int, softened: bool, options: Options):
-        self._comm, self._softened, self._options = comm, softened, options
+    def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
+        self._comm, self._gdim, self._options = comm, gdim, options
+        self._tangent, self._checked = tangent, False
+        # attachments for which the tangent is not taken to be positive definite
+        self._trusted, self._distrust, self._direct = 0, 4, False
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
         self.true: Any = None
-        self.snes = self._create()
+        self.method: Method | None = None
+        self.snes: Any = None
 
-    def _create(self) -> PETSc.SNES:
-        database, prefix = PETSc.Options(), self._options.prefix
-        if self._softened and not self._options.has("ksp_converged_maxits"):
+    def in_blocks(self, count: int) -> bool:
+        """Whether so many unknowns are solved for by a method that wants a node's in a block."""
+        pc = self._options.get("pc_type")
+        if pc is not None:
+            return pc in ("gamg", "hypre", "ml")
+        return iterative(count, self._gdim)
+
+    def _create(self) -> None:
+        """Make PETSc's solver for the method. Collective."""
+        method, options = self.method, self._options
+        assert method is not None
+        own = {**method.options}
+        if self._tangent.softened:
             # Newton's method corrects what is left
-            database[prefix + "ksp_converged_maxits"] = True
+            own["ksp_converged_maxits"] = True
+        options.suggest(own)
         snes = PETSc.SNES().create(self._comm)
-        snes.setOptionsPrefix(prefix)
+        snes.setOptionsPrefix(options.prefix)
         snes.setType("newtonls")
         ksp = snes.getKSP()
-        ksp.setType("preonly")
-        if self._softened:
-            ksp.setType("gmres")
+        ksp.setType(method.ksp)
+        if self._tangent.softened:
             ksp.setTolerances(rtol=1e-11, max_it=60)
             ksp.setGMRESRestart(60)
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
+        elif not method.factors:
+            ksp.setTolerances(rtol=1e-8, max_it=500)
+            if method.ksp == "gmres":
+                ksp.setGMRESRestart(100)
+        ksp.getPC().setType(method.pc)
+        if method.package:
+            ksp.getPC().setFactorSolverType(method.package)
         snes.setFromOptions()
-        return snes
+        self.snes = snes
 
     @property
     def failed(self) -> bool:
@@ -76,16 +104,80 @@ class LinearSolver:
     def attach(self, operator: Operator) -> None:
         """Take the matrix of an operator; that of the same pattern stays. Collective."""
         here = operator.here
-        kept = self.matrix is not None and self.matrix.pattern is here.pattern
-        # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
-        if not self._comm.allreduce(kept, op=MPI.LAND):
-            # the old matrix and its factors go before the new ones come: they are the largest
-            self.snes.reset()
-            self.matrix = None
-            self.matrix = Matrix(here.pattern, here.unknowns)
-            self._use_mumps()
+        self._trusted = max(self._trusted - 1, 0)
+        self._choose(here.unknowns.total)
+        self._take(here)
+        if self._tangent.symmetric and not self._checked:
+            self._checked = True
+            if not self._looks_symmetric(operator):
+                self._tangent = replace(self._tangent, symmetric=False)
+                self._choose(here.unknowns.total)
+                self._take(here)
         assert self.matrix is not None
         self.true = operator.unsoftened(self.matrix)
+
+    def _choose(self, count: int) -> None:
+        """Take the method for so many unknowns. Collective."""
+        tangent = replace(self._tangent, definite=self._trusted == 0)
+        method = choose(tangent, count, self._gdim, self._comm.size, self._direct)
+        changed = self.method is None or not method.like(self.method)
+        self.method = method
+        if changed or self.snes is None:
+            self.snes = self.matrix = self.true = None
+            self._create()
+
+    def _take(self, here: Activation) -> None:
+        """Take the matrix of an activation. Collective."""
+        kept = self.matrix is not None and self.matrix.pattern is here.pattern
+        # with its pattern a matrix keeps its symbolic factorisation; creating one is collective
+        if self._comm.allreduce(kept, op=MPI.LAND):
+            return
+        # the old matrix and its factors go before the new ones come: they are the largest
+        self.snes.reset()
+        self.matrix = None
+        self.matrix = Matrix(here.pattern, here.unknowns)
+        A = self.matrix.petsc
+        A.setOption(PETSc.Mat.Option.SYMMETRIC, self._tangent.symmetric)
+        if self._tangent.symmetric and self._trusted == 0:
+            A.setOption(PETSc.Mat.Option.SPD, True)
+        if here.unknowns.block > 1:
+            A.setNearNullSpace(near_kernel(here))
+        self._use_mumps()
+
+    def _looks_symmetric(self, operator: Operator) -> bool:
+        """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
+        assert self.matrix is not None
+        random = np.random.default_rng(operator.here.unknowns.comm.rank)
+        n, scale = operator.here.unknowns.owned, _NEAR * smallest_height(operator.form.points.grid)
+        # a state that differs everywhere from one without strain, where more is symmetric
+        operator.move(scale * random.uniform(-1, 1, n))
+        operator.tangent(self.matrix)
+        x, y, Kx, Ky = (self.vector() for _ in range(4))
+        for v in (x, y):
+            v.getArray()[:] = random.uniform(-1, 1, n)
+        self.matrix.petsc.mult(x, Kx)
+        self.matrix.petsc.mult(y, Ky)
+        size = Kx.norm() * y.norm()
+        return abs(y.dot(Kx) - x.dot(Ky)) <= _SYMMETRIC * size
+
+    def relax(self) -> bool:
+        """Ask less of a tangent after a failure; returns whether there was less to ask.
+
+        A tangent that is not positive definite, as past a limit point, or on which multigrid
+        does not converge, is no end: factors with pivots of both signs solve it. For a while
+        nothing else is tried, longer each time.
+        """
+        method = self.method
+        assert method is not None
+        if self._tangent.symmetric and self._trusted == 0:
+            self._trusted = self._distrust
+            self._distrust = min(2 * self._distrust, 64)
+        elif not method.factors:
+            self._direct = True
+        else:
+            return False
+        self.forget()
+        return True
 
     def vector(self) -> PETSc.Vec:
         """A vector of the unknowns. Collective."""
@@ -108,8 +200,7 @@ class LinearSolver:
 
     def forget(self) -> None:
         """Begin anew after a failure: what PETSc was in the middle of cannot be gone on with."""
-        self.snes = self._create()
-        self.matrix = self.true = None
+        self.snes = self.matrix = self.true = None
 
     def why(self, error: PETSc.Error) -> str:
         """Why it failed, if that is no fault of the program; else raises what it is."""
@@ -121,12 +212,12 @@ class LinearSolver:
             raise error
         return "the linear solver failed: the tangent is singular"
 
-    # -- MUMPS ----------------------------------------------------------------
+        # -- MUMPS ----------------------------------------------------------------
 
     @property
     def _uses_mumps(self) -> bool:
         pc = self.snes.getKSP().getPC()
-        return pc.getType() == "lu" and pc.getFactorSolverType() == "mumps"
+        return pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps"
 
     def _given(self, number: int) -> bool:
         return self._options.has(f"mat_mumps_icntl_{number}")

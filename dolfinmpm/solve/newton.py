@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.solve.linear import LinearSolver
 from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
+from dolfinmpm.solve.method import Tangent
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 
@@ -97,7 +98,7 @@ class Newton:
     Args:
         comm: Communicator of the problem.
         gdim: Dimension of space.
-        softened: Whether the matrix has terms of the tangent only.
+        tangent: What is known of the tangent.
         options: PETSc options.
         tolerance: Relative out-of-balance force to reach.
         max_iterations: Newton iterations allowed.
@@ -113,7 +114,7 @@ class Newton:
         self,
         comm: MPI.Intracomm,
         gdim: int,
-        softened: bool,
+        tangent: Tangent,
         options: Options,
         tolerance: float,
         max_iterations: int,
@@ -124,7 +125,7 @@ class Newton:
         self.searches: Sequence[str] = () if chosen else SEARCHES
         self.search = SEARCHES[0]
         self._set: tuple[PETSc.SNES | None, str] = None, ""
-        self.linear = LinearSolver(comm, gdim, softened, options)
+        self.linear = LinearSolver(comm, gdim, tangent, options)
 
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
@@ -155,10 +156,12 @@ class Newton:
             reason, iterations = self._run(operator, balance, outcome.x)
         except PETSc.Error as error:
             outcome.reason = linear.why(error)
+            if linear.relax():
+                self._attempt(operator, outcome)
             return
         outcome.iterations += iterations
         if reason == Reason.DIVERGED_LINEAR_SOLVE:
-            if linear.enlarge():
+            if linear.enlarge() or linear.relax():
                 self._attempt(operator, outcome)
                 return
             # factors that failed fail again, whatever the matrix: begin anew

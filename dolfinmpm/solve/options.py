@@ -43,12 +43,28 @@ class Options:
         merged |= _from_command_line(common)
         for name, value in merged.items():
             database[self.prefix + name] = value
+        self._suggested: set[str] = set()
         _of_problems.add(self.prefix)
         weakref.finalize(owner, _remove, self.prefix)
 
     def has(self, name: str) -> bool:
-        """Whether an option is set."""
-        return PETSc.Options().hasName(self.prefix + name)
+        """Whether the user has set an option."""
+        return name not in self._suggested and PETSc.Options().hasName(self.prefix + name)
+
+    def get(self, name: str) -> str | None:
+        """What the user has set an option to, or None."""
+        return PETSc.Options().getString(self.prefix + name, "") or None if self.has(name) else None
+
+    def suggest(self, values: Mapping[str, Any]) -> None:
+        """Set options that the user has not set, in place of those suggested before."""
+        database = PETSc.Options()
+        for name in self._suggested:
+            database.delValue(self.prefix + name)
+        self._suggested = set()
+        chosen = {name for name in values if not self.has(name)}
+        for name in chosen:
+            database[self.prefix + name] = values[name]
+        self._suggested = chosen
 
 
 def _from_command_line(common: str) -> dict[str, str | None]:

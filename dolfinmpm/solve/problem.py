@@ -242,13 +242,18 @@ class Problem:
         self.form.bind()
         first, kept, self._kept = self.here is None, self._kept, None
         self.here = activate(
-            self.points, self.fields, self._held, self.form, share, self.here, kept
-        )
+            self.points, self.fields, self._held, self.form, share, self.here, kept,
+            self._in_blocks if step is not None else None,
+        )  # fmt: skip
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
+
+    def _in_blocks(self, count: int) -> bool:
+        """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""
+        return False
 
     def operator(self) -> Operator:
         """The weak form on what takes part now: residual, tangent and external. Collective."""

@@ -29,6 +29,7 @@ from dolfinmpm.solve.arguments import (
 )
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.memory import memory_of, set_memory
+from dolfinmpm.solve.method import Tangent, symmetric
 from dolfinmpm.solve.newton import Newton, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
@@ -116,9 +117,9 @@ class QuasiStatic(Problem):
         )  # fmt: skip
         self.max_halvings = max_halvings
         options = Options(self, options_prefix, own)
-        softened = self.form.softening is not None
+        tangent = Tangent(symmetric(self.form), True, self.form.softening is not None)
         self.solver: Solver = Newton(
-            points.comm, points.gdim, softened, options, tolerance, max_iterations
+            points.comm, points.gdim, tangent, options, tolerance, max_iterations
         )
         self._share = 1.0
         self._record = StepRecord()
@@ -128,6 +129,9 @@ class QuasiStatic(Problem):
         """Newton's method, which has the tolerances and the linear solver."""
         assert isinstance(self.solver, Newton)
         return self.solver
+
+    def _in_blocks(self, count: int) -> bool:
+        return self.newton.linear.in_blocks(count)
 
     def step(self) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.

@@ -13,8 +13,9 @@ from scipy.linalg import lapack
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["condition_number", "critical_step", "rigid_modes"]
+__all__ = ["condition_number", "critical_step", "near_kernel", "rigid_modes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -183,6 +184,25 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
     return 2 / math.sqrt(largest) if largest > 0 else math.inf
 
 
+def _rigid(unknowns: Unknowns, x: Array) -> PETSc.NullSpace:
+    """PETSc's rigid modes at nodes. Collective."""
+    # about the middle, so that rotations do not drown in translations
+    x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
+    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=x.shape[1], comm=unknowns.comm)
+    return PETSc.NullSpace().createRigidBody(coordinates)
+
+
+def near_kernel(here: Activation) -> PETSc.NullSpace:
+    """Rigid modes of unknowns in blocks, held ones too, for multigrid. Collective.
+
+    They are those of the nodes that remain behind C, which continues them: it reproduces linear
+    functions.
+    """
+    unknowns, basis = here.unknowns, here.fields[0].basis
+    nodes = unknowns.fields[0].owned_nodes
+    return _rigid(unknowns, basis.node_coordinates()[nodes, : basis.grid.geometry.dim])
+
+
 def rigid_modes(here: Activation) -> Array:
     """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
 
@@ -195,11 +215,7 @@ def rigid_modes(here: Activation) -> Array:
     held = bool(np.any(field.fixed[nodes])) or field.components != d or len(unknowns.fields) > 1
     if unknowns.comm.allreduce(held, op=MPI.LOR):
         return np.empty((unknowns.owned, 0))
-    x = basis.node_coordinates()[nodes, :d]
-    # about the middle, so that rotations do not drown in translations
-    x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
-    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=d, comm=unknowns.comm)
-    kernel = PETSc.NullSpace().createRigidBody(coordinates)
+    kernel = _rigid(unknowns, basis.node_coordinates()[nodes, :d])
     modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
     if kernel.hasConstant():  # a line's only mode
         modes.append(np.full(unknowns.owned, 1 / math.sqrt(unknowns.total)))

@@ -1,0 +1,116 @@
+"""Which method solves the linear systems of a problem, from what the tangent is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from dolfinmpm.solve.operator import WeakForm
+
+__all__ = ["Method", "Tangent", "choose", "iterative", "symmetric"]
+
+# From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
+# measured on blocks of elastic soil (docs/benchmarks.md).
+_CROSSOVER = {1: 10**9, 2: 400_000, 3: 9_000}
+
+# Smoothed aggregation (Vaněk, Mandel & Brezina 1996, doi 10.1007/BF02238511) on blocks with
+# rigid modes. Squaring the graph once makes coarse levels small, and couplings below the
+# threshold do not aggregate.
+_MULTIGRID = {
+    "pc_gamg_type": "agg",
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_reuse_interpolation": True,
+    "mg_levels_ksp_type": "chebyshev",
+    "mg_levels_pc_type": "jacobi",
+}
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """What is known of a tangent.
+
+    Attributes:
+        symmetric: Whether it is symmetric.
+        definite: Whether it is to be taken for positive definite if it is symmetric.
+        softened: Whether its matrix has terms more, so that it only preconditions.
+    """
+
+    symmetric: bool
+    definite: bool
+    softened: bool
+
+
+@dataclass(frozen=True)
+class Method:
+    """A linear solver.
+
+    Attributes:
+        ksp, pc, package: PETSc's names; the package only of factors.
+        why: What was known of the tangent.
+        options: Further PETSc options by name, without prefix.
+    """
+
+    ksp: str
+    pc: str
+    package: str
+    why: str
+    options: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def factors(self) -> bool:
+        """Whether it factorises."""
+        return self.pc in ("lu", "cholesky")
+
+    def like(self, other: Method) -> bool:
+        """Whether it is the same but for what was known."""
+        return (self.ksp, self.pc, self.package) == (other.ksp, other.pc, other.package)
+
+    def __str__(self) -> str:
+        name = {"lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG"}.get(self.pc, self.pc)
+        package = f" by {self.package.upper()}" if self.package else ""
+        outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
+        return f"{outer}{name}{package}: {self.why}"
+
+
+def symmetric(form: WeakForm) -> bool:
+    """Whether the laws of a form say that its tangent is symmetric.
+
+    What else is in the form, such as terms in UFL and pressure that follows a surface, only
+    the tangent itself tells.
+    """
+    return all(
+        d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in form.parts.declarations
+    )
+
+
+def iterative(count: int, gdim: int) -> bool:
+    """Whether so many unknowns are solved for faster by iterations than by factors."""
+    return count >= _CROSSOVER[gdim]
+
+
+def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = False) -> Method:
+    """The method for a tangent.
+
+    Args:
+        tangent: What is known of it.
+        count: Unknowns on all ranks.
+        gdim: Dimension of space.
+        ranks: Number of ranks.
+        direct: Whether only factors are left, because iterations have failed.
+    """
+    kind = "symmetric" if tangent.symmetric else "unsymmetric"
+    if tangent.symmetric and tangent.definite:
+        kind += " positive definite"
+    if iterative(count, gdim) and not direct:
+        why = f"{count} unknowns, {kind} in {gdim}D, from {_CROSSOVER[gdim]} on"
+        krylov = (
+            "cg" if tangent.symmetric and tangent.definite and not tangent.softened else "gmres"
+        )
+        return Method(krylov, "gamg", "", why, _MULTIGRID)
+    why = f"{count} unknowns, {kind}"
+    ksp = "gmres" if tangent.softened else "preonly"
+    if not tangent.symmetric:
+        return Method(ksp, "lu", "mumps", why)
+    if tangent.definite and ranks == 1:
+        return Method(ksp, "cholesky", "cholmod", why)
+    return Method(ksp, "cholesky", "mumps", why)
