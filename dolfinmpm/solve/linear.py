@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
+from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.spectra import near_kernel
 
 __all__ = ["WORKSPACE", "LinearSolver"]
@@ -31,6 +33,9 @@ _SHORT_OF_WORKSPACE = (-8, -9, -17)
 _SYMMETRIC = 1e-9
 # Size of increments at which it is looked at, in cells
 _NEAR = 1e-4
+# Share to which iterations reduce the residual: of a solution that nothing corrects, and at most
+# in an iteration of Newton's method
+_DIGITS, _FIRST = 1e-10, 1e-3
 
 
 class LinearSolver:
@@ -48,6 +53,7 @@ class LinearSolver:
         true: The matrix that products are taken with, as PETSc sees it.
         mumps: Settings of MUMPS by their numbers.
         method: What solves, or None before the first matrix.
+        reuse: When a preconditioner is kept for the next tangent; None of factors.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
@@ -60,6 +66,7 @@ class LinearSolver:
         self.matrix: Matrix | None = None
         self.true: Any = None
         self.method: Method | None = None
+        self.reuse: Reuse | None = None
         self.snes: Any = None
 
     def in_blocks(self, count: int) -> bool:
@@ -87,14 +94,34 @@ class LinearSolver:
             ksp.setTolerances(rtol=1e-11, max_it=60)
             ksp.setGMRESRestart(60)
         elif not method.factors:
-            ksp.setTolerances(rtol=1e-8, max_it=500)
+            ksp.setTolerances(rtol=_DIGITS, max_it=500)
+            # the residual itself, as Newton's method measures it
+            ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
             if method.ksp == "gmres":
+                ksp.setPCSide(PETSc.PC.Side.RIGHT)
                 ksp.setGMRESRestart(100)
         ksp.getPC().setType(method.pc)
         if method.package:
             ksp.getPC().setFactorSolverType(method.package)
         snes.setFromOptions()
-        self.snes = snes
+        self.snes, self.reuse = snes, None
+        if not method.factors and ksp.getType() != "preonly":
+            self.reuse = Reuse(self._comm)
+            started, before = 0.0, 0.0
+
+            def begins(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+                nonlocal started, before
+                started, before = time.perf_counter(), b.norm()
+
+            def ends(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+                if self.reuse is not None:
+                    self.reuse.note(ksp, time.perf_counter() - started, before)
+
+            ksp.setPreSolve(begins)
+            ksp.setPostSolve(ends)
+            if not options.has("ksp_rtol"):
+                # no more digits than Newton's method can use (Eisenstat & Walker 1996)
+                snes.setUseEW(True, version=2, rtol_0=_FIRST, rtol_max=_FIRST, gamma=0.9)
 
     @property
     def failed(self) -> bool:
@@ -169,6 +196,9 @@ class LinearSolver:
         """
         method = self.method
         assert method is not None
+        if self.reuse is not None and self.reuse.old:
+            self.reuse.renew()
+            return True
         if self._tangent.symmetric and self._trusted == 0:
             self._trusted = self._distrust
             self._distrust = min(2 * self._distrust, 64)
@@ -178,6 +208,20 @@ class LinearSolver:
             return False
         self.forget()
         return True
+
+    def assembled(self, enough: float) -> None:
+        """Make ready for a tangent that has been assembled. Collective.
+
+        Args:
+            enough: Norm of a residual that need not be reduced any further (N).
+        """
+        if self.reuse is None:
+            return
+        assert self.matrix is not None
+        ksp = self.snes.getKSP()
+        ksp.setTolerances(atol=max(enough, 1e-300))
+        ksp.setOperators(self.true, self.matrix.petsc)
+        self.reuse.prepare(ksp)
 
     def vector(self) -> PETSc.Vec:
         """A vector of the unknowns. Collective."""
@@ -195,6 +239,9 @@ class LinearSolver:
         b.getArray()[:] = right
         ksp = self.snes.getKSP()
         ksp.setOperators(self.true, self.matrix.petsc)
+        if self.reuse is not None:
+            ksp.setTolerances(rtol=_DIGITS, atol=1e-300)
+            self.reuse.prepare(ksp)
         ksp.solve(b, y)
         return np.array(y.getArray(readonly=True))
 

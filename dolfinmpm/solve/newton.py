@@ -50,6 +50,10 @@ class Solver(Protocol):
         """Find the increments; leaves the operator moved to them. Collective."""
 
 
+# Share of the tolerance to which a linear solution need not be better
+_SPARE = 0.3
+
+
 class Balance:
     """When forces balance: the measure of Newton's iterations.
 
@@ -189,6 +193,7 @@ class Newton:
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
+            linear.assembled(_SPARE * self.tolerance * reference)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             return balance.test(norms[2], reference, iteration)

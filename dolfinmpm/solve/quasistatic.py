@@ -175,6 +175,18 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
+    def info(self) -> str:
+        """What takes part now and what solves it, in lines to be printed. Collective."""
+        points, here, comm = self.points, self.here, self.comm
+        counts = comm.allgather((len(points), 0 if here is None else here.unknowns.owned))
+        lines = [_spread("points", [count[0] for count in counts])]
+        if here is not None:
+            lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
+            lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
+        method = self.newton.linear.method
+        lines.append(f"linear solver: {method or 'chosen in the first step'}")
+        return "\n".join(lines)
+
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()
         own, couplings = memory_of(self.newton, self.form, self.here)
@@ -260,3 +272,13 @@ class QuasiStatic(Problem):
         named = any(field.remedy.kind != "none" for field in self.fields)
         active = first.active[first.active < first.basis.nodes.owned]
         return advice(named or here.ghost_facets > 0, self.bcs, first.space, active)
+
+
+def _spread(what: str, counts: list[int], total: int | None = None) -> str:
+    """A number of all ranks, and how it is spread over them."""
+    text = f"{what}: {sum(counts) if total is None else total}"
+    if len(counts) == 1:
+        return text
+    mean = sum(counts) / len(counts)
+    most = f", {max(counts) / mean:.2f} times the mean" if mean else ""
+    return f"{text}, {min(counts)} to {max(counts)} a rank{most}"

@@ -1,0 +1,76 @@
+"""When a preconditioner is kept for the next tangent, by what it has cost and saved so far."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+__all__ = ["Reuse"]
+
+
+class Reuse:
+    """Keeps a preconditioner while that is cheaper than a new one.
+
+    An old one costs more iterations, a new one its set-up. Both are measured: as soon as the
+    last solution took longer than one with a fresh preconditioner by more than a set-up, a new
+    one is made. Seconds go by digits gained, since solutions are not all asked to be as good.
+
+    Args:
+        comm: Communicator of the problem.
+    """
+
+    def __init__(self, comm: MPI.Intracomm):
+        self._comm = comm
+        self._setup = math.nan
+        self._fresh = self._last = math.nan
+        self._digits = 0.0
+        self._old = False
+        self._count = [0, 0]
+
+    @property
+    def old(self) -> bool:
+        """Whether the preconditioner is that of a former tangent."""
+        return self._old
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Solutions, and set-ups for them."""
+        return self._count[0], self._count[1]
+
+    def renew(self) -> None:
+        """Let the next one be new, whatever it costs."""
+        self._last = math.inf
+
+    def prepare(self, ksp: PETSc.KSP) -> None:
+        """Keep or renew the preconditioner of a solver whose matrix is new. Collective."""
+        pays = (self._last - self._fresh) * self._digits < self._setup
+        keep = self._comm.bcast(bool(pays))
+        ksp.getPC().setReusePreconditioner(keep)
+        self._old = keep
+        started = time.perf_counter()
+        ksp.setUp()
+        if not keep:
+            self._setup = self._slowest(time.perf_counter() - started)
+            self._fresh = math.nan
+            self._count[1] += 1
+
+    def note(self, ksp: PETSc.KSP, seconds: float, before: float) -> None:
+        """Take what a solution took. Collective.
+
+        Args:
+            ksp: The solver.
+            seconds: Its time on this rank.
+            before: Norm of the right-hand side.
+        """
+        after = ksp.getResidualNorm()
+        self._digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
+        self._last = self._slowest(seconds) / self._digits
+        self._count[0] += 1
+        if not self._old:
+            self._fresh = self._last
+
+    def _slowest(self, seconds: float) -> float:
+        return self._comm.allreduce(seconds, op=MPI.MAX)
