@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -81,6 +80,12 @@ class LinearSolver:
         method, options = self.method, self._options
         assert method is not None
         own = {**method.options}
+        pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
+        if pc in ("lu", "cholesky") and package is None:
+            own["pc_factor_mat_solver_type"] = "mumps"
+        if pc is None and package not in (None, "cholmod"):
+            # not every package has a Cholesky factorisation
+            own["pc_type"] = "lu"
         if self._tangent.softened:
             # Newton's method corrects what is left
             own["ksp_converged_maxits"] = True
@@ -90,16 +95,16 @@ class LinearSolver:
         snes.setType("newtonls")
         ksp = snes.getKSP()
         ksp.setType(method.ksp)
-        if self._tangent.softened:
-            ksp.setTolerances(rtol=1e-11, max_it=60)
-            ksp.setGMRESRestart(60)
-        elif not method.factors:
+        if not method.factors:
             ksp.setTolerances(rtol=_DIGITS, max_it=500)
             # the residual itself, as Newton's method measures it
             ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
             if method.ksp == "gmres":
                 ksp.setPCSide(PETSc.PC.Side.RIGHT)
                 ksp.setGMRESRestart(100)
+        elif self._tangent.softened:
+            ksp.setTolerances(rtol=1e-11, max_it=60)
+            ksp.setGMRESRestart(60)
         ksp.getPC().setType(method.pc)
         if method.package:
             ksp.getPC().setFactorSolverType(method.package)
@@ -107,18 +112,7 @@ class LinearSolver:
         self.snes, self.reuse = snes, None
         if not method.factors and ksp.getType() != "preonly":
             self.reuse = Reuse(self._comm)
-            started, before = 0.0, 0.0
-
-            def begins(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-                nonlocal started, before
-                started, before = time.perf_counter(), b.norm()
-
-            def ends(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-                if self.reuse is not None:
-                    self.reuse.note(ksp, time.perf_counter() - started, before)
-
-            ksp.setPreSolve(begins)
-            ksp.setPostSolve(ends)
+            self.reuse.watch(ksp)
             if not options.has("ksp_rtol"):
                 # no more digits than Newton's method can use (Eisenstat & Walker 1996)
                 snes.setUseEW(True, version=2, rtol_0=_FIRST, rtol_max=_FIRST, gamma=0.9)

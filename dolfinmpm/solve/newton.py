@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -183,7 +184,9 @@ class Newton:
         linear = self.linear
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
-        reference = 0.0
+        reference, spare = 0.0, _SPARE * self.tolerance
+        # a solver that kept what keeps the solver would never be freed
+        ready = weakref.proxy(linear)
 
         def residual(snes: Any, x: PETSc.Vec, f: PETSc.Vec) -> None:
             nonlocal reference
@@ -193,7 +196,7 @@ class Newton:
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
-            linear.assembled(_SPARE * self.tolerance * reference)
+            ready.assembled(spare * reference)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             return balance.test(norms[2], reference, iteration)

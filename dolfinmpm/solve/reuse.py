@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import weakref
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -56,6 +57,23 @@ class Reuse:
             self._setup = self._slowest(time.perf_counter() - started)
             self._fresh = math.nan
             self._count[1] += 1
+
+    def watch(self, ksp: PETSc.KSP) -> None:
+        """Take note of all that a solver does from now on."""
+        # a solver that kept what keeps the solver would never be freed
+        weak, started, before = weakref.ref(self), 0.0, 0.0
+
+        def begins(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+            nonlocal started, before
+            started, before = time.perf_counter(), b.norm()
+
+        def ends(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+            reuse = weak()
+            if reuse is not None:
+                reuse.note(ksp, time.perf_counter() - started, before)
+
+        ksp.setPreSolve(begins)
+        ksp.setPostSolve(ends)
 
     def note(self, ksp: PETSc.KSP, seconds: float, before: float) -> None:
         """Take what a solution took. Collective.

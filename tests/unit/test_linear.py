@@ -1,0 +1,177 @@
+"""Linear solvers: what is chosen for which tangent, and what happens where it fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import unit_grid
+from dolfinx import fem
+
+import dolfinmpm as mpm
+from dolfinmpm.solve import method
+from dolfinmpm.solve.method import Tangent, choose
+from dolfinmpm.solve.reuse import Reuse
+
+ELASTIC = {"E": 1e3, "nu": 0.3}
+
+
+def block(
+    cells=4, kind="quadrilateral", law=None, basis="linear", load=-1.0, extra=None, **options
+):
+    """A block that stands on the bottom of a unit grid and is loaded by its weight."""
+    grid = unit_grid(kind, cells)
+    d = grid.geometry.dim
+    points = mpm.fill(grid, mpm.Box((0,) * d, (0.9,) * (d - 1) + (0.6,)), 2, 1.0)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0,) * (d - 1) + (load,))
+    F = mpm.momentum(law or mpm.materials.Hencky(**ELASTIC), points, u, v, **(extra or {}))
+    F -= ufl.inner(points.density * g, v) * points.dX
+    bcs = mpm.fixed(V, lambda x: x[d - 1] < 1e-9) + mpm.rollers(V, "left")
+    return mpm.QuasiStatic(F, u, points, bcs, **options)
+
+
+def chosen(problem):
+    problem.step()
+    found = problem.newton.linear.method
+    return found.ksp, found.pc, found.package
+
+
+@pytest.fixture
+def few_are_many(monkeypatch):
+    """As if a handful of unknowns were too many for factors."""
+    monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+
+
+@pytest.mark.parametrize(
+    ("tangent", "count", "gdim", "ranks", "expected"),
+    [
+        (Tangent(True, True, False), 1000, 2, 1, ("preonly", "cholesky", "cholmod")),
+        (Tangent(True, True, False), 1000, 2, 2, ("preonly", "cholesky", "mumps")),
+        (Tangent(True, False, False), 1000, 2, 1, ("preonly", "cholesky", "mumps")),
+        (Tangent(False, True, False), 1000, 3, 1, ("preonly", "lu", "mumps")),
+        (Tangent(True, True, True), 1000, 2, 1, ("gmres", "cholesky", "cholmod")),
+        (Tangent(True, True, False), 10**6, 3, 1, ("cg", "gamg", "")),
+        (Tangent(False, True, False), 10**6, 3, 1, ("gmres", "gamg", "")),
+    ],
+)
+def test_what_is_chosen(tangent, count, gdim, ranks, expected):
+    found = choose(tangent, count, gdim, ranks)
+    assert (found.ksp, found.pc, found.package) == expected
+    assert str(count) in str(found)
+
+
+def test_laws_say_whether_they_are_symmetric():
+    materials = mpm.materials
+    strength = {"cohesion": 10.0, "friction_angle": 20.0}
+    assert chosen(block(law=materials.VonMises(**ELASTIC, yield_stress=5.0)))[1] == "cholesky"
+    assert chosen(block(law=materials.NeoHookean(**ELASTIC)))[1] == "cholesky"
+    assert chosen(block(law=materials.MohrCoulomb(**ELASTIC, **strength)))[1] == "lu"
+    assert chosen(block(extra={"fbar": True}))[1] == "lu"
+    assert chosen(block(extra={"strain": "jaumann"}))[1] == "lu"
+
+
+def test_a_term_that_is_not_symmetric_is_found_out():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.9, 0.6)), 2, 1.0)
+    V = mpm.Space(grid)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(**ELASTIC), points, u, v)
+    F -= ufl.inner(ufl.as_vector([0.1 * u[1], -1.0]), v) * points.dx
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    assert chosen(problem)[1] == "lu"
+    assert problem.history[0].residuals[-1] < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
+@pytest.mark.parametrize("remedy", ["none", "ghost", "aggregation", "soft"])
+@pytest.mark.parametrize("basis", ["linear", "bspline2"])
+def test_multigrid_finds_what_factors_find(few_are_many, monkeypatch, kind, remedy, basis):
+    many = block(4, kind, basis=basis, stabilisation=remedy)
+    assert chosen(many)[1] == "gamg"
+    assert many.here.unknowns.block == many.points.gdim
+    assert many.history[0].residuals[-1] < 1e-9
+    monkeypatch.undo()
+    few = block(4, kind, basis=basis, stabilisation=remedy)
+    assert chosen(few)[1] == "cholesky"
+    assert few.here.unknowns.block == 1
+    assert many.history[0].unknowns == few.history[0].unknowns
+    u, w = (p.points["x"] - p.points["x0"] for p in (many, few))
+    # forces on functions that hardly feel the body say little of their motion
+    share = 1e-6 if remedy == "soft" else 1e-8
+    np.testing.assert_allclose(u, w, atol=share * np.abs(w).max())
+
+
+def test_multigrid_of_an_unsymmetric_tangent(few_are_many):
+    problem = block(4, "hexahedron", extra={"strain": "jaumann"})
+    assert chosen(problem)[:2] == ("gmres", "gamg")
+    assert problem.history[0].residuals[-1] < 1e-9
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_tangent_that_is_not_definite_is_solved_all_the_same(monkeypatch, many):
+    """Springs that push instead of pull give the stiffness negative eigenvalues."""
+    if many:
+        monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+    grid = unit_grid("quadrilateral", 12)
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.95, 0.95)), 2, 1.0)
+    V = mpm.Space(grid)
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.3), points, u, v, strain="small")
+    F -= ufl.inner(20.0 * u + ufl.as_vector([1e-3, 0.0]), v) * points.dX
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    record = problem.step()
+    assert record.residuals[-1] < 1e-9
+    assert record.halvings == 0
+    K = problem.stiffness()
+    eigenvalues = np.linalg.eigvalsh(K.convert("dense").getDenseArray())
+    assert eigenvalues[0] < 0 < eigenvalues[-1]
+
+
+class Clock:
+    """A Krylov solver whose times are set."""
+
+    class PC:
+        kept = False
+
+        def setReusePreconditioner(self, flag):
+            self.kept = flag
+
+    def __init__(self):
+        self.pc, self.after = self.PC(), 1e-3
+
+    def getPC(self):
+        return self.pc
+
+    def setUp(self):
+        pass
+
+    def getResidualNorm(self):
+        return self.after
+
+
+def test_a_preconditioner_is_kept_while_it_pays():
+    import mpi4py.MPI as MPI
+
+    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+    kept = []
+    # a set-up takes next to no time here: what matters is that slow solutions end it
+    for seconds in (1.0, 1.0, 5.0, 1.0):
+        reuse.prepare(ksp)
+        kept.append(ksp.pc.kept)
+        reuse._setup = 2.0
+        reuse.note(ksp, seconds, 1.0)
+    assert kept == [False, True, True, False]
+    assert reuse.counts == (4, 2)
+
+
+def test_info_tells_what_solves_and_how_work_is_spread():
+    problem = block()
+    assert "chosen in the first step" in problem.info()
+    problem.step()
+    text = problem.info()
+    assert f"points: {problem.points.total}" in text
+    assert f"unknowns: {problem.history[0].unknowns}" in text
+    assert "Cholesky" in text
+    assert "positive definite" in text
