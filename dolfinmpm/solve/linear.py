@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -66,6 +67,8 @@ class LinearSolver:
         self.true: Any = None
         self.method: Method | None = None
         self.reuse: Reuse | None = None
+        # norm of the residual of the iteration before
+        self._former: float | None = None
         self.snes: Any = None
 
     def in_blocks(self, count: int) -> bool:
@@ -80,6 +83,9 @@ class LinearSolver:
         method, options = self.method, self._options
         assert method is not None
         own = {**method.options}
+        if not method.factors:
+            # but for the first SNES is not to make any preconditioner, see `Reuse`
+            own["snes_lag_preconditioner"] = -2
         pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
         if pc in ("lu", "cholesky") and package is None:
             own["pc_factor_mat_solver_type"] = "mumps"
@@ -113,9 +119,6 @@ class LinearSolver:
         if not method.factors and ksp.getType() != "preonly":
             self.reuse = Reuse(self._comm)
             self.reuse.watch(ksp)
-            if not options.has("ksp_rtol"):
-                # no more digits than Newton's method can use (Eisenstat & Walker 1996)
-                snes.setUseEW(True, version=2, rtol_0=_FIRST, rtol_max=_FIRST, gamma=0.9)
 
     @property
     def failed(self) -> bool:
@@ -125,6 +128,7 @@ class LinearSolver:
     def attach(self, operator: Operator) -> None:
         """Take the matrix of an operator; that of the same pattern stays. Collective."""
         here = operator.here
+        self._former = None
         self._trusted = max(self._trusted - 1, 0)
         self._choose(here.unknowns.total)
         self._take(here)
@@ -164,6 +168,8 @@ class LinearSolver:
         if here.unknowns.block > 1:
             A.setNearNullSpace(near_kernel(here))
         self._use_mumps()
+        if self.reuse is not None:
+            self.reuse.renew()
 
     def _looks_symmetric(self, operator: Operator) -> bool:
         """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
@@ -203,16 +209,27 @@ class LinearSolver:
         self.forget()
         return True
 
-    def assembled(self, enough: float) -> None:
+    def assembled(self, norm: float, enough: float) -> None:
         """Make ready for a tangent that has been assembled. Collective.
 
+        Iterations end where Newton's method can use no more digits: the second choice of
+        Eisenstat & Walker (1996, doi 10.1137/0917003), with a smaller first share, since small
+        increments are nearly linear.
+
         Args:
+            norm: Norm of the residual to be reduced (N).
             enough: Norm of a residual that need not be reduced any further (N).
         """
         if self.reuse is None:
             return
         assert self.matrix is not None
         ksp = self.snes.getKSP()
+        if not self._options.has("ksp_rtol"):
+            share = _FIRST
+            if self._former is not None and self._former > 0.0:
+                share = min(share, 0.9 * (norm / self._former) ** (0.5 * (1 + math.sqrt(5.0))))
+            ksp.setTolerances(rtol=max(share, _DIGITS))
+        self._former = norm
         ksp.setTolerances(atol=max(enough, 1e-300))
         ksp.setOperators(self.true, self.matrix.petsc)
         self.reuse.prepare(ksp)

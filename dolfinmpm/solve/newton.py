@@ -184,19 +184,19 @@ class Newton:
         linear = self.linear
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
-        reference, spare = 0.0, _SPARE * self.tolerance
+        norm, reference, spare = 0.0, 0.0, _SPARE * self.tolerance
         # a solver that kept what keeps the solver would never be freed
         ready = weakref.proxy(linear)
 
         def residual(snes: Any, x: PETSc.Vec, f: PETSc.Vec) -> None:
-            nonlocal reference
+            nonlocal norm, reference
             found = operator.residual(x.getArray(readonly=True))
             f.getArray()[:] = found.values
-            reference = found.reference
+            norm, reference = found.norm, found.reference
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
-            ready.assembled(spare * reference)
+            ready.assembled(norm, spare * reference)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             return balance.test(norms[2], reference, iteration)
