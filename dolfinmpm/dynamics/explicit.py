@@ -159,8 +159,6 @@ class Explicit(Problem):
             return "the mass is consistent"
         if self._faces or self._filters or self._viscosity != (0.0, 0.0):
             return "faces of the grid, bulk viscosity or filters of light nodes act"
-        if any(condition.velocity for condition in self.bcs):
-            return "velocities are prescribed in time"
         if basis.averaged and self.fields[0].space.domains != "stretch":
             return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
@@ -284,9 +282,10 @@ class Explicit(Problem):
         assert self._fused is not None
         start = self.time
 
-        def set_time(taken: int) -> None:
+        def set_time(taken: int) -> float:
             if self._clock is not None:
                 self._clock.value = start + taken * dt
+            return start + taken * dt
 
         fused = self._fused
         taken, migrated, reason = fused.run(count, dt, more, set_time)

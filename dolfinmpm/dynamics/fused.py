@@ -20,10 +20,12 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import Held
+from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import COLUMNS, FAST, PASSES, SMALL, Pass
+from dolfinmpm.dynamics.transfer import collect
 
 __all__ = ["Fused"]
 
@@ -39,12 +41,15 @@ _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def _move_nodes(
-    box, columns, out, nodes, own, fixed, held, g, dt, scaling, damping, known, last, done
-):
+    box, columns, out, nodes, own, fixed, before, held, pushed, g, dt, scaling, damping, known,
+    last, done,
+):  # fmt: skip
     """Accelerate the nodes of a box.
 
     Args:
         own: Whose work this rank counts.
+        before, held: Velocities of fixed components at the start and the end of the step.
+        pushed: Written unless empty, changes of velocity by forces alone.
         known: Whether velocities for the strain have been set before.
         last: Whether the sums are done with, and cleared.
     """
@@ -59,17 +64,20 @@ def _move_nodes(
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
                 if damping > 0.0:
-                    f -= damping * abs(f) * np.sign(held[k, i] if fixed[k, i] else y)
-                end = y + dt * f * per_mass / scaling
+                    f -= damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                change = dt * f * per_mass / scaling
+                end = y + change
                 if fixed[k, i]:
+                    y, end, change = before[k, i], held[k, i], 0.0
                     if own[k]:
-                        # what holds the node does work against its forces
-                        work -= dt * f * held[k, i]
-                    y = end = held[k, i]
+                        # what moves the node does work against its forces and its inertia
+                        work += (m * scaling * (end - y) - dt * f) * end
                 nodes[k, i] = end - y
                 nodes[k, velocity + i] = end
                 if not known:
                     nodes[k, strain + i] = end
+                if pushed.shape[0] > 0:
+                    pushed[k, i] = change
                 if own[k]:
                     work += dt * m * g[i] * end
             if last:
@@ -151,6 +159,8 @@ class Fused:
         self.done = np.zeros(3)
         self._columns = COLUMNS[points.gdim]
         self._live, self._travelled = False, 0.0
+        # velocities prescribed in time, as nodes have them now
+        self._driven: list[float] | None = None
         self._basis = basis
         self._window: Any = None
         self._steps_since_sorted = _SORT
@@ -220,6 +230,25 @@ class Fused:
         self._speed = np.zeros((len(self._nodes), d))
         self._fixed[self._at] = fixed[0][self._known]
         self._speed[self._at] = rate * values[0][self._known]
+        self._before, self._rate = self._speed, rate
+
+    def _drive(self, t: float, dt: float) -> None:
+        """Take velocities prescribed in time for a step from t on. Collective."""
+        conditions = self._held.conditions
+        driven = [c.velocity for c in conditions if c.velocity is not None]
+        if not driven:
+            return
+        wanted = [v(t) for v in driven], [v(t + dt) for v in driven]
+        if self._driven is None or self._driven != wanted[0]:
+            set_velocities(conditions, lambda v: v(t) / self._rate)
+            self._flags(self._rate)
+        self._before = self._speed
+        if wanted[1] != wanted[0]:
+            set_velocities(conditions, lambda v: v(t + dt) / self._rate)
+            start = self._before
+            self._flags(self._rate)
+            self._before = start
+        self._driven = wanted[1]
 
     def _sort(self) -> None:
         """Put the points in the order of the cells. Collective."""
@@ -252,6 +281,7 @@ class Fused:
             self._build()
         self._sort()
         self._flags(rate)
+        self._driven = None
         self._live = False
 
     def run(self, count: int, dt: float, more: bool, set_time) -> tuple[int, int, str | None]:
@@ -261,7 +291,8 @@ class Fused:
             count: How many.
             dt: Their length (s).
             more: Whether others follow without a new start.
-            set_time: Tells the form how many of the steps have been taken.
+            set_time: Tells the form how many of the steps have been taken, and returns the time
+                (s).
 
         Returns:
             Steps taken, points that changed rank, and why it ended before the last, or None.
@@ -270,7 +301,7 @@ class Fused:
         *others, main = PASSES[self._scheme]
         begin = Pass(new=2 if self._scheme != "usf" else 1)
         while taken < count and reason is None:
-            set_time(taken)
+            self._drive(set_time(taken), dt)
             fresh = not self._live
             if fresh:
                 self._box()
@@ -409,34 +440,41 @@ class Fused:
         """One step from what has been scattered. Collective."""
         d = self._points.gdim
         columns, box = self._columns, self._rows()
-        held, own = (self._fixed, self._speed), self._own
-        rest = self._loads.gravity, dt, self._scaling, self._damping
-        momenta = range(columns.second, columns.second + d)
-        forces = range(columns.force, columns.force + d)
-        if self._scheme == "usf":
-            _divide(box, columns, self._out, 0, self._nodes, *held, False)
+        out, nodes, fixed = self._out, self._nodes, self._fixed
+        usf, usl = self._scheme == "usf", self._scheme == "usl"
+        # forces alone make the points' acceleration, not what moves or stops nodes
+        apart = record and self._driven is not None
+        pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
+        if usf:
+            _divide(box, columns, out, 0, nodes, fixed, self._before, False)
             reason = self._pass(others[0], dt, record)
-            self._exchange(forces.start, forces.stop)
+            self._exchange(columns.force, columns.force + d)
             if reason is not None:
                 return reason
-            _move_nodes(
-                box, columns, self._out, self._nodes, own, *held, *rest, True, True, self.done
-            )
-        else:
-            usl = self._scheme == "usl"
-            _move_nodes(
-                box, columns, self._out, self._nodes, own, *held, *rest, False, usl, self.done
-            )
-            if not usl:
-                reason = self._pass(others[0], dt, record)
-                self._exchange(momenta.start, momenta.stop)
-                if reason is not None:
-                    return reason
-                _divide(box, columns, self._out, columns.second, self._nodes, *held, True)
+        _move_nodes(
+            box, columns, out, nodes, self._own, fixed, self._before, self._speed, pushed,
+            self._loads.gravity, dt, self._scaling, self._damping, usf, usf or usl, self.done,
+        )  # fmt: skip
+        changes = self._at_points(pushed) if apart else None
+        if not (usf or usl):
+            reason = self._pass(others[0], dt, record)
+            self._exchange(columns.second, columns.second + d)
+            if reason is not None:
+                return reason
+            _divide(box, columns, out, columns.second, nodes, fixed, self._speed, True)
         reason = self._pass(main, dt, record)
         if main.new:
-            self._exchange(0, self._out.shape[1])
+            self._exchange(0, out.shape[1])
+        if changes is not None:
+            self._points["acceleration"][:] = changes / dt
         return reason
+
+    def _at_points(self, values: Array) -> Array:
+        """Values at the window's nodes, shape (nodes, d), at the points where they are."""
+        basis, points = self._window, self._points
+        known = np.zeros((basis.nodes.size, points.gdim))
+        known[self._known] = values[self._at]
+        return collect(basis.stencils(points.placement()), known)
 
     def _rows(self) -> tuple[int, ...]:
         """Nodes in use: first and last row, first and last node of each, and length of a row."""

@@ -34,7 +34,7 @@ def lattice(d=2, n=8, power=1.0):
 
 def problem(
     law=HENCKY, basis="bspline2", averaged=None, scheme="usl", mapping="flip", strain="large", d=2,
-    body=None, power=1.0, push=0.0, load=None, more=(), given=(), fused=True, start=None, **options,
+    body=None, power=1.0, push=0.0, load=None, conditions=None, fused=True, start=None, **options,
 ):  # fmt: skip
     """A body that turns, is strained and falls."""
     grid = lattice(d, 8 if d == 2 else 5, power)
@@ -63,6 +63,8 @@ def problem(
     bcs = mpm.fixed(V, lambda x: x[1] < -0.4)
     if push:
         bcs = mpm.prescribed(V, "bottom", 1, push) + mpm.rollers(V, "left")
+    if conditions is not None:
+        bcs = conditions(V)
     options = {"courant": 0.4} | options
     return mpm.Explicit(F, u, points, bcs, scheme=scheme, mapping=mapping, fused=fused, **options)
 
@@ -167,6 +169,22 @@ def test_points_at_the_grids_edges(basis, averaged):
 def test_prescribed_motion_damping_and_scaled_mass(scheme):
     body = mpm.Box((-1, -1), (0.6, 0.4))
     compare(body=body, push=0.01, averaged=False, damping=0.1, mass_scaling=4.0, scheme=scheme)
+
+
+@pytest.mark.parametrize(
+    "scheme", ["usl", *(pytest.param(s, marks=pytest.mark.long) for s in ("musl", "usf"))]
+)
+def test_velocities_in_time(scheme):
+    def conditions(V):
+        pressed = mpm.moving(V, "bottom", 1, lambda t: 0.3 * np.sin(60 * t))
+        return pressed + mpm.moving(V, lambda x: x[0] < -0.8, 0, 0.1) + mpm.rollers(V, "right")
+
+    body = mpm.Box((-1, -1), (0.6, 0.4))
+    one = compare(
+        body=body, conditions=conditions, averaged=False, damping=0.1, mass_scaling=4.0,
+        scheme=scheme, times=(0.013, 0.06),
+    )  # fmt: skip
+    assert abs(one.energies().external) > 0
 
 
 def test_many_steps_of_a_call_and_loads_that_change():
