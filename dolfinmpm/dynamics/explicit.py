@@ -157,8 +157,8 @@ class Explicit(Problem):
             return "the grid is not rectangular"
         if self.terms.kind != "lumped":
             return "the mass is consistent"
-        if self._faces or self._filters or self._viscosity != (0.0, 0.0):
-            return "faces of the grid, bulk viscosity or filters of light nodes act"
+        if self._filters or self._viscosity != (0.0, 0.0):
+            return "bulk viscosity or filters of light nodes act"
         if basis.averaged and self.fields[0].space.domains != "stretch":
             return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
@@ -174,7 +174,7 @@ class Explicit(Problem):
         laws = Laws(self.points, self.form.parts.declarations)
         self._fused = Fused(
             self.points, basis, self._held, laws, loads, self.scheme, self.mapping, self._scaling,
-            self._damping,
+            self._damping, self._faces,
         )  # fmt: skip
         return None
 

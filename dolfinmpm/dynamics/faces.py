@@ -133,6 +133,7 @@ class Faces:
     """
 
     def __init__(self, faces: Sequence[Face], basis: Any, d: int):
+        self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
         for face in faces:
@@ -152,16 +153,37 @@ class Faces:
                     rate = face.impedance[0 if k == face.axis else 1]
                     self.dashpots[nodes, k] += rate * area
 
-    def rub(self, V: Array, at: npt.NDArray[np.intp] | None = None) -> None:
+    def by_nodes(
+        self, place: npt.NDArray[np.intp], size: int
+    ) -> tuple[npt.NDArray[np.uint64], Array, Array]:
+        """The same for compiled loops over nodes in another order.
+
+        Args:
+            place: Where the nodes are in it, shape (nodes,); -1 where not known.
+            size: How many nodes it has.
+
+        Returns:
+            Faces that rub at each node, as bits, shape (size,), or (0,) without any; axis, outward
+            sign and friction of each face, shape (faces, 3); and coefficients of the dashpots
+            (N s/m), shape (size, d), or (0, d) without any.
+        """
+        marks = np.zeros(size if self._rubbing else 0, np.uint64)
+        rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
+        for k, (nodes, *_) in enumerate(self._rubbing):
+            rows = place[nodes]
+            marks[rows[rows >= 0]] |= np.uint64(1 << k)
+        dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
+        if self.dashpots is not None:
+            dashpots[place[place >= 0]] = self.dashpots[place >= 0]
+        return marks, rubbing, dashpots
+
+    def rub(self, V: Array) -> None:
         """Stop nodes that would move out, and let friction act on what slides.
 
         Args:
             V: Changed, velocities at the end of a step (m/s), shape (nodes, at least d).
-            at: Where the nodes are in it, if not in the basis's order; -1 where not known.
         """
-        for nodes, axis, outward, mu in self._rubbing:
-            rows = nodes if at is None else at[nodes]
-            rows = rows[rows >= 0]
+        for rows, axis, outward, mu in self._rubbing:
             out = outward * V[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             V[rows, axis] = 0.0

@@ -8,6 +8,8 @@ around this rank's cells, by their position.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -20,7 +22,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import Held
-from dolfinmpm.dynamics.faces import set_velocities
+from dolfinmpm.dynamics.faces import Face, Faces, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import point_masses
@@ -39,22 +41,44 @@ _SORT = 256
 _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _rub(mark, rubbing, velocity):
+    """Stop a node that would move out of sides of the grid, and let friction act on its slip."""
+    for face in range(rubbing.shape[0]):
+        if (mark >> np.uint64(face)) & np.uint64(1) == 0:
+            continue
+        axis, outward, mu = int(rubbing[face, 0]), rubbing[face, 1], rubbing[face, 2]
+        out = outward * velocity[axis]
+        if not out > 0.0:
+            continue
+        velocity[axis] = 0.0
+        slip = 0.0
+        for i in range(velocity.size):
+            slip += velocity[i] ** 2
+        left = max(0.0, 1.0 - mu * out / max(math.sqrt(slip), 1e-300))
+        for i in range(velocity.size):
+            velocity[i] *= left
+
+
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def _move_nodes(
-    box, columns, out, nodes, own, fixed, before, held, pushed, g, dt, scaling, damping, known,
-    last, done,
+    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, scaling, damping,
+    known, last, done,
 ):  # fmt: skip
     """Accelerate the nodes of a box.
 
     Args:
         own: Whose work this rank counts.
         before, held: Velocities of fixed components at the start and the end of the step.
+        faces: What acts at sides of the grid, see `Faces.by_nodes`.
         pushed: Written unless empty, changes of velocity by forces alone.
         known: Whether velocities for the strain have been set before.
         last: Whether the sums are done with, and cleared.
     """
     _, mass, force, _, velocity, strain = columns
     d = fixed.shape[1]
+    marks, rubbing, dashpots = faces
+    ends, forces = np.empty(d), np.empty(d)
     work = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -65,8 +89,16 @@ def _move_nodes(
                 f = out[k, force + i] + m * g[i]
                 if damping > 0.0:
                     f -= damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                forces[i] = f
+                ends[i] = before[k, i] if fixed[k, i] else y + dt * f * per_mass / scaling
+            if dashpots.shape[0] > 0 and m > 0.0:
+                for i in range(d):
+                    ends[i] /= 1.0 + dt * dashpots[k, i] / (m * scaling)
+            if marks.shape[0] > 0 and marks[k] != 0:
+                _rub(marks[k], rubbing, ends)
+            for i in range(d):
+                y, f, end = out[k, i] * per_mass, forces[i], ends[i]
                 change = dt * f * per_mass / scaling
-                end = y + change
                 if fixed[k, i]:
                     y, end, change = before[k, i], held[k, i], 0.0
                     if own[k]:
@@ -135,6 +167,7 @@ class Fused:
         mapping: "flip", "pic", "apic" or "tpic".
         scaling: Factor of the mass in the inertia.
         damping: Share of local damping.
+        faces: Sides of the grid that act on the body.
 
     Attributes:
         done: Work of the stresses, and of loads and prescribed motions, so far (J).
@@ -151,10 +184,11 @@ class Fused:
         mapping: Mapping,
         scaling: float,
         damping: float,
+        faces: Sequence[Face] = (),
     ):
         self._points, self._held, self._laws, self._loads = points, held, laws, loads
         self._scheme, self._mapping = scheme, mapping
-        self._scaling, self._damping = scaling, damping
+        self._scaling, self._damping, self._faces = scaling, damping, faces
         # and the cells that the fastest point has crossed in a step
         self.done = np.zeros(3)
         self._columns = COLUMNS[points.gdim]
@@ -202,6 +236,9 @@ class Fused:
         self._lines = np.concatenate(lattice.lines)
         self._starts = np.cumsum([0] + [line.size for line in lattice.lines])
         self._scale = np.array([(x.size - 1) / (x[-1] - x[0]) for x in lattice.lines])
+        place = np.full(basis.nodes.size, -1)
+        place[self._known] = self._at
+        self._sides = Faces(self._faces, basis, d).by_nodes(place, size)
         self._table = halo.cell_table.ravel()
         self._table_shape = np.array(halo.cell_table.shape, np.int64)
 
@@ -443,7 +480,7 @@ class Fused:
         out, nodes, fixed = self._out, self._nodes, self._fixed
         usf, usl = self._scheme == "usf", self._scheme == "usl"
         # forces alone make the points' acceleration, not what moves or stops nodes
-        apart = record and self._driven is not None
+        apart = record and (self._driven is not None or len(self._faces) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             _divide(box, columns, out, 0, nodes, fixed, self._before, False)
@@ -452,8 +489,9 @@ class Fused:
             if reason is not None:
                 return reason
         _move_nodes(
-            box, columns, out, nodes, self._own, fixed, self._before, self._speed, pushed,
-            self._loads.gravity, dt, self._scaling, self._damping, usf, usf or usl, self.done,
+            box, columns, out, nodes, self._own, fixed, self._before, self._speed, self._sides,
+            pushed, self._loads.gravity, dt, self._scaling, self._damping, usf, usf or usl,
+            self.done,
         )  # fmt: skip
         changes = self._at_points(pushed) if apart else None
         if not (usf or usl):

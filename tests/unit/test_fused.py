@@ -187,6 +187,23 @@ def test_velocities_in_time(scheme):
     assert abs(one.energies().external) > 0
 
 
+@pytest.mark.parametrize(
+    "scheme", ["musl", *(pytest.param(s, marks=pytest.mark.long) for s in ("usl", "usf"))]
+)
+def test_sides_that_rub_and_let_waves_out(scheme):
+    def conditions(V):
+        sides = mpm.frictional(V, "bottom", friction=0.3) + mpm.frictional(V, "left", friction=0.0)
+        waves = {"density": 1000.0, "p_speed": 12.0, "s_speed": 6.0}
+        return sides + mpm.absorbing(V, "right", **waves) + mpm.rollers(V, "left")
+
+    body = mpm.Box((-1, -1), (1, 0.4))
+    one = compare(
+        body=body, conditions=conditions, averaged=False, damping=0.1, mass_scaling=2.0,
+        scheme=scheme, times=(0.013, 0.06), mapping="pic" if scheme == "usf" else "flip",
+    )  # fmt: skip
+    assert one.energies().kinetic > 0
+
+
 def test_many_steps_of_a_call_and_loads_that_change():
     t = None
 
