@@ -159,7 +159,8 @@ class Explicit(Problem):
             return "the mass is consistent"
         if self._filters or self._viscosity != (0.0, 0.0):
             return "bulk viscosity or filters of light nodes act"
-        if basis.averaged and self.fields[0].space.domains != "stretch":
+        domains = self.fields[0].space.domains
+        if basis.averaged and domains != "stretch" and self.points.gdim != 2:
             return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
@@ -174,7 +175,7 @@ class Explicit(Problem):
         laws = Laws(self.points, self.form.parts.declarations)
         self._fused = Fused(
             self.points, basis, self._held, laws, loads, self.scheme, self.mapping, self._scaling,
-            self._damping, self._faces,
+            self._damping, self._faces, domains,
         )  # fmt: skip
         return None
 

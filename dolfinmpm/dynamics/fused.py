@@ -21,12 +21,23 @@ from mpi4py import MPI
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.cellmeans import numbering
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Face, Faces, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.passes import COLUMNS, FAST, PASSES, SMALL, Pass
+from dolfinmpm.dynamics.passes import (
+    COLUMNS,
+    FAST,
+    GROWTH,
+    LAW,
+    MEANS_TAKEN,
+    MEANS_USED,
+    PASSES,
+    SMALL,
+    Pass,
+)
 from dolfinmpm.dynamics.transfer import collect
 
 __all__ = ["Fused"]
@@ -134,6 +145,15 @@ def _divide(box, columns, out, momentum, nodes, fixed, held, last):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _take_means(box, sums):
+    """Means from sums of volumes and of volumes times a change, in their place."""
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            if sums[k, 0] > 0.0:
+                sums[k, 1] /= sums[k, 0]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _cells(x, lines, start, scale, origin, table, shape, cell):
     """Local cells of the points; the number of those whose cell is not known here."""
     lost = 0
@@ -154,6 +174,23 @@ def _cells(x, lines, start, scale, origin, table, shape, cell):
     return lost
 
 
+def _add_up(vector, known, sums: Array, at, begin: int, end: int) -> None:
+    """Add up columns of sums over ranks, for all that know the places. Collective.
+
+    Args:
+        vector: A distributed array of as many columns.
+        known, at: Places in it, and in the sums.
+        sums: Changed.
+        begin, end: The columns.
+    """
+    values = vector.array.reshape(-1, sums.shape[1])
+    values[:] = 0.0
+    values[known, begin:end] = sums[at, begin:end]
+    vector.scatter_reverse(InsertMode.add)
+    vector.scatter_forward()
+    sums[at, begin:end] = values[known, begin:end]
+
+
 class Fused:
     """The fused loops of a problem.
 
@@ -168,6 +205,7 @@ class Fused:
         scaling: Factor of the mass in the inertia.
         damping: Share of local damping.
         faces: Sides of the grid that act on the body.
+        domains: How the points' domains grow.
 
     Attributes:
         done: Work of the stresses, and of loads and prescribed motions, so far (J).
@@ -185,6 +223,7 @@ class Fused:
         scaling: float,
         damping: float,
         faces: Sequence[Face] = (),
+        domains: str = "stretch",
     ):
         self._points, self._held, self._laws, self._loads = points, held, laws, loads
         self._scheme, self._mapping = scheme, mapping
@@ -196,6 +235,7 @@ class Fused:
         # velocities prescribed in time, as nodes have them now
         self._driven: list[float] | None = None
         self._basis = basis
+        self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
         self._steps_since_sorted = _SORT
         self._share = {"flip": mapping.share}.get(mapping.kind, 0.0)
@@ -236,11 +276,23 @@ class Fused:
         self._lines = np.concatenate(lattice.lines)
         self._starts = np.cumsum([0] + [line.size for line in lattice.lines])
         self._scale = np.array([(x.size - 1) / (x[-1] - x[0]) for x in lattice.lines])
+        if self._laws.fbar:
+            self._build_means()
         place = np.full(basis.nodes.size, -1)
         place[self._known] = self._at
         self._sides = Faces(self._faces, basis, d).by_nodes(place, size)
         self._table = halo.cell_table.ravel()
         self._table_shape = np.array(halo.cell_table.shape, np.int64)
+
+    def _build_means(self) -> None:
+        """Where means of F-bar are taken: at the window's places of their cells. Collective."""
+        own, ijk = numbering(self._window)
+        ijk = ijk - self._window.halo.origin
+        inside = np.all((ijk >= 0) & (ijk < self._shape), axis=1)
+        self._sums = np.zeros((len(self._nodes), 2))
+        self._averaging = np.flatnonzero(inside)
+        self._averaging_at = np.ravel_multi_index(tuple(ijk[inside].T), tuple(self._shape))
+        self._sums_vector = own.vector(2) if own.comm.size > 1 else None
 
     def _box(self) -> None:
         """Nodes that points may reach until they are given to ranks again: see `_MARGIN`."""
@@ -384,14 +436,16 @@ class Fused:
         C = points[affine] if affine else np.empty((n, d, d))
         self._laws.gather()
         state = points[self._laws.state] if self._laws.state else np.ones((n, 6))
-        small = self._laws.kind == SMALL
-        e_out = state[:, 2].copy() if small else 0.5 * np.log(state[:, 2])
+        small, logarithmic = self._laws.kind == SMALL, self._laws.kind == LAW
+        e_out = 0.5 * np.log(state[:, 2]) if logarithmic else state[:, 2].copy()
         # Kirchhoff's stresses
         i, j = _PAIRS[d]
         J = np.ones(n) if small else points["V"] / points["V0"]
         tau = np.ascontiguousarray(J[:, None] * points["stress"][:, i, j])
         self._loads.evaluate()
         self._rows_of = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
+        # the product of the means of all steps
+        self._J_bar = points["J_bar"] if self._laws.fbar and self._laws.kind == LAW else np.empty(0)
         self._data = (
             points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
             points["V"], points["V0"], point_masses(points), state, self._laws.internal,
@@ -409,10 +463,21 @@ class Fused:
         points["stress"][:, i, j] = sigma
         points["stress"][:, j, i] = sigma
         if self._laws.state and points.gdim == 2:
-            points[self._laws.state][:, 2] = e_out if small else np.exp(2.0 * e_out)
+            logarithmic = self._laws.kind == LAW
+            points[self._laws.state][:, 2] = np.exp(2.0 * e_out) if logarithmic else e_out
 
     def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
+        if not (parts.strain and self._laws.fbar):
+            return self._once(parts, dt, record)
+        self._sums[:] = 0.0
+        reason = self._once(Pass(strain=True), dt, False, MEANS_TAKEN)
+        if self._sums_vector is not None:
+            _add_up(self._sums_vector, self._averaging, self._sums, self._averaging_at, 0, 2)
+        _take_means(self._rows(), self._sums)
+        return reason or self._once(parts, dt, record, MEANS_USED)
+
+    def _once(self, parts: Pass, dt: float, record: bool, means: int = 0) -> str | None:
         points, basis = self._points, self._window
         general = not basis.lattice.uniform
         bad = -1
@@ -420,26 +485,29 @@ class Fused:
             rows, skipped = self._rows_of
             left = len(points)
             if not general:
-                bad, left, behind = self._loop(parts, dt, record, rows, False)
+                bad, left, behind = self._loop(parts, dt, record, rows, False, means)
                 if bad < 0 and behind:
                     bad, *_ = self._loop(
                         Pass(new=parts.new), dt, record, skipped[1, :behind].copy(), True
                     )
                 rows = skipped[0]
             if bad < 0 and left:
-                bad, *_ = self._loop(parts, dt, record, rows[:left].copy(), True)
+                bad, *_ = self._loop(parts, dt, record, rows[:left].copy(), True, means)
         return self._together(bad)
 
     def _loop(
-        self, parts: Pass, dt: float, record: bool, rows, general: bool
+        self, parts: Pass, dt: float, record: bool, rows, general: bool, means: int = 0
     ) -> tuple[int, int, int]:
-        basis, laws = self._window, self._laws
-        loop = laws.kernel(self._points.gdim)(
-            basis.degree, basis.averaged, laws.kind, self._affine, parts, general
-        )
+        laws = self._laws
+        data: tuple[Array, ...] = (*self._data, self._loads.body)
+        kind: tuple[Any, ...]
+        kind = self._window.degree, self._growth, laws.kind, self._affine, parts, general
+        if means:
+            kind, data = (*kind, means), (*data, self._sums, self._J_bar)
+        loop = laws.kernel(self._points.gdim)(*kind)
         return loop(
-            self._grid, self._nodes, self._out, (*self._data, self._loads.body), laws.table, dt,
-            self._share, record, rows, self._rows_of[1], self.done,
+            self._grid, self._nodes, self._out, data, laws.table, dt, self._share, record, rows,
+            self._rows_of[1], self.done,
         )  # fmt: skip
 
     def _together(self, bad: int) -> str | None:
@@ -459,13 +527,7 @@ class Fused:
         """Add up columns of the sums over ranks, for all that know the nodes. Collective."""
         if self._vector is None:
             return
-        vector, width = self._vector, self._out.shape[1]
-        values = vector.array.reshape(-1, width)
-        values[:] = 0.0
-        values[self._known, begin:end] = self._out[self._at, begin:end]
-        vector.scatter_reverse(InsertMode.add)
-        vector.scatter_forward()
-        self._out[self._at, begin:end] = values[self._known, begin:end]
+        _add_up(self._vector, self._known, self._out, self._at, begin, end)
 
     def _scatter(self, parts: Pass, dt: float) -> str | None:
         self._out[:] = 0.0
