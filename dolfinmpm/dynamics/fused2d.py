@@ -54,6 +54,29 @@ def spread(S, node, first, count, x):
     return total
 
 
+@numba.njit(cache=True, error_model="numpy")
+def drift(S, node, first, count, x):
+    """First moment Σ S (x_a − x) (m): 0 but for domains that the grid's edge cuts."""
+    total = 0.0
+    for a in range(count):
+        total += S[a] * (node[first + a] - x)
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def inverse_moments(cut, mass, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1):
+    """A mass times the inverse of the second moments: its two diagonal entries and the other.
+
+    `cut` tells whether the grid's edge may cut domains: directions are coupled then.
+    """
+    D0, D1 = spread(S0, node0, i0, n0, x0), spread(S1, node1, i1, n1, x1)
+    if not cut:
+        return mass / D0, mass / D1, 0.0
+    D01 = drift(S0, node0, i0, n0, x0) * drift(S1, node1, i1, n1, x1)
+    q = mass / (D0 * D1 - D01 * D01)
+    return q * D1, q * D0, -q * D01
+
+
 @functools.cache
 def kernel(
     degree: int, growth: int, kind: int, affine: int, parts: Pass, general: bool, means: int = 0
@@ -206,6 +229,10 @@ def kernel(
                             # moments; where the point scatters its functions divide them
                             _, _, b00, b10 = lanes(B0)
                             _, _, b01, b11 = lanes(B1)
+                            if general and averaged:
+                                q0, q1 = drift(S0, node0, i0, n0, x0), drift(S1, node1, i1, n1, x1)
+                                b00, b10 = b00 - q0 * v0, b10 - q0 * v1
+                                b01, b11 = b01 - q1 * v0, b11 - q1 * v1
                         C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1] = b00, b01, b10, b11
                     else:
                         v[p, 0] = share * (v[p, 0] + w0) + (1.0 - share) * v0
@@ -350,13 +377,25 @@ def kernel(
                     P, K0, K1 = four(0.0, mp * v[p, 0], mp * v[p, 1], 0.0), nothing, nothing
                     if affine:
                         q0 = q1 = mp
+                        q = 0.0
                         if APIC:
-                            q0, q1 = (
-                                mp / spread(S0, node0, i0, n0, x0),
-                                mp / spread(S1, node1, i1, n1, x1),
+                            q0, q1, q = inverse_moments(
+                                general and averaged,
+                                mp,
+                                S0,
+                                node0,
+                                i0,
+                                n0,
+                                x0,
+                                S1,
+                                node1,
+                                i1,
+                                n1,
+                                x1,
                             )
-                        K0 = four(0.0, q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0)
-                        K1 = four(0.0, q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0)
+                        b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                        K0 = four(0.0, q0 * b00 + q * b01, q0 * b10 + q * b11, 0.0)
+                        K1 = four(0.0, q1 * b01 + q * b00, q1 * b11 + q * b10, 0.0)
                     for a in range(n0):
                         at = out_at + base + a * row + second - 8
                         R = times(S0[a], P)
@@ -424,13 +463,14 @@ def kernel(
                 K0 = K1 = nothing
                 if affine:
                     q0 = q1 = mp
+                    q = 0.0
                     if APIC:
-                        q0, q1 = (
-                            mp / spread(S0, node0, i0, n0, x0),
-                            mp / spread(S1, node1, i1, n1, x1),
+                        q0, q1, q = inverse_moments(
+                            general and averaged, mp, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1
                         )
-                    K0 = four(q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0, 0.0)
-                    K1 = four(q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0, 0.0)
+                    b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                    K0 = four(q0 * b00 + q * b01, q0 * b10 + q * b11, 0.0, 0.0)
+                    K1 = four(q1 * b01 + q * b00, q1 * b11 + q * b10, 0.0, 0.0)
                 for a in range(n0):
                     at = out_at + base + a * row
                     R, Q, K, mass = times(S0[a], P), nothing, nothing, S0[a] * mp

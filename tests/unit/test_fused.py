@@ -199,7 +199,8 @@ def test_cells_of_different_sizes():
 @pytest.mark.long
 @pytest.mark.parametrize(("basis", "averaged"), [("gimp", None), ("bspline2", False)])
 def test_points_at_the_grids_edges(basis, averaged):
-    compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)))
+    for mapping in ("flip", "apic"):
+        compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)), mapping=mapping)
 
 
 @pytest.mark.parametrize(
