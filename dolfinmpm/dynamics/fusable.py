@@ -125,7 +125,7 @@ class Laws:
         if self.kind == NEO:
             numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
         else:
-            addresses[:] = [d.law.address for d in laws]
+            addresses[:] = [d.law.stress_address for d in laws]
             numbers = self._parameters()
         which = np.zeros(1, np.uint8)
         if len(laws) > 1:
