@@ -75,7 +75,10 @@ def test_consistent_mass_with_ghost_penalty_keeps_the_step_at_small_cuts():
     assert min(steps) == pytest.approx(0.575, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark, mpm.GeneralisedAlpha])
+@pytest.mark.parametrize(
+    "kind",
+    [mpm.Explicit, mpm.Newmark, pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long)],
+)
 def test_absorbing_faces_let_a_pulse_out(kind):
     def faces(V):
         return mpm.absorbing(V, "left", "right", density=1.0, p_speed=10.0)
