@@ -138,6 +138,10 @@ class General:
             return state
         external = self._external(operator, mass, forces, V, V_end, dt)
         self._work.add(points, state.fields, operator, external)
+        if settings.mapping.kind == "tpic":
+            # from here on it is that of where the points have gone
+            turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
+            new["velocity_gradient"] = turned
         state.fields.update(new)
         return commit(points, state)
 

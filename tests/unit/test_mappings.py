@@ -262,6 +262,27 @@ def test_a_body_that_flies_apart_is_followed_exactly(mass, mapping):
     np.testing.assert_allclose(points["x"], points["x0"] + 4.0 * start, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("scheme", ["usl", "usf", "musl"])
+def test_tpic_follows_a_body_that_flies_apart_and_turns_in_explicit_steps(scheme, fused):
+    """x = (1 + t A) X, for the gradient is that of where the points have gone."""
+    grid = mesh.create_rectangle(COMM, [(-2, -2), (2, 2)], (16, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((-0.47, -0.5), (0.53, 0.41)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e-16, nu=0.0), points, V.increment, V.test)
+    problem = mpm.Explicit(F, V.increment, points, mapping="tpic", scheme=scheme, fused=fused)
+    assert (problem.unfused == "") == fused
+    X, A = points["x0"], np.array([[0.8, -0.6], [0.9, 0.3]])
+    points["velocity"], points["velocity_gradient"] = X @ A.T, A
+    for t in np.arange(0.1, 1.05, 0.1):
+        problem.step(t)
+    X = points["x0"]
+    np.testing.assert_allclose(points["x"], X @ (np.eye(2) + A).T, rtol=0, atol=1e-12)
+    turned = A @ np.linalg.inv(np.eye(2) + A)
+    given = np.broadcast_to(turned, points["velocity_gradient"].shape)
+    np.testing.assert_allclose(points["velocity_gradient"], given, rtol=0, atol=1e-11)
+
+
 def test_pic_with_a_lumped_mass_does_not():
     problem = disc(
         mpm.Newmark, velocity=lambda x: (x - 7.0).T * 0.1, E=1e-12, mass="lumped", mapping="pic"
