@@ -167,3 +167,7 @@ class Balance:
             f"{gained:.4g} J have come from nowhere beside {self._most:.4g} J of first energy "
             "and work of loads"
         )
+
+    def forget(self) -> None:
+        """Begin anew from the next state, as the first one."""
+        self._first, self._last, self._most = None, 0.0, 0.0

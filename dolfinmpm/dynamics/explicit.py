@@ -32,6 +32,7 @@ from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.newmark import MotionRecord
 from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
@@ -41,8 +42,10 @@ __all__ = ["Explicit"]
 
 Array = npt.NDArray[np.float64]
 
-# how often the critical step is found anew, and the energies are looked at
+# Steps after which the critical step is found anew, and the energies are looked at
 _EVERY = 20
+# Steps after which the state is kept, to go back to: a copy costs about as much as one step
+_KEEP = 100
 
 
 class Explicit(Problem):
@@ -52,7 +55,9 @@ class Explicit(Problem):
     mass, the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
 
     `step(t)` goes to a time in as many steps as stability asks for; in a loop over
-    `times(end, dt="auto")` each call takes one.
+    `times(end, dt="auto")` each call takes one. A run that turns out unstable ends with an
+    `InstabilityError` and goes back to the beginning of the call of `step`, or to one of each
+    hundred steps since at which no energy had come from nowhere: `time` tells which.
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
@@ -125,6 +130,7 @@ class Explicit(Problem):
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling)
+        self._kept_state = Snapshot(points)
         sides = Sides(faces, points.gdim)
         found = self._fused(sides, options) if fused else "it was not to be"
         self._loop: Fused | General
@@ -220,7 +226,8 @@ class Explicit(Problem):
 
         Raises:
             ParameterError: The time is not later.
-            InstabilityError: The state is not finite, or energy comes from nowhere.
+            InstabilityError: The state is not finite, or energy comes from nowhere; it is then
+                that of `time` again.
             PointsOutsideGridError: Points would leave the grid.
         """
         started, single = clock.perf_counter(), isinstance(t, Time) and t.open
@@ -234,9 +241,12 @@ class Explicit(Problem):
         whole = target - self.time
         raise_together(self.comm, self.points.fault())
         self._loop.start(1.0 / whole)
+        self._kept_state.time = math.nan
         while self.time < target:
             if record.parts % _EVERY == 0:
                 self._check_energy(record.dt, begins=record.parts == 0)
+                if record.parts % _KEEP == 0:
+                    self._kept_state.take(self.time, self.balance.work)
                 longest = self.courant * self.critical_step()
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
@@ -286,7 +296,7 @@ class Explicit(Problem):
             raise self._unstable(reason, dt)
 
     def _unstable(self, reason: str, dt: float) -> InstabilityError:
-        """What is known of a step that ended in no state. Collective."""
+        """What is known of a step that ended in no state; goes back to one. Collective."""
         points = self.points
         speed = np.linalg.norm(points["velocity"], axis=1)
         worst = None
@@ -296,19 +306,25 @@ class Explicit(Problem):
         found = [w for w in self.comm.allgather(worst) if w is not None]
         fastest = max(found)
         energies = self.energies()
+        at, longest = self.time, self.critical_step()
+        self._go_back()
         return InstabilityError(
-            f"explicit step at t = {self.time:.6g} s: {reason}. The step is {dt:.3g} s, the "
-            f"critical one {self.critical_step():.3g} s; the fastest point is {fastest[1]} at "
+            f"explicit step at t = {at:.6g} s: {reason}. The step is {dt:.3g} s, the "
+            f"critical one {longest:.3g} s; the fastest point is {fastest[1]} at "
             f"{fastest[2]} m with {fastest[0]:.3g} m/s; energies (J): kinetic "
             f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
-            f"{energies.external:.4g}. "
-            + (
-                "The fused loops have moved points in part: go on from a checkpoint, with "
-                if isinstance(self._loop, Fused)
-                else "The state is that before the step: take "
-            )
-            + "a smaller courant number, a mapping that damps, or aggregation where cuts are small"
+            f"{energies.external:.4g}. The state is that at t = {self.time:.6g} s: take a smaller "
+            "courant number, a mapping that damps, or aggregation where cuts are small"
         )
+
+    def _go_back(self) -> None:
+        """To the last state that was kept. Collective."""
+        if math.isnan(self._kept_state.time):
+            # nothing has moved yet
+            return
+        self._kept_state.put(self.balance.work)
+        self.balance.forget()
+        self.time = self._kept_state.time
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

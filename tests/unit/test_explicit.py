@@ -150,11 +150,60 @@ def test_velocities_are_of_steps_in_time():
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_an_unstable_run_ends_with_a_named_error(fused):
+def test_an_unstable_run_ends_with_a_named_error_and_a_whole_state(fused):
     problem = disc(fused=fused, scheme="usl")
+    points = problem.points
+    problem.step(0.02)
+    order = np.argsort(points["id"])
+    before = {name: values[order].copy() for name, values in points.fields.items()}
+    work = problem.energies().external
     problem.courant = 6.0
     with pytest.raises(errors.InstabilityError, match=r"The step is .* s, the critical one .* s;"):
         problem.step(3.0)
+    # it ended before its hundredth step
+    assert problem.time == 0.02
+    assert problem.energies().external == work
+    order = np.argsort(points["id"])
+    for name, values in before.items():
+        np.testing.assert_array_equal(points[name][order], values, err_msg=name)
+    # and goes on from there as if nothing had been
+    problem.courant, other = 0.8, disc(fused=fused, scheme="usl")
+    for t in (0.02, 0.04):
+        other.step(t)
+    problem.step(0.04)
+    one, two = (p.points["x"][np.argsort(p.points["id"])] for p in (problem, other))
+    np.testing.assert_allclose(one, two, rtol=0, atol=1e-13)
+    assert problem.energies().external == pytest.approx(other.energies().external, rel=1e-12)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_run_that_is_unstable_late_goes_back_a_hundred_steps_at_most(fused):
+    """A squeeze sets in after 130 steps; the state is the one after a hundred."""
+    dt = 0.4 * 0.25 / np.sqrt(1e5 * 0.7 / 0.52 / 1e3)
+
+    def build():
+        grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (8, 8), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((-0.5, -0.5), (0.5, 0.5)), 2, 1000.0)
+        V = mpm.Space(grid, "linear")
+        law, t = mpm.materials.Hencky(E=1e5, nu=0.3), fem.Constant(grid, 0.0)
+        a = ufl.conditional(ufl.gt(t, 130 * dt), 1e8, 1.0)
+        F = mpm.momentum(law, points, V.increment, V.test)
+        F += ufl.inner(points.density * a * points.x0, V.test) * points.dX
+        options = {"time": t, "fused": fused, "scheme": "usl", "courant": 0.4}
+        return mpm.Explicit(F, V.increment, points, **options)
+
+    problem, other = build(), build()
+    assert (problem.unfused == "") == fused
+    with pytest.raises(errors.InstabilityError, match=r"The state is that at t = 0\.\d+ s"):
+        problem.step(1e3 * dt)
+    assert 99 * dt < problem.time < 130 * dt
+    points = problem.points
+    assert all(np.isfinite(values).all() for values in points.fields.values())
+    other.step(problem.time)
+    order = [np.argsort(p.points["id"]) for p in (problem, other)]
+    one, two = ((p.points["x"] - p.points["x0"])[o] for p, o in zip((problem, other), order))
+    np.testing.assert_allclose(one, two, rtol=0, atol=1e-2 * np.abs(two).max())
+    assert problem.energies().external == pytest.approx(other.energies().external, rel=1e-2)
 
 
 def test_mass_cut_off_stops_light_nodes_and_redistribution_keeps_their_forces():
