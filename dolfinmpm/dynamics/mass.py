@@ -16,9 +16,11 @@ from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, Field
 from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.cut.unknowns import Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
+from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
@@ -40,9 +42,11 @@ class MassTerms:
 
     Args:
         points: Material points.
-        kind: "consistent" or "lumped" by row sums. Behind a C that ties nodes, where row sums may
-            turn negative, the diagonal is scaled instead as Hinton, Rock & Zienkiewicz (1976,
-            doi 10.1002/eqe.4290040305) do.
+        kind: "consistent", or "lumped" by row sums: M_L, a diagonal of all active nodes, and behind
+            a C that ties nodes Cᵀ M_L C, which couples those that others are tied to. Row sums of
+            what is behind C would turn small or negative. So points, by their functions N
+            of all active nodes, get back no more energy than they gave: N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m
+            has no eigenvalue above 1, and keeps rigid velocities.
         ghost: Ghost penalty of the mass, γ_M J, or None.
     """
 
@@ -60,36 +64,17 @@ class MassTerms:
         field, mass = fields[0], point_masses(self.points)
         unit = np.eye(field.space.components)
         if self.kind == "lumped":
-            share = self._lumped(field, mass)
-            nodes = field.nodes
-            return [Blocks(0, 0, nodes, nodes, share[nodes, None, None] * unit)]
+            sums = np.zeros((field.basis.nodes.size, 1))
+            scatter(field.seen, mass, np.ones((len(mass), 1)), sums)
+            nodes = field.active
+            single = Blocks(0, 0, nodes, nodes, sums[nodes, :, None] * unit)
+            return [reduce_blocks(field.C, field.C, single)]
         rows, columns, values = mass_entries(field.stencils, mass)
         found = [Blocks(0, 0, rows, columns, values[:, None, None] * unit)]
         if self.ghost is not None:
             grid, _ = self.ghost.grid_blocks(fields)
             found += [b for b in grid if b.row_field == b.column_field == 0]
         return found
-
-    def _lumped(self, field: ActiveField, mass: Array) -> Array:
-        """This rank's share of the nodes' masses, shape (nodes,). Collective."""
-        comm = self.points.comm
-        sums = np.zeros((field.basis.nodes.size, 1))
-        scatter(field.stencils, mass, np.ones((len(mass), 1)), sums)
-        if field.C is None:
-            return sums[:, 0]
-        total = Nodal([field.basis.nodes], [1])
-        total.arrays[0][:] = sums
-        total.add_up()
-        total.spread()
-        lowest = total.arrays[0][field.nodes].min(initial=np.inf)
-        if comm.allreduce(lowest, op=MPI.MIN) > 0.0:
-            return sums[:, 0]
-        rows, columns, values = mass_entries(field.stencils, mass)
-        own = rows == columns
-        diagonal = np.zeros(len(sums))
-        np.add.at(diagonal, rows[own], values[own])
-        both = comm.allreduce(np.array([mass.sum(), diagonal.sum()]), op=MPI.SUM)
-        return diagonal * (both[0] / both[1])
 
     def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
         """A matrix of that pattern, the same as long as the pattern is. Collective."""
@@ -150,6 +135,10 @@ class Mass:
         if scaling != 1.0:
             self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
         self.iterations = 0
+        single = terms.kind == "lumped" and all(
+            np.array_equal(b.rows, b.columns) for b in self.blocks
+        )
+        self._diagonal: bool = self.comm.allreduce(single, op=MPI.LAND)
         sums = Nodal([self._field.basis.nodes], [1])
         for b in self.blocks:
             if terms.kind == "lumped":
@@ -167,6 +156,11 @@ class Mass:
     def comm(self) -> MPI.Intracomm:
         """Communicator of the problem."""
         return self._here.unknowns.comm
+
+    @property
+    def nodes(self) -> Numbering:
+        """Numbering of the nodes."""
+        return self._field.basis.nodes
 
     def nodal(self) -> Nodal:
         """Zeros at the nodes. Collective."""
@@ -215,11 +209,11 @@ class Mass:
         unknowns, out = self._unknowns, self.nodal()
         m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
         (p,) = right.arrays
-        if self._terms.kind != "lumped":
+        if not self._diagonal:
             # nodes of next to no mass, p/m of which may be anything, are to start from nothing
             m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
         guess = unknowns.restrict([p / m])
-        if self._terms.kind != "lumped":
+        if not self._diagonal:
             fixed = np.where(unknowns.fields[0].fixed, held, 0.0)
             given = unknowns.restrict([p]) - unknowns.restrict(self.times(fixed).arrays)
             guess = self._cg(given, guess)
@@ -237,7 +231,7 @@ class Mass:
         return self._own
 
     def _cg(self, right: Array, guess: Array) -> Array:
-        """Conjugate gradients with the diagonal of the ghosted matrix. Collective."""
+        """Conjugate gradients with the diagonal of the matrix. Collective."""
         unknowns = self._unknowns
         if unknowns.total == 0:
             return guess
