@@ -114,7 +114,9 @@ class General:
         mass = Mass(terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, s, x_node)
-        V = mass.solve(momenta, self._before(step, held, field.basis)).arrays[0]
+        before = self._before(step, held, field.basis)
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = problem.form.on(here)
         forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
         if isinstance(forces, str):

@@ -30,6 +30,8 @@ KINDS = ("consistent", "lumped")
 
 # CG ends at this share of the right-hand side: an affine velocity is to come back to ten digits
 _TOLERANCE, _MOST = 1e-14, 2000
+# Velocities of nodes by those of points; where the mass is sound, noise grows by 100 on cubic splines
+_PROPORTION = 1e3
 
 
 def point_masses(points: MaterialPoints) -> Array:
@@ -192,6 +194,35 @@ class Mass:
             add_product(b, [v], out.arrays)
         out.add_up()
         return out
+
+    def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
+        """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
+
+        Args:
+            momenta: Summed at the nodes' owners.
+            held: Velocities of prescribed components (m/s), shape (nodes, components).
+            fastest: The largest component of a velocity of this rank's points (m/s).
+
+        Raises:
+            ConvergenceError: The mass is singular: a node is out of all proportion faster than
+                the points, which a consistent mass allows where it has next to none of them.
+        """
+        V = self.solve(momenta, held)
+        if self._diagonal:
+            return V
+        nodes = self._here.unknowns.fields[0].nodes
+        given = np.where(self._here.unknowns.fields[0].fixed, held, 0.0)
+        found = [np.abs(V.arrays[0][nodes]).max(initial=0.0), np.abs(given).max(initial=0.0)]
+        largest, moved, fastest = self.comm.allreduce(np.array([*found, fastest]), op=MPI.MAX)
+        bound = _PROPORTION * max(moved, fastest)
+        if not largest <= bound:
+            raise ConvergenceError(
+                f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
+                f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
+                "is allowed; give a ghost_mass above 0, which is the default, or "
+                'mass="lumped", or stabilisation="aggregation"'
+            )
+        return V
 
     def solve(self, right: Nodal, held: Array) -> Nodal:
         """Nodal values v with M v = right, those of held components being given. Collective.

@@ -134,7 +134,8 @@ class Motion:
         x_node = field.basis.node_coordinates()
         self.mapping.to_grid(points, field.stencils, x_node, momenta)
         self._momenta = momenta.arrays[0].copy()
-        self.V = mass.solve(momenta, rates).arrays[0]
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        self.V = mass.velocities(momenta, rates, fastest).arrays[0]
         forces = mass.nodal()
         if self._starting:
             plain = form.on(here)

@@ -9,7 +9,7 @@ from dolfinx import mesh
 from scenes import disc
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.dynamics import transfer
 from dolfinmpm.dynamics.energies import angular_momentum
 from dolfinmpm.dynamics.mass import Mass
@@ -26,7 +26,7 @@ def affine(x):
     return x @ GRADIENT[:d, :d].T + SHIFT[:d]
 
 
-def block(kind, basis, cut, **options):
+def block(kind, basis, cut, rule=mpm.Newmark, **options):
     """A block whose edges reach into their last cells by a share of one; it moves affinely."""
     h, low, high = 0.1, 0.53, 1.2 + 0.1 * cut
     if kind == "interval":
@@ -46,7 +46,7 @@ def block(kind, basis, cut, **options):
     F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, V.increment, V.test)
     points.add_field("velocity", (points.gdim,), "m/s")
     points["velocity"] = affine(points["x"])
-    return mpm.Newmark(F, V.increment, points, (), **options)
+    return rule(F, V.increment, points, (), **options)
 
 
 def mapped(problem):
@@ -147,6 +147,23 @@ def test_without_a_ghost_penalty_small_cuts_spoil_it():
         _, V, nodes, x = mapped(block("quadrilateral", "gimp", cut, ghost_mass=0.0))
         error = np.abs(V[nodes] - affine(x)).max() / np.abs(affine(x)).max()
         assert (error < worst) == (cut == 0.5)
+
+
+@pytest.mark.parametrize("rule", [mpm.Newmark, mpm.Explicit])
+def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_an_error(rule):
+    def wavy(cut, **options):
+        problem = block("quadrilateral", "gimp", cut, rule, mass="consistent", **options)
+        problem.points["velocity"] = np.sin(3 * problem.points["x"])
+        return problem
+
+    given = {"mapping": "pic", "scheme": "usl"} if rule is mpm.Explicit else {}
+    message = r"next to singular: a node has the velocity .* m/s .* give a ghost_mass above 0"
+    with pytest.raises(ConvergenceError, match=message):
+        wavy(1e-6, ghost_mass=0.0, **given).step(1e-3)
+    # sound where cuts are large, or a penalty or ties act
+    wavy(0.5, ghost_mass=0.0, **given).step(1e-3)
+    wavy(1e-6, **given).step(1e-3)
+    wavy(1e-6, stabilisation="aggregation", **given).step(1e-3)
 
 
 @pytest.mark.parametrize("remedy", ["none", "aggregation"])
