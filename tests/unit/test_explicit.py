@@ -227,6 +227,30 @@ def test_aggregation_keeps_the_energy_of_a_block_in_flight():
         assert 0.8 < (e.kinetic - drift + e.strain + e.dissipated) / first < 1.25
 
 
+def test_a_node_that_points_see_with_no_weight_is_not_accelerated():
+    """A point on a grid line sees the far node of its cell with a slope and no weight."""
+    found = []
+    for fused in (True, False):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (8, 8)], (8, 8), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((2, 2), (5, 5)), 1, 1.0)
+        points["x"] = points["x"] + 0.5
+        points.locate()
+        V = mpm.Space(grid, "linear")
+        law = mpm.materials.Hencky(E=1.0, nu=0.3)
+        mpm.set_stress(points, law, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
+        F = mpm.momentum(law, points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points, fused=fused, courant=0.01, scheme="usl")
+        assert (problem.unfused == "") == fused
+        problem.step(next(mpm.times(5e-3)))
+        order = np.argsort(points["id"])
+        found.append([points[name][order] for name in ("x", "F", "velocity")])
+    for one, other in zip(*found):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
+    # by the forces at nodes with mass alone
+    dt = problem.time
+    assert 0 < np.abs(found[0][1] - np.eye(2)).max() < 2e-3 * dt**2
+
+
 def test_mass_cut_off_stops_light_nodes_and_redistribution_keeps_their_forces():
     """Both bound the accelerations of nodes that a corner of a domain just reaches."""
 
