@@ -129,8 +129,12 @@ class Fused:
         damping: Share of local damping.
 
     Attributes:
-        done: Work of the stresses, and of loads and prescribed motions, so far (J).
+        done: Work of the stresses, and of loads and prescribed motions, since last asked (J).
+        at_once: Steps that one call may take.
+        instead: Why other steps are taken: they are not.
     """
+
+    at_once, instead = 20, ""
 
     def __init__(
         self,
@@ -158,8 +162,12 @@ class Fused:
         self._affine = {"apic": 1, "tpic": 2}.get(mapping.kind, 0)
 
     def work(self) -> tuple[float, float]:
-        """Work of the stresses, and of loads and prescribed motions, so far (J). Collective."""
+        """Work (J) of the stresses, and of loads and prescribed motions, since last asked.
+
+        Collective.
+        """
         internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
+        self.done[:2] = 0.0
         return float(internal), float(external)
 
     # -- the window -------------------------------------------------------------
