@@ -17,7 +17,7 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import require_lattice
 
-__all__ = ["Face", "Faces", "absorbing", "divided", "frictional", "set_velocities"]
+__all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
 
 Array = npt.NDArray[np.float64]
 
@@ -192,6 +192,30 @@ class Faces:
             left = np.maximum(0.0, 1.0 - mu * out / np.maximum(sliding, 1e-300))
             for k in along:
                 V[rows, k] *= left
+
+
+class Sides:
+    """Faces of the grid in any numbering of the nodes.
+
+    Args:
+        faces: The faces.
+        d: Dimension of space.
+    """
+
+    def __init__(self, faces: Sequence[Face], d: int):
+        self._faces, self._d = list(faces), d
+        self._on: dict[Any, Faces] = {}
+
+    def __len__(self):
+        return len(self._faces)
+
+    def on(self, basis: Any) -> Faces | None:
+        """The faces in a basis's numbering, or None without any. Collective when asked first."""
+        if not self._faces:
+            return None
+        if basis not in self._on:
+            self._on[basis] = Faces(self._faces, basis, self._d)
+        return self._on[basis]
 
 
 def _areas(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int) -> Array:

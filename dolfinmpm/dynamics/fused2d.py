@@ -406,6 +406,13 @@ def kernel(
                             if affine:
                                 Z = axpy(S0[a] * S1[b] * (node1[i1 + b] - x1), K1, Z)
                             store(at + b * STRIDE, Z)
+                if move and TPIC:
+                    # C (1 + Δt C)⁻¹ = (C + Δt det C)/det(1 + Δt C), by where the points go
+                    b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                    z = dt * (b00 * b11 - b01 * b10)
+                    q = 1.0 / (1.0 + dt * (b00 + b11 + z))
+                    C[p, 0, 0], C[p, 1, 1] = q * (b00 + z), q * (b11 + z)
+                    C[p, 0, 1], C[p, 1, 0] = q * b01, q * b10
                 if move:
                     x0, x1 = x0 + dt * v0, x1 + dt * v1
                     x[p, 0], x[p, 1] = x0, x1
