@@ -555,7 +555,7 @@ class Fused:
         out, nodes, fixed = self._out, self._nodes, self._fixed
         usf, usl = self._scheme == "usf", self._scheme == "usl"
         # forces alone make the points' acceleration, not what moves or stops nodes
-        apart = record and (self._driven is not None or len(self._faces) > 0)
+        apart = record and (self._driven is not None or len(self._acting) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             _divide(box, columns, out, 0, nodes, fixed, self._before, False)
