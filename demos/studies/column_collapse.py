@@ -79,9 +79,12 @@ def arguments():
     options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
     options.add_argument("--basis", choices=BASES, default="gimp")
     options.add_argument(
-        "--domains", choices=("stretch", "volume", "fixed"), default="volume", help="how they grow"
+        "--domains", choices=("stretch", "volume", "fixed"), default="fixed", help="how they grow"
     )
     options.add_argument("--fbar", choices=("on", "off"), default="on")
+    options.add_argument(
+        "--means", choices=("auto", "centres", "domains"), default="auto", help="F-bar's; see below"
+    )  # fmt: skip
     options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
     options.add_argument("--integrator", choices=("implicit", "explicit"), default="explicit")
     options.add_argument(
@@ -138,8 +141,25 @@ def arguments():
 # There is no ghost penalty of the stiffness: it would act on the increments of flow as a
 # viscosity $E\,\Delta t/30$.
 #
-# Points' domains grow with their volume, not with the stretch: that of a point at the front,
-# where F grows without bound, would come to span the whole grid.
+# Points' domains keep their size. With the stretch that of a point at the front, where F grows
+# without bound, would come to span the whole grid: the front stops too early, and of the kinetic
+# energy at 0.45 s a third is gone. That they grow with the volume (`--domains volume`) changes
+# little.
+#
+# ## What F-bar takes the mean of
+# Explicit steps with GIMP count each point in the cell of its centre ("centres"), as explicit codes
+# do. Where domains share themselves out among the cells that they overlap ("domains") neighbouring
+# cells have nearly the same mean, there is less freedom to change shape at constant volume, and the
+# sand comes to rest later: at 0.607 s it has 15 % more kinetic energy, and before 0.4 s less than
+# 2 % of a difference. Splines take means over splines one degree lower, implicit steps the
+# shares of domains, whose tangent does not jump when points cross into the next cell.
+#
+# With $E = 5.84$ MPa, 2080 kg/m³ at 9.81 m/s², cells of 5 mm and 2² points an independent explicit
+# GIMP code has 99 % of the sand left of 0.225, 0.303, 0.366, 0.406, 0.426 and 0.428 m at 0.1, 0.2,
+# 0.3, 0.4, 0.5 and 0.607 s, and a kinetic energy of 1.04, 1.08, 0.750, 0.409, 0.200 and 0.107 J/m.
+# The same comes out here within 0.3 % and 1.6 %, and the heights at rest within 3.3 mm. They are
+# off the measured ones by 1.9 mm (root mean square). Where the heap is thin single rows of
+# points count: another length of steps moves the height at 0.362 m by 2 mm.
 
 
 # %%
@@ -167,6 +187,11 @@ def problem_of(args, integrator, basis, fbar, strain):
     V = mpm.Space(grid, basis, domains=args.domains)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, -args.gravity))
+    means = args.means
+    if means == "auto":
+        means = "centres" if integrator == "explicit" and V.basis.degree == 1 else "domains"
+    if fbar and means == "centres":
+        fbar = "centres"
     F = mpm.momentum(law_of(args), points, u, v, strain=strain, fbar=fbar)
     F -= ufl.inner(points.density * gravity, v) * points.dX
     bcs = mpm.fixed(V, lambda x: x[1] < 1e-6 * h)
@@ -307,7 +332,7 @@ def picture(path, args, figures, states, profile):
         for ax, (t, (x, F, l0, strain)) in zip(axes, states):
             # undeformed, and a little larger than they are: F of what flows tells nothing of shape
             whole_squares = np.broadcast_to(np.eye(2), F.shape)
-            drawn = draw_points(ax, x, whole_squares, 1.2 * l0, strain, cmap="viridis", clim=(0, 3))
+            drawn = draw_points(ax, x, whole_squares, 1.4 * l0, strain, cmap="viridis", clim=(0, 5))
             ax.text(0.98, 0.8, f"$t$ = {t:g} s", transform=ax.transAxes, ha="right")
             ax.set(xlim=(0, reach), ylim=(0, top), xlabel="")
         axes[-2].plot(*LINE.T, "x", ms=3.5, color="#D55E00", label="line of failure, measured")

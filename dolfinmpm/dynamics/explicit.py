@@ -429,6 +429,9 @@ class Explicit(Problem):
         total = kinetic + work.internal - work.external
         if self._first_energy is None:
             self._first_energy = self._last_energy = total
+            # of a body under stress: its work in an increment is that of a large stress
+            stored = self.energies().strain
+            self._most = abs(stored) if math.isfinite(stored) else 0.0
         if begins:
             self._first_energy += total - self._last_energy
         self._last_energy = total
