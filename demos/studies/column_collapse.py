@@ -219,22 +219,22 @@ def problem_of(args, integrator, basis, fbar, strain):
 
 
 # %%
-def surface(points, args, centres):
+def surface(points, centres, width=COLUMN):
     """Area a width in columns around centres (m), shape (n,). Collective."""
     x, V, l0 = points["x"][:, 0], points["V0"], points["l0"][:, 0]
     low, high = x - l0, x + l0
     heights = np.empty(len(centres))
     for k, centre in enumerate(centres):
-        inside = np.minimum(high, centre + COLUMN / 2) - np.maximum(low, centre - COLUMN / 2)
+        inside = np.minimum(high, centre + width / 2) - np.maximum(low, centre - width / 2)
         # what the wall cuts off is not there to be filled
-        heights[k] = np.sum(V * np.clip(inside, 0, None) / (high - low)) / COLUMN
+        heights[k] = np.sum(V * np.clip(inside, 0, None) / (high - low)) / width
     return points.comm.allreduce(heights, op=MPI.SUM)
 
 
 def measure(points, args, problem):
     """Toe, place of 99 % (m) and kinetic energy (J/m). Collective."""
     centres = np.arange(COLUMN / 2, 3.5 * args.width, COLUMN)
-    heights = surface(points, args, centres)
+    heights = surface(points, centres)
     k = int(np.argmax(heights < 0.002))
     share = (heights[k - 1] - 0.002) / (heights[k - 1] - heights[k])
     rows = points.gather("x", "V0")
@@ -252,6 +252,16 @@ def measure(points, args, problem):
         "plastic_strain": float(sums[0] / sums[1]),
         "max_plastic_strain": points.comm.allreduce(strain.max(initial=0.0), op=MPI.MAX),
     }
+
+
+def scatter(points):
+    """Root mean square of pressures about those of their cells, by that of all. Collective."""
+    p, V = np.trace(points["stress"], axis1=1, axis2=2) / 3, points["V0"]
+    _, cell = np.unique(points["cell"], return_inverse=True)
+    mean = np.bincount(cell, V * p) / np.bincount(cell, V)
+    sums = np.array([V @ (p - mean[cell]) ** 2, V @ p**2])
+    sums = points.comm.allreduce(sums, op=MPI.SUM)
+    return float(np.sqrt(sums[0] / sums[1]))
 
 
 STATE = "x", "F", "l0", "plastic_strain"
@@ -278,13 +288,14 @@ def run(args, integrator, basis, fbar, strain, keep=()):
         # the run's outcome is what is asked for, good or bad
         reason = f"{type(error).__name__}: {error}"
     seconds = time.perf_counter() - ready
-    heights = surface(points, args, PLACES)
+    heights = surface(points, PLACES)
     steps = sum(record.parts for record in problem.history)
     history = problem.history
     figures = {
         "completed": not reason,
         "reason": reason,
         **{key: [one[key] for one in found] for key in (found[0] if found else ())},
+        "pressure_scatter": scatter(points),
         "places": PLACES.tolist(),
         "heights": heights.tolist(),
         "rms": float(np.sqrt(np.mean((heights - MEASURED) ** 2))),
@@ -299,7 +310,8 @@ def run(args, integrator, basis, fbar, strain, keep=()):
         "microseconds_per_point_step": 1e6 * seconds / max(steps * points.total, 1),
     }
     centres = np.arange(COLUMN / 2, 3.5 * args.width, COLUMN)
-    profile = centres, surface(points, args, centres)
+    # columns narrower than cells would show the rows of points
+    profile = centres, surface(points, centres, max(COLUMN, args.h))
     toe = f"{figures['toe'][-1]:.3f}" if found else "-"
     x99 = f"{figures['x99'][-1]:.3f}" if found else "-"
     say(
@@ -382,6 +394,57 @@ def variants_picture(path, args, results):
 
 
 # %% [markdown]
+# ## Trends
+# What Xie and others say of the variants, each with the mean figures of those of either kind. The
+# scatter is that of pressures within cells; it is checkerboards that make it large.
+
+
+# %%
+def trends(results):
+    """What is said of the variants, and the two figures that show it."""
+    runs = [one for one, _ in results if one["completed"]]
+    k = int(np.searchsorted(PLACES, 0.08))
+
+    def mean(key, **chosen):
+        values = [
+            one["heights"][k] if key == "crest" else one[key][-1]
+            if isinstance(one[key], list) else one[key]
+            for one in runs if all(one[name] in value for name, value in chosen.items())
+        ]  # fmt: skip
+        return float(np.mean(values)) if values else None
+
+    cells, splines = ("linear", "gimp"), ("bspline2", "bspline3")
+    on, off = ("on",), ("off",)
+    rows = [
+        ("no F-bar: pressures scatter in MPM and GIMP, less in splines", "pressure_scatter",
+         {"basis": cells, "fbar": off}, {"basis": splines, "fbar": off}),
+        ("F-bar cures the pressures of MPM and GIMP", "pressure_scatter",
+         {"basis": cells, "fbar": off}, {"basis": cells, "fbar": on}),
+        ("no F-bar: the height at 0.08 m is too large in MPM and GIMP, good in splines", "crest",
+         {"basis": cells, "fbar": off}, {"basis": splines, "fbar": off}),
+        ("without F-bar sand runs further", "x99", {"fbar": off}, {"fbar": on}),
+        ("explicit steps run out further", "x99",
+         {"integrator": ("explicit",)}, {"integrator": ("implicit",)}),
+        ("best: splines with F-bar in implicit steps; the others", "rms",
+         {"basis": splines, "fbar": on, "integrator": ("implicit",)}, {"basis": cells}),
+        ("small and large strain move alike", "x99",
+         {"strain": ("small",)}, {"strain": ("large",)}),
+        ("plastic strain grows faster in small strain", "plastic_strain",
+         {"strain": ("small",)}, {"strain": ("large",)}),
+        ("Jaumann's rate is about small strain", "plastic_strain",
+         {"strain": ("jaumann",)}, {"strain": ("small",)}),
+    ]  # fmt: skip
+    found = []
+    for statement, key, one, other in rows:
+        pair = mean(key, **one), mean(key, **other)
+        if None not in pair:
+            found.append({"statement": statement, "figure": key, "first": pair[0],
+                          "second": pair[1]})  # fmt: skip
+            say(f"{statement}: {key} {pair[0]:.4g} and {pair[1]:.4g}")
+    return found
+
+
+# %% [markdown]
 # ## Runs
 
 # %%
@@ -396,7 +459,7 @@ if args.variants:
         results.append(({**chosen, **figures}, profile))
     if not args.no_plot and MPI.COMM_WORLD.rank == 0:
         variants_picture(args.output / "column_collapse_variants.png", args, results)
-    finish(args, {"runs": [one for one, _ in results]})
+    finish(args, {"runs": [one for one, _ in results], "trends": trends(results)})
 else:
     shown = [t for t in args.times if t in (0.1, 0.2, 0.3)] + [args.times[-1]]
     figures, states, profile = run(
