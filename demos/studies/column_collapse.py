@@ -225,9 +225,11 @@ def surface(points, centres, width=COLUMN):
     low, high = x - l0, x + l0
     heights = np.empty(len(centres))
     for k, centre in enumerate(centres):
-        inside = np.minimum(high, centre + width / 2) - np.maximum(low, centre - width / 2)
+        # columns end at the wall
+        left, right = max(centre - width / 2, 0.0), centre + width / 2
+        inside = np.minimum(high, right) - np.maximum(low, left)
         # what the wall cuts off is not there to be filled
-        heights[k] = np.sum(V * np.clip(inside, 0, None) / (high - low)) / width
+        heights[k] = np.sum(V * np.clip(inside, 0, None) / (high - low)) / (right - left)
     return points.comm.allreduce(heights, op=MPI.SUM)
 
 
