@@ -298,7 +298,7 @@ def picture(path):
         left = axes[0]
         y = np.arange(len(rows))[::-1]
         left.barh(y + 0.2, [max(r["step_uncut"], 1e-4) for r in rows], 0.38, label="uncut")
-        known = [(k, max(r["step_worst"], 1e-4)) for k, r in zip(y, rows) if r["step_worst"]]
+        known = [(k, max(s, 1e-4)) for k, s in zip(y, (r["step_worst"] for r in rows)) if s]
         left.barh([k - 0.2 for k, _ in known], [s for _, s in known], 0.38, label="worst cut")
         left.set(xscale="log", xlabel="critical step $\\Delta t\\, c/h$", xlim=(1e-4, 3))
         left.set_yticks(y, labels=[r["method"] for r in rows])

@@ -199,10 +199,14 @@ def test_means_of_overlapping_domains_by_hand():
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0])), expected, rtol=1e-14)
 
 
-def test_means_by_centres_over_the_domains_of_others():
-    """Each point has its cell's mean, and its domain beyond the cell counts nowhere else."""
+@pytest.mark.parametrize("size", [0.83, 0.6])
+def test_means_by_centres_over_the_domains_of_others(size):
+    """Each point has its cell's mean, and its domain beyond the cell counts nowhere else.
+
+    Around the smaller body domains reach into cells without a centre.
+    """
     grid = unit_grid("quadrilateral", 4)
-    points = mpm.fill(grid, box(grid), 2, 1.0)
+    points = mpm.fill(grid, box(grid, size), 2, 1.0)
     points["l"] = (0.1, 0.1)
     V = mpm.Space(grid, "gimp")
     u = V.increment
