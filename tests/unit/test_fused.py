@@ -10,11 +10,14 @@ from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError
+from dolfinmpm.dynamics.fused2d import kernel
+from dolfinmpm.dynamics.passes import LAW, PASSES
 from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
 
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "l")
 HENCKY, NEO = Hencky(E=1e5, nu=0.3), NeoHookean(E=1e5, nu=0.3)
 STEEL, SAND = VonMises(E=1e5, nu=0.3, yield_stress=2e3), MohrCoulomb(1e5, 0.3, 500.0, 25.0, 5.0)
+LOOSE = MohrCoulomb(1e5, 0.3, 0.0, 22.0)
 CLAY = CamClay(0.018, 0.13, 1.05, 5400.0, 0.0, 20.0, 2e4)
 
 
@@ -32,16 +35,18 @@ def lattice(d=2, n=8, power=1.0):
 
 def problem(
     law=HENCKY, basis="bspline2", averaged=None, scheme="usl", mapping="flip", strain="large", d=2,
-    body=None, power=1.0, push=0.0, load=None, more=(), given=(), fused=True, start=None, **options,
+    fbar=False, domains="stretch", body=None, power=1.0, push=0.0, load=None, conditions=None,
+    fused=True, start=None, **options,
 ):  # fmt: skip
     """A body that turns, is strained and falls."""
     grid = lattice(d, 8 if d == 2 else 5, power)
     centre = (0.013, -0.021, 0.034)[:d]
     body = body or (mpm.Disc(centre, 0.55) if d == 2 else mpm.Sphere(centre, 0.6))
     points = mpm.fill(grid, body, 2, 1000.0)
-    V = mpm.Space(grid, basis) if averaged is None else mpm.Space(grid, basis, averaged=averaged)
+    options_of = {} if averaged is None else {"averaged": averaged}
+    V = mpm.Space(grid, basis, domains=domains, **options_of)
     u, v = V.increment, V.test
-    small = {} if strain == "large" else {"strain": strain}
+    small = {"strain": strain, "fbar": fbar} if fbar or strain != "large" else {}
     laws = law if isinstance(law, list) else [law]
     if len(laws) > 1:
         points["tag"][points["x"][:, 1] > 0] = 1
@@ -61,6 +66,8 @@ def problem(
     bcs = mpm.fixed(V, lambda x: x[1] < -0.4)
     if push:
         bcs = mpm.prescribed(V, "bottom", 1, push) + mpm.rollers(V, "left")
+    if conditions is not None:
+        bcs = conditions(V)
     options = {"courant": 0.4} | options
     return mpm.Explicit(F, u, points, bcs, scheme=scheme, mapping=mapping, fused=fused, **options)
 
@@ -74,7 +81,8 @@ def compare(times=(0.006, 0.02), tolerance=1e-11, **scene):
         for p in (one, other):
             p.step(t)
     a, b = (np.argsort(p.points["id"]) for p in (one, other))
-    names = [*FIELDS, *(set(other.points.fields) & {"be", "elastic_strain", "plastic_strain"})]
+    names = [*FIELDS, *(set(other.points.fields) & {"be", "elastic_strain", "J_bar"})]
+    names += [n for n in other.points.fields if n == "plastic_strain"]
     names += [n for n in other.points.fields if n in ("void_ratio", "preconsolidation")]
     for name in names:
         found, expected = one.points[name][a], other.points[name][b]
@@ -125,6 +133,41 @@ def test_small_strain():
         compare(basis="gimp", scheme=scheme, strain="small", law=STEEL)
 
 
+SHARED = [
+    {"basis": "gimp", "scheme": "musl", "law": LOOSE, "domains": "volume"},
+    {"basis": "linear", "scheme": "usl", "law": HENCKY},
+    {"basis": "bspline2", "averaged": False, "scheme": "usl", "law": HENCKY},
+    {"basis": "bspline2", "averaged": True, "scheme": "musl", "law": HENCKY, "domains": "fixed"},
+    {"basis": "bspline3", "averaged": False, "scheme": "usf", "law": HENCKY},
+    {"basis": "bspline3", "averaged": True, "scheme": "usl", "law": HENCKY, "power": 1.3},
+    {"basis": "gimp", "scheme": "usl", "law": HENCKY, "power": 1.3, "strain": "small"},
+    {"basis": "gimp", "scheme": "usf", "law": HENCKY, "strain": "jaumann", "mapping": "apic"},
+]
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(s, marks=[] if k < 1 else [pytest.mark.long]) for k, s in enumerate(SHARED)],
+    ids=lambda s: "-".join(str(x) for x in s.values())[:40],
+)
+def test_shared_changes_of_volume(scene):
+    one = compare(fbar=True, body=mpm.Box((-1, -1), (0.6, 0.43)), **scene)
+    if scene.get("strain", "large") == "large":
+        J = np.linalg.det(one.points["F"])
+        assert np.abs(one.points["J_bar"] / J - 1.0).max() > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("scheme", "basis"),
+    [
+        ("musl", "bspline2"),
+        *(pytest.param(s, "gimp", marks=pytest.mark.long) for s in ("usl", "usf")),
+    ],
+)
+def test_jaumanns_rate(scheme, basis):
+    compare(strain="jaumann", law=STEEL, scheme=scheme, basis=basis, times=(0.01, 0.05))
+
+
 @pytest.mark.parametrize(
     "law", [STEEL, pytest.param(SAND, marks=pytest.mark.long)], ids=["steel", "sand"]
 )
@@ -156,7 +199,8 @@ def test_cells_of_different_sizes():
 @pytest.mark.long
 @pytest.mark.parametrize(("basis", "averaged"), [("gimp", None), ("bspline2", False)])
 def test_points_at_the_grids_edges(basis, averaged):
-    compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)))
+    for mapping in ("flip", "apic"):
+        compare(basis=basis, averaged=averaged, body=mpm.Box((-1, -1), (1, 0.3)), mapping=mapping)
 
 
 @pytest.mark.parametrize(
@@ -165,6 +209,39 @@ def test_points_at_the_grids_edges(basis, averaged):
 def test_prescribed_motion_damping_and_scaled_mass(scheme):
     body = mpm.Box((-1, -1), (0.6, 0.4))
     compare(body=body, push=0.01, averaged=False, damping=0.1, mass_scaling=4.0, scheme=scheme)
+
+
+@pytest.mark.parametrize(
+    "scheme", ["usl", *(pytest.param(s, marks=pytest.mark.long) for s in ("musl", "usf"))]
+)
+def test_velocities_in_time(scheme):
+    def conditions(V):
+        pressed = mpm.moving(V, "bottom", 1, lambda t: 0.3 * np.sin(60 * t))
+        return pressed + mpm.moving(V, lambda x: x[0] < -0.8, 0, 0.1) + mpm.rollers(V, "right")
+
+    body = mpm.Box((-1, -1), (0.6, 0.4))
+    one = compare(
+        body=body, conditions=conditions, averaged=False, damping=0.1, mass_scaling=4.0,
+        scheme=scheme, times=(0.013, 0.06),
+    )  # fmt: skip
+    assert abs(one.energies().external) > 0
+
+
+@pytest.mark.parametrize(
+    "scheme", ["musl", *(pytest.param(s, marks=pytest.mark.long) for s in ("usl", "usf"))]
+)
+def test_sides_that_rub_and_let_waves_out(scheme):
+    def conditions(V):
+        sides = mpm.frictional(V, "bottom", friction=0.3) + mpm.frictional(V, "left", friction=0.0)
+        waves = {"density": 1000.0, "p_speed": 12.0, "s_speed": 6.0}
+        return sides + mpm.absorbing(V, "right", **waves) + mpm.rollers(V, "left")
+
+    body = mpm.Box((-1, -1), (1, 0.4))
+    one = compare(
+        body=body, conditions=conditions, averaged=False, damping=0.1, mass_scaling=2.0,
+        scheme=scheme, times=(0.013, 0.06), mapping="pic" if scheme == "usf" else "flip",
+    )  # fmt: skip
+    assert one.energies().kinetic > 0
 
 
 def test_many_steps_of_a_call_and_loads_that_change():
@@ -196,6 +273,14 @@ def test_many_steps_of_a_call_and_loads_that_change():
     one, other = (x["work"] for x in found)
     assert other.external > 0
     assert one.external == pytest.approx(other.external, rel=1e-10)
+
+
+def test_loops_can_be_kept_on_disk():
+    # Numba knows a loop again by what it closes over, and a compiled function never again
+    loop = kernel(2, 1, LAW, 1, PASSES["usl"][0], False)
+    values = [cell.cell_contents for cell in loop.py_func.__closure__]
+    assert values
+    assert all(isinstance(value, (bool, int)) for value in values)
 
 
 def test_fields_may_be_changed_between_calls():
