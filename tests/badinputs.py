@@ -454,7 +454,10 @@ BAD = {
     "momentum: v elsewhere": (lambda s: s.momentum(v=s.W.test), "v lives on another grid"),
     "momentum: strain a list": (lambda s: s.momentum(strain=["large"]), 'must be one of "large"'),
     "momentum: strain": (lambda s: s.momentum(strain="larg"), 'did you mean "large"'),
-    "momentum: fbar a word": (lambda s: s.momentum(fbar="yes"), "fbar = 'yes' must be True or Fal"),
+    "momentum: fbar a word": (
+        lambda s: s.momentum(fbar="yes"),
+        "fbar = 'yes' must be True, False or 'centres'",
+    ),
     "momentum: fbar a number": (lambda s: s.momentum(fbar=1), "fbar = 1 must be True or False"),
     "momentum: tag a space": (lambda s: s.momentum(tag=s.V), "tag = a Space must be a whole"),
     "momentum: swapped": (

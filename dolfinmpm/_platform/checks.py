@@ -103,14 +103,20 @@ def whole(what: str, value: Any, least: int) -> int:
     return given
 
 
-def truth(what: str, value: Any) -> bool:
+def truth(what: str, value: Any, *words: str) -> bool:
     """True or False; what merely counts as one of them is refused.
+
+    Args:
+        what: The argument's name.
+        value: What was given.
+        words: What else the argument may be, for the message.
 
     Raises:
         ParameterError: It is neither.
     """
     if not isinstance(value, (bool, np.bool_)):
-        raise ParameterError(f"{what} = {shown(value)} must be True or False")
+        others = "".join(f" or {word!r}" for word in words)
+        raise ParameterError(f"{what} = {shown(value)} must be True or False{others}")
     return bool(value)
 
 

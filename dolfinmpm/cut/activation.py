@@ -46,6 +46,10 @@ class Region(Protocol):
     def averages(self) -> bool:
         """Whether a law takes means over cells."""
 
+    @property
+    def by_centres(self) -> bool:
+        """Whether the means count each point in the cell of its centre alone."""
+
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
         """Which points belong to it, or None if all do."""
 
@@ -387,7 +391,10 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         first = fields[0]
         *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
         stencils = pushed(stencils)
-        means = CellMeans(points["V"], here.where, shared, first.basis)
+        where = here.where
+        if region.by_centres:
+            where = replace(where, half=np.zeros_like(where.half))
+        means = CellMeans(points["V"], where, shared, first.basis)
     within = [(f.basis.nodes, u.nodes) for f, u in zip(fields, unknowns.fields)]
     return ActiveRegion(stencils, means, within)
 

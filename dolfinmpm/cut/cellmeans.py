@@ -273,6 +273,9 @@ def _add_outer(
     data, prescribed, lift,
 ):  # fmt: skip
     for c in range(start.size - 1):
+        if volume[c] == 0.0:
+            # domains reach into it, but no centre that counts
+            continue
         # nodes and columns both increase: one walk along each row of the matrix
         for a in range(row_start[c], row_start[c + 1]):
             for i in range(left.shape[1]):

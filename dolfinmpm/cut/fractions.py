@@ -19,9 +19,13 @@ Array = npt.NDArray[np.float64]
 
 @numba.njit(cache=True, error_model="numpy")
 def _share(low, high, cell, x, half, p):
-    """Share of a point's domain that lies in a cell."""
+    """Share of a point's domain that lies in a cell; a point without one is in one cell."""
     share = 1.0
     for d in range(x.shape[1]):
+        if half[p, d] == 0.0:
+            if not low[cell, d] <= x[p, d] < high[cell, d]:
+                return 0.0
+            continue
         left = max(x[p, d] - half[p, d], low[cell, d])
         right = min(x[p, d] + half[p, d], high[cell, d])
         share *= max(right - left, 0.0) / (2.0 * half[p, d])

@@ -128,14 +128,15 @@ class Balance:
     Args:
         points: Material points.
         scaling: Factor of their mass in the inertia.
+        declarations: Laws in the form.
 
     Attributes:
         work: Work done since the first step.
     """
 
-    def __init__(self, points: MaterialPoints, scaling: float):
+    def __init__(self, points: MaterialPoints, scaling: float, declarations: Sequence[Any]):
         self.work = Work()
-        self._points, self._scaling = points, scaling
+        self._points, self._scaling, self._laws = points, scaling, declarations
         self._first: float | None = None
         self._last = self._most = 0.0
 
@@ -156,6 +157,9 @@ class Balance:
         total = kinetic + work.internal - work.external
         if self._first is None:
             self._first = self._last = total
+            # of a body under stress: its work in an increment is that of a large stress
+            stored = Energies.of(points, self._laws, work).strain
+            self._most = abs(stored) if math.isfinite(stored) else 0.0
         if begins:
             self._first += total - self._last
         self._last = total

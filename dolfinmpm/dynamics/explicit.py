@@ -129,7 +129,7 @@ class Explicit(Problem):
         super().__init__(form, increment, points, conditions, **options)
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        self.balance = Balance(points, settings.scaling)
+        self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         self._kept_state = Snapshot(points)
         sides = Sides(faces, points.gdim)
         found = self._fused(sides, options) if fused else "it was not to be"

@@ -39,6 +39,8 @@ def why_not(form: WeakForm) -> str | None:
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
         return "laws of several or other measures of strain"
+    if any(d.fbar == "centres" for d in declarations):
+        return "F-bar takes its means over the cells of the points' centres"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "laws by tags of which some share volume changes"
     if any(d.u is not space.increment for d in declarations):

@@ -77,7 +77,8 @@ class Declaration:
         law: The law.
         u: The increment that it is a function of.
         strain: Its measure of strain.
-        fbar: Whether its points share changes of volume over cells.
+        fbar: Whether its points share changes of volume over cells, or "centres" if each counts
+            in the cell of its centre.
         tags: Tags of the points that it is for; None means all.
         given: Its parameters in UFL by name, where UFL computes its stress.
         operator: What computes its stress, a `PointOperator`; None if UFL alone does.
@@ -97,7 +98,7 @@ class Declaration:
     law: Any
     u: Any
     strain: str
-    fbar: bool
+    fbar: bool | str
     tags: Tags
     given: Mapping[str, Any]
     operator: Any

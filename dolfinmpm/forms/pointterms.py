@@ -138,6 +138,22 @@ class PointTerms:
         """Whether a law takes means over cells."""
         return any(isinstance(operator.law, AveragingLaw) for operator in self.operators)
 
+    @functools.cached_property
+    def by_centres(self) -> bool:
+        """Whether the means count each point in the cell of its centre alone.
+
+        Raises:
+            FormError: Some laws of these points do so and others do not.
+        """
+        laws = [o.law for o in self.operators if isinstance(o.law, AveragingLaw)]
+        kinds = {bool(getattr(law, "by_centres", False)) for law in laws}
+        if len(kinds) > 1:
+            raise FormError(
+                'laws with fbar=True and with fbar="centres" meet at the same points; take one of '
+                "them for all"
+            )
+        return kinds == {True}
+
     def _flux(self, terms: list[Expr]) -> list[list[Expr]]:
         """For every field what goes with the test function's value and with its gradient."""
         if not terms:

@@ -212,9 +212,19 @@ class FBar:
         framework: What gives the stress.
         points: Material points.
         degree: Degree of the basis of the increment.
+        by_centres: Whether a point counts in the cell of its centre alone, and has that cell's
+            mean, though its domain overlaps others. There are fewer means to share then than
+            shares of domains leave, and they jump as points cross into the next cell.
     """
 
-    def __init__(self, framework: StrainFramework, points: MaterialPoints, degree: int = 1):
+    def __init__(
+        self,
+        framework: StrainFramework,
+        points: MaterialPoints,
+        degree: int = 1,
+        by_centres: bool = False,
+    ):
+        self.by_centres = by_centres
         self.framework = framework
         self.points = points
         self._degree = degree

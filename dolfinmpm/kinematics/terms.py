@@ -41,6 +41,8 @@ from dolfinmpm.materials.neohookean import NeoHookean
 
 __all__ = ["framework", "momentum", "set_stress", "stress"]
 
+CENTRES = "centres"
+
 _FRAMEWORKS: dict[str, type[Framework]] = {
     "large": LargeStrain,
     "small": SmallStrain,
@@ -80,12 +82,12 @@ def _end(points: MaterialPoints, u) -> Expr:
     return (ufl.Identity(points.gdim) + ufl.grad(u)) * points.F
 
 
-def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> int:
+def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
     """Number of the law's declaration: for the same arguments the same, with one operator."""
     check_points(points)
     check_displacement(points, u=u)
     strain = choice("strain", strain, _FRAMEWORKS)
-    tags, fbar = as_tags(tag), truth("fbar", fbar)
+    tags, fbar = as_tags(tag), _means(fbar, u)
     for number, known in points.declarations.items():
         same = known.law is law and (known.strain, known.fbar, known.tags) == (strain, fbar, tags)
         if same and known.u == u:
@@ -109,12 +111,36 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool, tag) -> in
     return number
 
 
-def _declare_kernel(law, points, u, strain: str, fbar: bool, tags: Tags) -> Declaration:
+def _degree(u) -> int:
+    """Degree of the basis of an increment; 1 of what is none, which a problem refuses."""
+    space = getattr(u, "_dolfinmpm_space", None)
+    return space.basis.degree if space is not None else 1
+
+
+def _means(fbar: Any, u) -> bool | str:
+    """Which means F-bar takes: True, False or "centres".
+
+    Raises:
+        ParameterError: It is none of them, or splines are to have means over cells.
+    """
+    if not isinstance(fbar, str):
+        return truth("fbar", fbar, CENTRES)
+    if fbar != CENTRES:
+        raise ParameterError(f"fbar = {shown(fbar)} must be True, False or {CENTRES!r}")
+    if _degree(u) > 1:
+        raise ParameterError(
+            f"fbar = {CENTRES!r} is of linear functions and GIMP: the means of splines of degree "
+            f"{_degree(u)} are over splines one degree lower; take fbar=True"
+        )
+    return CENTRES
+
+
+def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -> Declaration:
     inner = framework(law, points, strain, tags)
     # what is no increment of a space is refused when a problem is made
-    space = getattr(u, "_dolfinmpm_space", None)
-    degree = space.basis.degree if space is not None else 1
-    outer: PointwiseLaw = FBar(inner, points, degree) if fbar else inner
+    outer: PointwiseLaw = inner
+    if fbar:
+        outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
     operand = ufl.grad(u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
@@ -195,7 +221,7 @@ def momentum(
     u: fem.Function,
     v: Any,
     strain: str = "large",
-    fbar: bool = False,
+    fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
     """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
@@ -226,7 +252,9 @@ def momentum(
         v: Test function, `Space.test`.
         strain: "large", "small" or "jaumann"; an energy in UFL takes "large" only.
         fbar: Whether the points in a cell share its mean change of volume, against
-            locking of nearly incompressible bodies; see `FBar`.
+            locking of nearly incompressible bodies; see `FBar`. True shares domains of GIMP out
+            among the cells that they overlap, "centres" counts each point in the cell of its
+            centre, as explicit codes do.
         tag: Tags of the points that the law is for, one or several; None means all. Laws of
             one form must be for different points.
 
@@ -258,7 +286,7 @@ def stress(
     points: MaterialPoints,
     u: fem.Function,
     strain: str = "large",
-    fbar: bool = False,
+    fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
 ) -> Expr:
     """Cauchy stress at the end of the step (Pa), in UFL, for any term over the points.

@@ -254,6 +254,31 @@ def test_a_node_that_points_see_with_no_weight_is_not_accelerated():
     assert 0 < np.abs(found[0][1] - np.eye(2)).max() < 2e-3 * dt**2
 
 
+def test_a_body_under_stress_is_not_taken_for_an_unstable_one():
+    """What "musl" counts as strain and as motion of loads differ by a share of a large stress."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (4, 6)], (4, 6), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 5)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, u, v)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 5.0), (0, 1))
+    pressure = fem.Constant(grid, (0.0, 0.0))
+    F -= top.traction(pressure, v)
+    bcs = mpm.rollers(V, "left", "right", "bottom")
+    static = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+    for part in mpm.steps(10):
+        pressure.value[1] = -2e5 * part
+        static.step()
+    problem = mpm.Explicit(F, u, points, bcs)
+    stored = problem.energies().strain
+    pressure.value[1] *= 1.0001
+    for t in mpm.times(0.3, dt=0.01):
+        problem.step(t)
+    assert stored > 2e5
+    assert problem.energies().strain == pytest.approx(stored, rel=0.05)
+    assert problem.energies().kinetic < 0.01 * stored
+
+
 def test_mass_cut_off_stops_light_nodes_and_redistribution_keeps_their_forces():
     """Both bound the accelerations of nodes that a corner of a domain just reaches."""
 

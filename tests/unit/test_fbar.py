@@ -199,6 +199,45 @@ def test_means_of_overlapping_domains_by_hand():
     np.testing.assert_allclose(means.mean(np.array([10.0, 20.0])), expected, rtol=1e-14)
 
 
+@pytest.mark.parametrize("size", [0.83, 0.6])
+def test_means_by_centres_over_the_domains_of_others(size):
+    """Each point has its cell's mean, and its domain beyond the cell counts nowhere else.
+
+    Around the smaller body domains reach into cells without a centre.
+    """
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, box(grid, size), 2, 1.0)
+    points["l"] = (0.1, 0.1)
+    V = mpm.Space(grid, "gimp")
+    u = V.increment
+    F = mpm.momentum(Hencky(E=10.0, nu=0.45), points, u, V.test, fbar="centres")
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    with_history(points)
+    check(problem)
+    means = problem.here.regions[0].means
+    m = np.sin(np.arange(len(points)))
+    cell = np.unique(points["cell"], return_inverse=True)[1]
+    sums = np.bincount(cell, points["V"] * m) / np.bincount(cell, points["V"])
+    np.testing.assert_allclose(means.mean(m), sums[cell], rtol=1e-13)
+    assert problem.here.fields[0].stencils.cells.size > len(sums)
+    with pytest.raises(errors.ParameterError, match="'centres' is of linear functions and GIMP"):
+        mpm.momentum(
+            Hencky(E=10.0, nu=0.45), points, mpm.Space(grid, "bspline2").increment, V.test,
+            fbar="centres",
+        )  # fmt: skip
+
+
+def test_means_by_centres_and_by_domains_do_not_meet():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, box(grid), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(Hencky(E=10.0, nu=0.45), points, u, v, fbar="centres", tag=(0, 1))
+    F += mpm.momentum(Hencky(E=10.0, nu=0.45), points, u, v, fbar=True, tag=2)
+    with pytest.raises(errors.FormError, match='fbar="centres" meet'):
+        mpm.QuasiStatic(F, u, points).activate()
+
+
 def test_means_over_lower_splines_by_hand():
     """Of quadratic splines over hat functions: two points in one cell, one at the next knot."""
     grid = mesh.create_interval(MPI.COMM_SELF, 3, [0.0, 3.0])
