@@ -170,7 +170,8 @@ class Problem:
 
         A run that goes on gives the same figures as one that was not interrupted: bit for
         bit on one rank, and on as many ranks as before if the grid is distributed as it
-        was and the linear solver repeats itself (MUMPS on several ranks does not); else to
+        was and the linear solver repeats itself (MUMPS on several ranks does not, nor do
+        iterations whose preconditioner is kept by measured times); else to
         rounding. A file of a total Lagrangian problem may be loaded into an updated one.
 
         Args:
