@@ -21,7 +21,7 @@ from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.solve.operator import WeakForm
 
-__all__ = ["Laws", "Loads", "only_momentum", "why_not"]
+__all__ = ["Laws", "Loads", "why_not"]
 
 Array = npt.NDArray[np.float64]
 # What a step changes: a load that depends on it is evaluated in every step
@@ -61,23 +61,6 @@ def why_not(form: WeakForm) -> str | None:
             if len(extract_arguments(term)) != 1:
                 return "terms without a test function"
     return None
-
-
-def only_momentum(form: WeakForm) -> bool:
-    """Whether internal forces are those of momentum terms, so that the points' stress gives them.
-
-    Terms that vanish where there is no increment, such as penalties on it, do not count.
-    """
-    own = [term for d in form.parts.declarations for term in d.terms]
-    increments = [space.increment for space in form.spaces]
-    for integral in form.given.integrals():
-        if any(integral.integrand() is term for term in own):
-            continue
-        inside = (integral.metadata() or {}).get("points")
-        for term in summands(integral.integrand()):
-            if inside is not None and depends_on(term, increments):
-                return False
-    return bool(own) and form.parts.grid.linear
 
 
 def _kind(declaration: Declaration) -> int | None:

@@ -22,7 +22,6 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import Work
 from dolfinmpm.dynamics.faces import Sides, set_velocities
-from dolfinmpm.dynamics.fusable import only_momentum
 from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms
@@ -30,6 +29,7 @@ from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter_stress
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import advance, commit
+from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step

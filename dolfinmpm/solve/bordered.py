@@ -74,23 +74,32 @@ class Bordered:
 
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments and the border's unknowns; see `Solver`. Collective."""
-        outcome = Outcome()
-        if operator.here.unknowns.total == 0:
-            outcome.reason = "no unknown is free"
-            return outcome
+        linear = self.newton.linear
+        while True:
+            outcome = Outcome()
+            if operator.here.unknowns.total == 0:
+                outcome.reason = "no unknown is free"
+                return outcome
+            self._attempt(operator, outcome)
+            # what has raised an error is not there any more
+            stuck = linear.failed or linear.stuck
+            if outcome.reason is None or not stuck or not linear.relax():
+                return outcome
+
+    def _attempt(self, operator: Operator, outcome: Outcome) -> None:
+        """One run of Newton's method from the border's guess. Collective."""
         try:
             self.newton.linear.attach(operator)
             self.border.begin(operator)
             guess = self.border.predict(self.newton, operator)
             if isinstance(guess, str):
                 outcome.reason = guess
-                return outcome
+                return
             outcome.iterations += 1
             outcome.x, motion = guess
             outcome.reason = self._correct(operator, outcome, motion)
         except PETSc.Error as error:
             outcome.reason = self.newton.linear.why(error)
-        return outcome
 
     def _correct(self, operator: Operator, outcome: Outcome, motion: float) -> str | None:
         newton, border, x = self.newton, self.border, outcome.x

@@ -24,8 +24,8 @@ __all__ = ["WORKSPACE", "LinearSolver"]
 
 Array = npt.NDArray[np.float64]
 
-# PETSc's numbers for an error in an external library and for a zero pivot
-_FACTORISATION = (76, 71)
+# PETSc's numbers for an error in an external library and for zero pivots of LU and Cholesky
+_FACTORISATION = (76, 71, 81)
 # MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
 _ORDERING, WORKSPACE = 7, 14
 _SHORT_OF_WORKSPACE = (-8, -9, -17)
@@ -53,6 +53,7 @@ class LinearSolver:
         true: The matrix that products are taken with, as PETSc sees it.
         mumps: Settings of MUMPS by their numbers.
         method: What solves, or None before the first matrix.
+        stuck: Whether the last `solve` found nothing.
         reuse: When a preconditioner is kept for the next tangent; None of factors.
     """
 
@@ -67,6 +68,7 @@ class LinearSolver:
         self.true: Any = None
         self.method: Method | None = None
         self.reuse: Reuse | None = None
+        self.stuck = False
         # norm of the residual of the iteration before
         self._former: float | None = None
         self.snes: Any = None
@@ -83,6 +85,9 @@ class LinearSolver:
         method, options = self.method, self._options
         assert method is not None
         own = {**method.options}
+        if method.package == "cholmod":
+            # that a tangent is not definite is no news for the terminal
+            own["mat_cholmod_print"] = 0
         if not method.factors:
             # but for the first SNES is not to make any preconditioner, see `Reuse`
             own["snes_lag_preconditioner"] = -2
@@ -143,7 +148,8 @@ class LinearSolver:
 
     def _choose(self, count: int) -> None:
         """Take the method for so many unknowns. Collective."""
-        tangent = replace(self._tangent, definite=self._trusted == 0)
+        definite = self._tangent.definite and self._trusted == 0
+        tangent = replace(self._tangent, definite=definite)
         method = choose(tangent, count, self._gdim, self._comm.size, self._direct)
         changed = self.method is None or not method.like(self.method)
         self.method = method
@@ -163,7 +169,7 @@ class LinearSolver:
         self.matrix = Matrix(here.pattern, here.unknowns)
         A = self.matrix.petsc
         A.setOption(PETSc.Mat.Option.SYMMETRIC, self._tangent.symmetric)
-        if self._tangent.symmetric and self._trusted == 0:
+        if self._tangent.symmetric and self._tangent.definite and self._trusted == 0:
             A.setOption(PETSc.Mat.Option.SPD, True)
         if here.unknowns.block > 1:
             A.setNearNullSpace(near_kernel(here))
@@ -199,7 +205,8 @@ class LinearSolver:
         if self.reuse is not None and self.reuse.old:
             self.reuse.renew()
             return True
-        if self._tangent.symmetric and self._trusted == 0:
+        tangent = self._tangent
+        if tangent.symmetric and tangent.definite and self._trusted == 0:
             self._trusted = self._distrust
             self._distrust = min(2 * self._distrust, 64)
         elif not method.factors:
@@ -254,6 +261,7 @@ class LinearSolver:
             ksp.setTolerances(rtol=_DIGITS, atol=1e-300)
             self.reuse.prepare(ksp)
         ksp.solve(b, y)
+        self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))
 
     def forget(self) -> None:

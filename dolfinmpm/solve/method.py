@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from dolfinmpm.forms.terms import depends_on, summands
 from dolfinmpm.solve.operator import WeakForm
 
-__all__ = ["Method", "Tangent", "choose", "iterative", "symmetric"]
+__all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetric"]
 
 # From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
 # measured on blocks of elastic soil (docs/benchmarks.md).
@@ -72,14 +73,32 @@ class Method:
         return f"{outer}{name}{package}: {self.why}"
 
 
+def only_momentum(form: WeakForm) -> bool:
+    """Whether internal forces are those of momentum terms, so that the points' stress gives them.
+
+    Terms that vanish where there is no increment, such as penalties on it, do not count.
+    """
+    own = [term for d in form.parts.declarations for term in d.terms]
+    increments = [space.increment for space in form.spaces]
+    for integral in form.given.integrals():
+        if any(integral.integrand() is term for term in own):
+            continue
+        inside = (integral.metadata() or {}).get("points")
+        for term in summands(integral.integrand()):
+            if inside is not None and depends_on(term, increments):
+                return False
+    return bool(own) and form.parts.grid.linear
+
+
 def symmetric(form: WeakForm) -> bool:
     """Whether the laws of a form say that its tangent is symmetric.
 
-    What else is in the form, such as terms in UFL and pressure that follows a surface, only
-    the tangent itself tells.
+    They do if nothing else depends on the increment, such as pressure that follows a surface,
+    which has no say as long as it is zero. Terms over the grid are linear and show in any tangent.
     """
-    return all(
-        d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in form.parts.declarations
+    laws = form.parts.declarations
+    return only_momentum(form) and all(
+        d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in laws
     )
 
 

@@ -117,7 +117,9 @@ class QuasiStatic(Problem):
         )  # fmt: skip
         self.max_halvings = max_halvings
         options = Options(self, options_prefix, own)
-        tangent = Tangent(symmetric(self.form), True, self.form.softening is not None)
+        # several fields are as a rule a saddle point
+        definite = len(self.fields) == 1
+        tangent = Tangent(symmetric(self.form), definite, self.form.softening is not None)
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations
         )
