@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,23 @@ _NEAR = 1e-4
 _DIGITS, _FIRST = 1e-10, 1e-3
 
 
+@dataclass
+class Doubt:
+    """For how long a tangent that was not positive definite is not taken to be.
+
+    Attributes:
+        left: Attachments of a matrix that are left of it.
+        next: How many there will be the next time.
+    """
+
+    left: int = 0
+    next: int = 4
+
+    def grow(self) -> None:
+        """Begin to doubt, for longer each time."""
+        self.left, self.next = self.next, min(2 * self.next, 64)
+
+
 class LinearSolver:
     """SNES with its matrix and factors, kept as long as the pattern is the same.
 
@@ -60,8 +77,7 @@ class LinearSolver:
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
-        # attachments for which the tangent is not taken to be positive definite
-        self._trusted, self._distrust, self._direct = 0, 4, False
+        self._doubt, self._direct = Doubt(), False
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -134,7 +150,7 @@ class LinearSolver:
         """Take the matrix of an operator; that of the same pattern stays. Collective."""
         here = operator.here
         self._former = None
-        self._trusted = max(self._trusted - 1, 0)
+        self._doubt.left = max(self._doubt.left - 1, 0)
         self._choose(here.unknowns.total)
         self._take(here)
         if self._tangent.symmetric and not self._checked:
@@ -148,7 +164,7 @@ class LinearSolver:
 
     def _choose(self, count: int) -> None:
         """Take the method for so many unknowns. Collective."""
-        definite = self._tangent.definite and self._trusted == 0
+        definite = self._tangent.definite and self._doubt.left == 0
         tangent = replace(self._tangent, definite=definite)
         method = choose(tangent, count, self._gdim, self._comm.size, self._direct)
         changed = self.method is None or not method.like(self.method)
@@ -169,7 +185,7 @@ class LinearSolver:
         self.matrix = Matrix(here.pattern, here.unknowns)
         A = self.matrix.petsc
         A.setOption(PETSc.Mat.Option.SYMMETRIC, self._tangent.symmetric)
-        if self._tangent.symmetric and self._tangent.definite and self._trusted == 0:
+        if self._tangent.symmetric and self._tangent.definite and self._doubt.left == 0:
             A.setOption(PETSc.Mat.Option.SPD, True)
         if here.unknowns.block > 1:
             A.setNearNullSpace(near_kernel(here))
@@ -206,9 +222,8 @@ class LinearSolver:
             self.reuse.renew()
             return True
         tangent = self._tangent
-        if tangent.symmetric and tangent.definite and self._trusted == 0:
-            self._trusted = self._distrust
-            self._distrust = min(2 * self._distrust, 64)
+        if tangent.symmetric and tangent.definite and self._doubt.left == 0:
+            self._doubt.grow()
         elif not method.factors:
             self._direct = True
         else:
