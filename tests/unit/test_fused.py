@@ -37,7 +37,7 @@ def problem(
     """A body that turns, is strained and falls."""
     grid = lattice(d, 8 if d == 2 else 5, power)
     centre = (0.013, -0.021, 0.034)[:d]
-    body = body or (mpm.Disc(centre, 0.55) if d == 2 else mpm.Sphere(centre, 0.6))
+    body = body or (mpm.Disc(centre, 0.55) if d == 2 else mpm.Ball(centre, 0.6))
     points = mpm.fill(grid, body, 2, 1000.0)
     V = mpm.Space(grid, basis) if averaged is None else mpm.Space(grid, basis, averaged=averaged)
     u, v = V.increment, V.test
