@@ -189,7 +189,11 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         acceleration[p, 2] = w2 / dt
                 if strain:
                     # ΔF = 1 + Δt H, of whose invariants and adjugate the mean rate is made too
-                    c00, c11, c22 = h11 * h22 - h12 * h21, h00 * h22 - h02 * h20, h00 * h11 - h01 * h10
+                    c00, c11, c22 = (
+                        h11 * h22 - h12 * h21,
+                        h00 * h22 - h02 * h20,
+                        h00 * h11 - h01 * h10,
+                    )
                     trace, second = h00 + h11 + h22, c00 + c11 + c22
                     third = (
                         h00 * c00 + h01 * (h12 * h20 - h10 * h22) + h02 * (h10 * h21 - h11 * h20)
@@ -321,7 +325,11 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     if record:
                         V[p] = J * vp
                         q = 1.0 if kind == SMALL else 1.0 / J
-                        stress[p, 0, 0], stress[p, 1, 1], stress[p, 2, 2] = q * t00, q * t11, q * t22
+                        stress[p, 0, 0], stress[p, 1, 1], stress[p, 2, 2] = (
+                            q * t00,
+                            q * t11,
+                            q * t22,
+                        )
                         stress[p, 0, 1] = stress[p, 1, 0] = q * t01
                         stress[p, 1, 2] = stress[p, 2, 1] = q * t12
                         stress[p, 0, 2] = stress[p, 2, 0] = q * t02
