@@ -29,39 +29,39 @@ def axes(a00, a11, a22, a01, a12, a02):
     """
     mean = (a00 + a11 + a22) / 3.0
     b00, b11, b22 = a00 - mean, a11 - mean, a22 - mean
+    b01, b12, b02 = a01, a12, a02
     size = b00 * b00 + b11 * b11 + b22 * b22 + 2.0 * (a01 * a01 + a12 * a12 + a02 * a02)
-    if not size > 1e-280:
+    if not size > 1e-180:
         return mean, mean, mean, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # eigenvalues of the deviator over its size are roots of x³ − 3x − 2r, the first in [√3, 2]
-    size = math.sqrt(size / 6.0)
+    square = size / 6.0
+    size = math.sqrt(square)
+    k00, k11, k22 = b11 * b22 - b12 * b12, b00 * b22 - b02 * b02, b00 * b11 - b01 * b01
+    k01, k12, k02 = b02 * b12 - b01 * b22, b01 * b02 - b12 * b00, b01 * b12 - b02 * b11
     q = 1.0 / size
-    b00, b11, b22, b01, b12, b02 = q * b00, q * b11, q * b22, q * a01, q * a12, q * a02
-    r = 0.5 * (
-        b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02)
-        + b02 * (b01 * b12 - b11 * b02)
-    )  # fmt: skip
+    r = 0.5 * (b00 * k00 + b01 * k01 + b02 * k02) * (q * q * q)
     s = min(abs(r), 1.0)
-    x = 1.73212376 + s * (0.33080833 + s * (0.01888711 * s - 0.08176201))
-    for _ in range(2):
-        xx = x * x
-        x -= (x * (xx - 3.0) - 2.0 * s) / (3.0 * (xx - 1.0))
-    x = math.copysign(x, r)
-    c00, c11, c22 = b00 - x, b11 - x, b22 - x
-    p00, p11, p22 = c11 * c22 - b12 * b12, c00 * c22 - b02 * b02, c00 * c11 - b01 * b01
-    q = 1.0 / (p00 + p11 + p22)
-    p00, p11, p22 = q * p00, q * p11, q * p22
-    p01 = q * (b02 * b12 - b01 * c22)
-    p12 = q * (b01 * b02 - b12 * c00)
-    p02 = q * (b01 * b12 - b02 * c11)
+    x = 1.73205196 + s * (
+        0.333245128
+        + s * (-0.0951072518 + s * (0.0439555711 + s * (-0.0181083439 + s * (0.0039638132))))
+    )
+    # one step of Halley's, which triples the digits
+    f, slope = x * (x * x - 3.0) - 2.0 * s, 3.0 * (x * x - 1.0)
+    x -= f * slope / (slope * slope - 3.0 * x * f)
+    x = math.copysign(size * x, r)
+    # the adjugate of b − x1, and its trace
+    q = 1.0 / (3.0 * (x * x - square))
+    p00, p11, p22 = q * (k00 + x * (b00 + x)), q * (k11 + x * (b11 + x)), q * (k22 + x * (b22 + x))
+    p01, p12, p02 = q * (k01 + x * b01), q * (k12 + x * b12), q * (k02 + x * b02)
     half, y = 0.5 * x, -1.5 * x
     d00, d11, d22 = b00 + half + y * p00, b11 + half + y * p11, b22 + half + y * p22
     d01, d12, d02 = b01 + y * p01, b12 + y * p12, b02 + y * p02
     gap = d00 * d00 + d11 * d11 + d22 * d22 + 2.0 * (d01 * d01 + d12 * d12 + d02 * d02)
     gap = math.sqrt(0.5 * gap)
     q = 1.0 / gap if gap > 0.0 else 0.0
-    middle, gap = mean - size * half, size * gap
+    middle = mean - half
     return (
-        mean + size * x, middle + gap, middle - gap, p00, p11, p22, p01, p12, p02,
+        mean + x, middle + gap, middle - gap, p00, p11, p22, p01, p12, p02,
         q * d00, q * d11, q * d22, q * d01, q * d12, q * d02,
     )  # fmt: skip
 
