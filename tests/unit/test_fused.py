@@ -167,6 +167,53 @@ def test_prescribed_motion_damping_and_scaled_mass(scheme):
     compare(body=body, push=0.01, averaged=False, damping=0.1, mass_scaling=4.0, scheme=scheme)
 
 
+WEAK = VonMises(E=1e5, nu=0.3, yield_stress=50.0)
+SOFTER = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, yield_stress=80.0)
+THREE = [
+    {"averaged": False, "law": WEAK},
+    {"basis": "gimp", "mapping": "tpic", "law": NEO},
+    {"averaged": False, "law": NEO},
+    {"averaged": False, "law": MohrCoulomb(1e5, 0.3, 20, 25)},
+    {"basis": "gimp", "strain": "small", "law": WEAK},
+    {"basis": "gimp", "strain": "small", "scheme": "usf"},
+    {"basis": "gimp", "scheme": "musl"},
+    {"basis": "gimp", "mapping": "apic"},
+    {"basis": "linear", "law": NEO},
+    {"basis": "linear", "scheme": "musl", "mapping": "tpic"},
+    {"averaged": True},
+    {"averaged": False, "mapping": mpm.Mapping("flip", share=0.9)},
+    {"averaged": False, "scheme": "usf", "mapping": "pic"},
+    {"averaged": False, "scheme": "usf", "mapping": "apic"},
+    {"basis": "bspline3", "averaged": False, "scheme": "musl", "mapping": "apic"},
+    {"basis": "bspline3", "averaged": True, "law": NEO},
+    {"averaged": False, "law": [HENCKY, SOFTER]},
+    {"averaged": False, "law": [NEO, NeoHookean(E=3e5, nu=0.2)]},
+    {"basis": "gimp", "law": SOFTER},
+    {"averaged": False, "power": 1.3},
+    {"basis": "gimp", "power": 1.3, "scheme": "musl"},
+    {"averaged": False, "body": mpm.Box((-1, -1, -1), (1, 0.3, 1))},
+    {"basis": "gimp", "body": mpm.Box((-1, -1, -1), (1, 0.3, 0.6))},
+    {"averaged": False, "load": lambda points, g: (1 + points.x0[0]) * g},
+    {"averaged": False, "scheme": "usf", "load": lambda points, g: (1 + points.x0[0]) * g},
+    *(
+        {"averaged": False, "scheme": scheme, "body": mpm.Box((-1, -1, -1), (0.6, 0.4, 0.2)),
+         "push": 0.01, "damping": 0.1, "mass_scaling": 4.0}
+        for scheme in ("usl", "musl", "usf")
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(scene, marks=[pytest.mark.long] * (k > 1)) for k, scene in enumerate(THREE)],
+)
+def test_three_dimensions(scene):
+    one = compare(d=3, times=(0.006, 0.02, 0.08), courant=0.15, **scene)
+    assert sum(record.parts for record in one.history) > 10
+    if scene.get("law") is WEAK:
+        assert np.any(one.points["plastic_strain"] > 0)
+
+
 def test_many_steps_of_a_call_and_loads_that_change():
     t = None
 
@@ -235,6 +282,14 @@ def test_single_steps():
 )
 def test_what_is_not_fused_says_why(why, scene):
     assert why in problem(**scene).unfused
+
+
+def test_one_dimension_is_not_fused():
+    grid = mesh.create_interval(COMM, 4, [0, 4])
+    points = mpm.fill(grid, mpm.Box((1,), (2,)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(HENCKY, points, V.increment, V.test)
+    assert "two and three dimensions" in mpm.Explicit(F, V.increment, points).unfused
 
 
 def test_a_point_that_leaves_the_grid_is_an_error():
