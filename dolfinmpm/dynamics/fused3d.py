@@ -43,10 +43,9 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     gradient = strain or (TPIC and velocity)
     STRIDE, SECOND, FORCE = (8 * k for k in (COLUMNS[3].width, COLUMNS[3].second, COLUMNS[3].force))
     VELOCITY = 8 * COLUMNS[3].velocity
-    # velocities of the strain are those that points take, where they take any
-    STRAIN = VELOCITY if velocity else 8 * COLUMNS[3].strain
-    # of the nodes' velocities, which the strain may need too, of their changes
-    values, both = velocity or move, (velocity or move) and STRAIN != VELOCITY and gradient
+    STRAIN = 8 * COLUMNS[3].strain
+    # points that take velocities are strained by the same, others by those that nodes have for it
+    values, apart = velocity or move, gradient and not velocity
 
     near, usual = weights(degree, averaged), degree + 1 + int(averaged)
 
@@ -130,20 +129,20 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                                 YB = axpy(S2[c], Z, YB)
                                 if APIC and velocity:
                                     ZB = axpy(S2[c] * (node2[i2 + c] - x2), Z, ZB)
-                                if gradient and not both:
+                                if gradient and not apart:
                                     QB = axpy(d2[c], Z, QB)
-                            if gradient and (both or not values):
+                            if apart:
                                 Z = load(at + c * STRIDE + STRAIN)
                                 HB = axpy(S2[c], Z, HB)
                                 QB = axpy(d2[c], Z, QB)
                             if velocity:
                                 WB = axpy(S2[c], load(at + c * STRIDE), WB)
                         if gradient:
-                            if values and not both:
+                            if not apart:
                                 HB = YB
                             HA = axpy(d1[b], HB, HA)
                             QA = axpy(S1[b], QB, QA)
-                            if both or not values:
+                            if apart:
                                 KA = axpy(S1[b], HB, KA)
                         if values:
                             YA = axpy(S1[b], YB, YA)
@@ -160,7 +159,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         B0 = axpy(S0[a] * (node0[i0 + a] - x0), YA, B0)
                         B1, B2 = axpy(S0[a], KA, B1), axpy(S0[a], ZA, B2)
                     if gradient:
-                        H0 = axpy(d0[a], KA if both or not values else YA, H0)
+                        H0 = axpy(d0[a], KA if apart else YA, H0)
                         H1, H2 = axpy(S0[a], HA, H1), axpy(S0[a], QA, H2)
                 v0, v1, v2, _ = lanes(Y)
                 w0, w1, w2, _ = lanes(W)
