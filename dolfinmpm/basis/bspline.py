@@ -26,6 +26,8 @@ __all__ = [
     "integrals",
     "number_functions",
     "spline_weights",
+    "uniform_averages",
+    "uniform_weights",
     "weights_at",
 ]
 
@@ -93,6 +95,32 @@ def uniform_weights(degree, xi, per_length):
     return (
         rr * rest / 6.0, second, third, xx * xi / 6.0, -0.5 * rr * k, xi * (1.5 * xi - 2.0) * k,
         rest * (2.0 - 1.5 * rest) * k, 0.5 * xx * k,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+def uniform_averages(degree, left, right, per_length):
+    """Averages of `uniform_weights` from one share of a cell to another, for degree 2 or 3.
+
+    The average of a cubic over m ± r is f(m) + r²/6 f''(m): a difference of primitives would
+    lose the digits of small domains.
+
+    Args:
+        degree: 2 or 3.
+        left, right: Shares of the cell, from 0 to 1.
+        per_length: One over the cell's size (1/m).
+
+    Returns:
+        Four values and four slopes, of which the last are 0 for degree 2.
+    """
+    xi, r, k = 0.5 * (left + right), (right - left) ** 2 / 24.0, per_length
+    a, b, c, d, da, db, dc, dd = uniform_weights(degree, xi, k)
+    if degree == 2:
+        return a + r, b - 2.0 * r, c + r, 0.0, da, db, dc, 0.0
+    third = 3.0 * xi
+    return (
+        a + r * (1.0 - xi), b + r * (third - 2.0), c + r * (1.0 - third), d + r * xi,
+        da - r * k, db + 3.0 * r * k, dc - 3.0 * r * k, dd + r * k,
     )  # fmt: skip
 
 

@@ -47,11 +47,8 @@ def uniform_domain_weights(left, right, per_length):
         the first cell.
     """
     k = per_length
-    if right <= 1.0:
-        middle = 0.5 * (left + right)
-        return 1.0 - middle, middle, 0.0, -k, k, 0.0
-    a, b = 1.0 - left, right - 1.0
+    a, b = min(right, 1.0) - left, max(right - 1.0, 0.0)
     whole = 1.0 / (a + b)
     a_share, b_share = a * whole, b * whole
-    first, last = 0.5 * a * a_share, 0.5 * b * b_share
+    first, last = a_share * (1.0 - left - 0.5 * a), 0.5 * b * b_share
     return first, 1.0 - first - last, last, -a_share * k, (a_share - b_share) * k, b_share * k

@@ -346,7 +346,7 @@ class Fused:
     def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
         points, basis = self._points, self._window
-        general = not basis.lattice.uniform or (basis.averaged and basis.degree > 1)
+        general = not basis.lattice.uniform
         bad = -1
         if len(points):
             rows, skipped = self._rows_of

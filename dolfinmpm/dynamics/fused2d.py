@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.lanes import (
     add_at,
     axpy,
@@ -26,11 +27,19 @@ from dolfinmpm.dynamics.lanes import (
     store,
     times,
 )
-from dolfinmpm.dynamics.lineweights import spread, weights
 from dolfinmpm.dynamics.passes import COLUMNS, FAST, LAW, NEO, SMALL, Pass
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def spread(S, node, first, count, x):
+    """Second moment Σ S (x_a − x)² of the functions that a point sees in one direction (m²)."""
+    total = 0.0
+    for a in range(count):
+        total += S[a] * (node[first + a] - x) ** 2
+    return total
 
 
 @functools.cache
@@ -40,7 +49,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
     first bad point or -1, and the numbers of points skipped and not scattered; see `Fused` in
     `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
-    wherever they are; the others take all points, and skip those that `weights` does not know.
+    wherever they are; the others take all points, and skip what `middle_weights` does not know.
     `record` tells whether what only others read is written: accelerations, volumes, stresses.
     """
     velocity, strain, move, same, new = parts
@@ -51,7 +60,8 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     STRIDE, MASS = 8 * COLUMNS[2].width, 8 * COLUMNS[2].mass
     second = 8 * COLUMNS[2].second
 
-    near, usual = weights(degree, averaged), degree + 1 + int(averaged)
+    # compiled functions among the closed-over values would keep the loop out of Numba's cache
+    usual = middle_count(degree, averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
@@ -103,12 +113,8 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     line_weights(line1, uniform, degree, i1, n1, x1, l1, S1, d1, part, slope)
                     n0, n1 = n0 + degree, n1 + degree
                 else:
-                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
-                        x0, l0, start0, s0, last0
-                    )
-                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
-                        x1, l1, start1, s1, last1
-                    )
+                    known0, i0 = middle_weights(degree, averaged, x0, l0, start0, s0, last0, S0, d0)
+                    known1, i1 = middle_weights(degree, averaged, x1, l1, start1, s1, last1, S1, d1)
                     if not (known0 and known1):
                         # one of the few at an edge or with a large domain: see `general`
                         skipped[0, left] = rows[index]
@@ -300,12 +306,8 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     line_weights(line1, uniform, degree, i1, n1, x1, l1, S1, d1, part, slope)
                     n0, n1 = n0 + degree, n1 + degree
                 else:
-                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
-                        x0, l0, start0, s0, last0
-                    )
-                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
-                        x1, l1, start1, s1, last1
-                    )
+                    known0, i0 = middle_weights(degree, averaged, x0, l0, start0, s0, last0, S0, d0)
+                    known1, i1 = middle_weights(degree, averaged, x1, l1, start1, s1, last1, S1, d1)
                     if not (known0 and known1):
                         if not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
                             return np.intp(p), left, behind

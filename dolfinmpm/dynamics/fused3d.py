@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
 from dolfinmpm.dynamics.lanes import (
     axpy,
@@ -25,11 +26,17 @@ from dolfinmpm.dynamics.lanes import (
     store,
     times,
 )
-from dolfinmpm.dynamics.lineweights import spread, weights
+from dolfinmpm.dynamics.moments import drift, slopes
 from dolfinmpm.dynamics.passes import COLUMNS, FAST, LAW, NEO, SMALL, Pass
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+def column(C, p, k):
+    """Column of a point's affine part."""
+    return four(C[p, 0, k], C[p, 1, k], C[p, 2, k], 0.0)
 
 
 @functools.cache
@@ -47,7 +54,10 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     # points that take velocities are strained by the same, others by those that nodes have for it
     values, apart = velocity or move, gradient and not velocity
 
-    near, usual = weights(degree, averaged), degree + 1 + int(averaged)
+    # compiled functions among the closed-over values would keep the loop out of Numba's cache
+    usual = middle_count(degree, averaged)
+    # whether the grid's edge may cut domains, which couples the directions' moments
+    cut = general and averaged
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
@@ -102,15 +112,9 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     line_weights(line2, uniform, degree, i2, n2, x2, l2, S2, d2, part, slope)
                     n0, n1, n2 = n0 + degree, n1 + degree, n2 + degree
                 else:
-                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
-                        x0, l0, start0, s0, last0
-                    )
-                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
-                        x1, l1, start1, s1, last1
-                    )
-                    known2, i2, S2[0], S2[1], S2[2], S2[3], d2[0], d2[1], d2[2], d2[3] = near(
-                        x2, l2, start2, s2, last2
-                    )
+                    known0, i0 = middle_weights(degree, averaged, x0, l0, start0, s0, last0, S0, d0)
+                    known1, i1 = middle_weights(degree, averaged, x1, l1, start1, s1, last1, S1, d1)
+                    known2, i2 = middle_weights(degree, averaged, x2, l2, start2, s2, last2, S2, d2)
                     if not (known0 and known1 and known2):
                         # one of the few at an edge or with a large domain: see `general`
                         skipped[0, left] = rows[index]
@@ -171,6 +175,10 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         v[p, 0], v[p, 1], v[p, 2] = v0, v1, v2
                         if APIC:
                             # moments; where the point scatters its functions divide them
+                            if cut:
+                                B0 = axpy(-drift(S0, node0, i0, n0, x0), Y, B0)
+                                B1 = axpy(-drift(S1, node1, i1, n1, x1), Y, B1)
+                                B2 = axpy(-drift(S2, node2, i2, n2, x2), Y, B2)
                             C[p, 0, 0], C[p, 1, 0], C[p, 2, 0], _ = lanes(B0)
                             C[p, 0, 1], C[p, 1, 1], C[p, 2, 1], _ = lanes(B1)
                             C[p, 0, 2], C[p, 1, 2], C[p, 2, 2], _ = lanes(B2)
@@ -350,16 +358,13 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     P = four(mp * v[p, 0], mp * v[p, 1], mp * v[p, 2], 0.0)
                     K0 = K1 = K2 = nothing
                     if affine:
-                        q0 = q1 = q2 = mp
+                        K0, K1, K2 = column(C, p, 0), column(C, p, 1), column(C, p, 2)
                         if APIC:
-                            q0, q1, q2 = (
-                                mp / spread(S0, node0, i0, n0, x0),
-                                mp / spread(S1, node1, i1, n1, x1),
-                                mp / spread(S2, node2, i2, n2, x2),
-                            )
-                        K0 = four(q0 * C[p, 0, 0], q0 * C[p, 1, 0], q0 * C[p, 2, 0], 0.0)
-                        K1 = four(q1 * C[p, 0, 1], q1 * C[p, 1, 1], q1 * C[p, 2, 1], 0.0)
-                        K2 = four(q2 * C[p, 0, 2], q2 * C[p, 1, 2], q2 * C[p, 2, 2], 0.0)
+                            K0, K1, K2 = slopes(
+                                cut, K0, K1, K2, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1,
+                                S2, node2, i2, n2, x2,
+                            )  # fmt: skip
+                        K0, K1, K2 = times(mp, K0), times(mp, K1), times(mp, K2)
                     for a in range(n0):
                         PA = P
                         if affine:
@@ -418,15 +423,9 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     line_weights(line2, uniform, degree, i2, n2, x2, l2, S2, d2, part, slope)
                     n0, n1, n2 = n0 + degree, n1 + degree, n2 + degree
                 else:
-                    known0, i0, S0[0], S0[1], S0[2], S0[3], d0[0], d0[1], d0[2], d0[3] = near(
-                        x0, l0, start0, s0, last0
-                    )
-                    known1, i1, S1[0], S1[1], S1[2], S1[3], d1[0], d1[1], d1[2], d1[3] = near(
-                        x1, l1, start1, s1, last1
-                    )
-                    known2, i2, S2[0], S2[1], S2[2], S2[3], d2[0], d2[1], d2[2], d2[3] = near(
-                        x2, l2, start2, s2, last2
-                    )
+                    known0, i0 = middle_weights(degree, averaged, x0, l0, start0, s0, last0, S0, d0)
+                    known1, i1 = middle_weights(degree, averaged, x1, l1, start1, s1, last1, S1, d1)
+                    known2, i2 = middle_weights(degree, averaged, x2, l2, start2, s2, last2, S2, d2)
                     if not (known0 and known1 and known2):
                         if not (
                             start0 <= x0 <= end0 and start1 <= x1 <= end1 and start2 <= x2 <= end2
@@ -450,16 +449,13 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                 T2 = four(-vp * t02, -vp * t12, -vp * t22, 0.0)
                 K0 = K1 = K2 = nothing
                 if affine:
-                    q0 = q1 = q2 = mp
+                    K0, K1, K2 = column(C, p, 0), column(C, p, 1), column(C, p, 2)
                     if APIC:
-                        q0, q1, q2 = (
-                            mp / spread(S0, node0, i0, n0, x0),
-                            mp / spread(S1, node1, i1, n1, x1),
-                            mp / spread(S2, node2, i2, n2, x2),
-                        )
-                    K0 = four(q0 * C[p, 0, 0], q0 * C[p, 1, 0], q0 * C[p, 2, 0], 0.0)
-                    K1 = four(q1 * C[p, 0, 1], q1 * C[p, 1, 1], q1 * C[p, 2, 1], 0.0)
-                    K2 = four(q2 * C[p, 0, 2], q2 * C[p, 1, 2], q2 * C[p, 2, 2], 0.0)
+                        K0, K1, K2 = slopes(
+                            cut, K0, K1, K2, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1,
+                            S2, node2, i2, n2, x2,
+                        )  # fmt: skip
+                    K0, K1, K2 = times(mp, K0), times(mp, K1), times(mp, K2)
                 for a in range(n0):
                     PA = P
                     if affine:

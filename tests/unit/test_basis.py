@@ -12,8 +12,10 @@ from scipy.interpolate import BSpline
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis.bspline import extension_weights, greville, spline_weights
+from dolfinmpm.basis.lattice import line_weights, overlapped
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import gather
+from dolfinmpm.basis.uniform import middle_count, middle_weights
 
 
 def everything(grid):
@@ -199,3 +201,39 @@ def test_gimp_refuses_other_grids(kind):
 def test_unknown_basis():
     with pytest.raises(ParameterError, match="'splines'"):
         mpm.Space(unit_grid("interval"), "splines")
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_weights_in_the_middle_of_a_uniform_line_are_those_of_any_line(degree, averaged):
+    cells = 12
+    line = np.linspace(-0.7, 1.7, cells + 1)
+    h = line[1] - line[0]
+    rng = np.random.default_rng(3)
+    n = middle_count(degree, averaged)
+    found, expected = np.empty((2, n)), np.zeros((2, 64))
+    room = np.empty(degree + 1), np.empty(degree + 1)
+    used = 0
+    positions = [*rng.uniform(line[0], line[-1], 400), *(0.5 * (line[1:] + line[:-1]))]
+    if degree > 1 or averaged:
+        # slopes of linear functions at a point jump there
+        positions += list(line)
+    for k, x in enumerate(positions):
+        # domains of a point, small ones, those that end on lines, and some over three cells
+        half = (0.3, 1e-2, 0.5, 0.25, 0.9)[k % 5] * h if averaged else 0.0
+        known, i = middle_weights(
+            degree, averaged, x, half, line[0], 1 / h, cells - 1, found[0], found[1]
+        )
+        inside = line[0] + degree * h < x - half and x + half < line[-1] - degree * h
+        assert known or not inside or half > 0.5 * h, (x, half)
+        if not known:
+            continue
+        used += 1
+        first, count = overlapped(line, True, x, half)
+        line_weights(line, True, degree, first, count, x, half, *expected, *room)
+        for own, one, size in zip(found, expected, (1.0, 1 / h)):
+            # rounding may put a point on a line into either cell
+            both = np.zeros((2, cells + 8))
+            both[0, i : i + n], both[1, first : first + count + degree] = own, one[: count + degree]
+            assert np.abs(both[0] - both[1]).max() <= 1e-12 * size, (x, half)
+    assert used > 200

@@ -10,6 +10,8 @@ from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError
+from dolfinmpm.dynamics import fused2d, fused3d
+from dolfinmpm.dynamics.passes import LAW, PASSES
 from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
 
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "l")
@@ -193,6 +195,7 @@ THREE = [
     {"basis": "gimp", "power": 1.3, "scheme": "musl"},
     {"averaged": False, "body": mpm.Box((-1, -1, -1), (1, 0.3, 1))},
     {"basis": "gimp", "body": mpm.Box((-1, -1, -1), (1, 0.3, 0.6))},
+    {"basis": "gimp", "mapping": "apic", "body": mpm.Box((-1, -1, -1), (1, 0.3, 1))},
     {"averaged": False, "load": lambda points, g: (1 + points.x0[0]) * g},
     {"averaged": False, "scheme": "usf", "load": lambda points, g: (1 + points.x0[0]) * g},
     *(
@@ -243,6 +246,15 @@ def test_many_steps_of_a_call_and_loads_that_change():
     one, other = (x["work"] for x in found)
     assert other.external > 0
     assert one.external == pytest.approx(other.external, rel=1e-10)
+
+
+@pytest.mark.parametrize("kernel", [fused2d.kernel, fused3d.kernel], ids=["2D", "3D"])
+def test_loops_can_be_kept_on_disk(kernel):
+    # Numba knows a loop again by what it closes over, and a compiled function never again
+    loop = kernel(2, True, LAW, 1, PASSES["usl"][0], False)
+    values = [cell.cell_contents for cell in loop.py_func.__closure__]
+    assert values
+    assert all(isinstance(value, (bool, int)) for value in values)
 
 
 def test_fields_may_be_changed_between_calls():
