@@ -21,7 +21,7 @@ from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice
 
-__all__ = ["SNAP", "LatticeBasis", "line_weights", "overlapped"]
+__all__ = ["SNAP", "LatticeBasis", "line_shares", "line_weights", "overlapped"]
 
 # An overlap below this share of a cell is rounding: it must not make a cell active.
 SNAP = 1e-10
@@ -73,6 +73,28 @@ def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slop
         averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS, part, slope)
     else:
         weights_at(line, uniform, first, degree, x, S, dS)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def line_shares(line, uniform, degree, first, count, x, half, dS, shares, room, part, slope):
+    """Splines one degree lower that a point sees in one direction, or its shares in cells.
+
+    They are what means at the points are taken over, see `dolfinmpm.cut.cellmeans`.
+
+    Args:
+        line, uniform, degree, first, count, x, half: See `line_weights`.
+        dS: Slopes of the functions (1/m), count + degree.
+        shares: Written, count + degree - 1.
+        room, part, slope: Room for as many numbers, and for degree numbers each.
+    """
+    if degree > 1:
+        line_weights(line, uniform, degree - 1, first, count, x, half, shares, room, part, slope)
+        return
+    # slopes of linear functions are differences of shares
+    carried = 0.0
+    for c in range(count):
+        carried -= dS[c]
+        shares[c] = carried * (line[first + c + 1] - line[first + c])
 
 
 @numba.njit(cache=True, error_model="numpy")

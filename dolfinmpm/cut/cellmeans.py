@@ -35,7 +35,15 @@ from dolfinmpm.cut.unknowns import FieldUnknowns
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid, require_lattice
 
-__all__ = ["CellCouplings", "CellMeans", "Shares", "add_outer", "layers_needed", "sharing"]
+__all__ = [
+    "CellCouplings",
+    "CellMeans",
+    "Shares",
+    "add_outer",
+    "layers_needed",
+    "numbering",
+    "sharing",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -121,6 +129,21 @@ def shares_of(where: Placement, stencils: Stencils, basis: LatticeBasis | Linear
         return Shares(_lower(basis).nodes, s.node_start, s.nodes, s.value_start, s.N)
     start, values = domain_shares(where, s, basis)
     return Shares(basis.cells, s.cell_start, s.cells, start, values)
+
+
+def numbering(basis: LatticeBasis) -> tuple[Numbering, npt.NDArray[np.int32]]:
+    """What means are taken over: cells, or splines one degree lower. Collective.
+
+    Args:
+        basis: The basis of the field, with the overlap that is needed.
+
+    Returns:
+        Their numbering, and their lattice positions, shape (size, gdim).
+    """
+    if not _over_splines(basis):
+        return basis.cells, basis.halo.cell_ijk
+    lower = _lower(basis)
+    return lower.nodes, lower.halo.node_ijk
 
 
 def layers_needed(span: int, basis: LatticeBasis | LinearBasis) -> int:

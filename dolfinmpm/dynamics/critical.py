@@ -1,9 +1,10 @@
-"""The critical step of explicit integration, from wave speed and grid."""
+"""The critical step of explicit integration, from wave speed and grid or by the eigenproblem."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,16 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import smallest_height
+from dolfinmpm.solve import spectra
+from dolfinmpm.solve.operator import WeakForm
 
-__all__ = ["critical_step", "factor", "wave_speed"]
+__all__ = ["critical_step", "exact_step", "factor", "wave_speed"]
 
 Array = npt.NDArray[np.float64]
 
@@ -73,3 +79,22 @@ def critical_step(
             "give the form a law with a stiffness"
         )
     return factor(basis, mass) * h / fastest
+
+
+def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: float) -> float:
+    """2/√λ_max of the tangent and the mass (s), of the points' terms alone. Collective.
+
+    Args:
+        form: The weak form, whose tangent is compiled.
+        terms: What the mass is made of.
+        here: What takes part.
+        scaling: Factor of the mass.
+    """
+    # explicit steps take no tangent, and so no penalties on the increment
+    fields = tuple(replace(field, penalty=None) for field in here.fields)
+    operator = form.on(replace(here, grid=[], soft=[], fields=fields))
+    operator.rest()
+    K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
+    operator.tangent(K)
+    Mass(terms, here, scaling).add_to(M)
+    return spectra.critical_step(K.petsc, M.petsc)

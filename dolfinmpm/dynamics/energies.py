@@ -14,7 +14,7 @@ from mpi4py import MPI
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["Energies", "Work", "angular_momentum", "momentum_of"]
+__all__ = ["Balance", "Energies", "Work", "angular_momentum", "momentum_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -120,3 +120,54 @@ class Energies:
         return Energies(
             float(both[0]), float(both[1]), work.internal - float(both[1]), work.external
         )
+
+
+class Balance:
+    """What energy there was and is in explicit steps, and whether more comes than is brought.
+
+    Args:
+        points: Material points.
+        scaling: Factor of their mass in the inertia.
+
+    Attributes:
+        work: Work done since the first step.
+    """
+
+    def __init__(self, points: MaterialPoints, scaling: float):
+        self.work = Work()
+        self._points, self._scaling = points, scaling
+        self._first: float | None = None
+        self._last = self._most = 0.0
+
+    def fault(self, begins: bool = False) -> str | None:
+        """What is wrong if energy comes from nowhere, or None. Collective.
+
+        What moves may lose energy to the grid and gain a little in "usf"; more than half of all
+        that there ever was in any form comes from a step that is too long.
+
+        Args:
+            begins: Whether a call of `step` begins: what the user gave the points before it
+                does not come from nowhere.
+        """
+        points, work = self._points, self.work
+        m = self._scaling * (points["density"] * points["V0"])
+        kinetic = 0.5 * float(np.sum(m[:, None] * points["velocity"] ** 2))
+        kinetic = points.comm.allreduce(kinetic, op=MPI.SUM)
+        total = kinetic + work.internal - work.external
+        if self._first is None:
+            self._first = self._last = total
+        if begins:
+            self._first += total - self._last
+        self._last = total
+        self._most = max(self._most, abs(self._first), abs(work.external))
+        gained = total - self._first
+        if math.isfinite(total) and not gained > 0.5 * self._most > 0.0:
+            return None
+        return (
+            f"{gained:.4g} J have come from nowhere beside {self._most:.4g} J of first energy "
+            "and work of loads"
+        )
+
+    def forget(self) -> None:
+        """Begin anew from the next state, as the first one."""
+        self._first, self._last, self._most = None, 0.0, 0.0

@@ -17,7 +17,7 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import require_lattice
 
-__all__ = ["Face", "Faces", "absorbing", "divided", "frictional", "set_velocities"]
+__all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
 
 Array = npt.NDArray[np.float64]
 
@@ -133,6 +133,7 @@ class Faces:
     """
 
     def __init__(self, faces: Sequence[Face], basis: Any, d: int):
+        self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
         for face in faces:
@@ -152,16 +153,37 @@ class Faces:
                     rate = face.impedance[0 if k == face.axis else 1]
                     self.dashpots[nodes, k] += rate * area
 
-    def rub(self, V: Array, at: npt.NDArray[np.intp] | None = None) -> None:
+    def by_nodes(
+        self, place: npt.NDArray[np.intp], size: int
+    ) -> tuple[npt.NDArray[np.uint64], Array, Array]:
+        """The same for compiled loops over nodes in another order.
+
+        Args:
+            place: Where the nodes are in it, shape (nodes,); -1 where not known.
+            size: How many nodes it has.
+
+        Returns:
+            Faces that rub at each node, as bits, shape (size,), or (0,) without any; axis, outward
+            sign and friction of each face, shape (faces, 3); and coefficients of the dashpots
+            (N s/m), shape (size, d), or (0, d) without any.
+        """
+        marks = np.zeros(size if self._rubbing else 0, np.uint64)
+        rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
+        for k, (nodes, *_) in enumerate(self._rubbing):
+            rows = place[nodes]
+            marks[rows[rows >= 0]] |= np.uint64(1 << k)
+        dashpots = np.zeros((0 if self.dashpots is None else size, self._d))
+        if self.dashpots is not None:
+            dashpots[place[place >= 0]] = self.dashpots[place >= 0]
+        return marks, rubbing, dashpots
+
+    def rub(self, V: Array) -> None:
         """Stop nodes that would move out, and let friction act on what slides.
 
         Args:
             V: Changed, velocities at the end of a step (m/s), shape (nodes, at least d).
-            at: Where the nodes are in it, if not in the basis's order; -1 where not known.
         """
-        for nodes, axis, outward, mu in self._rubbing:
-            rows = nodes if at is None else at[nodes]
-            rows = rows[rows >= 0]
+        for rows, axis, outward, mu in self._rubbing:
             out = outward * V[rows, axis]
             rows, out = rows[out > 0], out[out > 0]
             V[rows, axis] = 0.0
@@ -170,6 +192,30 @@ class Faces:
             left = np.maximum(0.0, 1.0 - mu * out / np.maximum(sliding, 1e-300))
             for k in along:
                 V[rows, k] *= left
+
+
+class Sides:
+    """Faces of the grid in any numbering of the nodes.
+
+    Args:
+        faces: The faces.
+        d: Dimension of space.
+    """
+
+    def __init__(self, faces: Sequence[Face], d: int):
+        self._faces, self._d = list(faces), d
+        self._on: dict[Any, Faces] = {}
+
+    def __len__(self):
+        return len(self._faces)
+
+    def on(self, basis: Any) -> Faces | None:
+        """The faces in a basis's numbering, or None without any. Collective when asked first."""
+        if not self._faces:
+            return None
+        if basis not in self._on:
+            self._on[basis] = Faces(self._faces, basis, self._d)
+        return self._on[basis]
 
 
 def _areas(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int) -> Array:

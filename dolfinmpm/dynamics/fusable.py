@@ -13,7 +13,7 @@ from ufl.algorithms import extract_arguments
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.passes import LAW, NEO, SMALL
+from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.terms import depends_on, summands
 from dolfinmpm.grid.constants import is_own
@@ -38,7 +38,11 @@ def why_not(form: WeakForm) -> str | None:
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
-        return "laws that share volume changes, or of several or other measures of strain"
+        return "laws of several or other measures of strain"
+    if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
+        return "laws by tags of which some share volume changes"
+    if points.gdim == 3 and any(d.fbar for d in declarations):
+        return "shared volume changes (F-bar) in three dimensions"
     if any(d.u is not space.increment for d in declarations):
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
@@ -77,11 +81,9 @@ def only_momentum(form: WeakForm) -> bool:
 
 
 def _kind(declaration: Declaration) -> int | None:
-    if declaration.fbar:
-        return None
     if isinstance(declaration.law, NeoHookean):
         return NEO
-    return {"large": LAW, "small": SMALL}.get(declaration.strain)
+    return {"large": LAW, "small": SMALL, "jaumann": JAUMANN}.get(declaration.strain)
 
 
 class Laws:
@@ -94,6 +96,7 @@ class Laws:
     Attributes:
         kind: How strain makes stress, see `dolfinmpm.dynamics.passes`.
         state: Name of the field of elastic strain; empty if the law takes F.
+        fbar: Whether points share changes of volume.
         internal: Internal variables side by side, shape (n, variables).
         table: Addresses of the laws, their parameters, whether these are by points, and
             which law a point has.
@@ -107,7 +110,8 @@ class Laws:
         kind = _kind(self._declarations[0])
         assert kind is not None
         self.kind = kind
-        self.state = {LAW: "be", SMALL: "elastic_strain", NEO: ""}[kind]
+        self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
+        self.fbar = self._declarations[0].fbar
 
     def kernel(self, gdim: int):
         """Maker of the loops in that many dimensions."""
@@ -123,7 +127,7 @@ class Laws:
         if self.kind == NEO:
             numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
         else:
-            addresses[:] = [d.law.address for d in laws]
+            addresses[:] = [d.law.stress_address for d in laws]
             numbers = self._parameters()
         which = np.zeros(1, np.uint8)
         if len(laws) > 1:
@@ -225,8 +229,11 @@ class Loads:
             flux = np.empty((len(rows), program.size))
             program.run(data, flux)
             forces[rows] -= flux.reshape(len(rows), d, 1 + d)[:, :, 0]
-        a = forces / point_masses(points)[:, None]
-        low, high = a.min(axis=0, initial=np.inf), a.max(axis=0, initial=-np.inf)
+        m = point_masses(points)
+        # by columns: NumPy's reductions of short rows are ten times slower
+        a = [forces[:, k] / m for k in range(d)]
+        low = np.array([one.min(initial=np.inf) for one in a])
+        high = np.array([one.max(initial=-np.inf) for one in a])
         points.comm.Allreduce(MPI.IN_PLACE, low, op=MPI.MIN)
         points.comm.Allreduce(MPI.IN_PLACE, high, op=MPI.MAX)
         self.uniform = bool(np.all(high - low <= 1e-14 * np.abs(high).max(initial=0.0)))

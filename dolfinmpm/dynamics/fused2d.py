@@ -14,7 +14,7 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.lattice import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.lanes import (
     add_at,
@@ -24,26 +24,32 @@ from dolfinmpm.dynamics.lanes import (
     lanes,
     load,
     logarithm,
+    number_at,
     store,
     times,
 )
-from dolfinmpm.dynamics.passes import COLUMNS, FAST, LAW, NEO, SMALL, Pass
+from dolfinmpm.dynamics.moments import drift, inverse_moments
+from dolfinmpm.dynamics.passes import (
+    COLUMNS,
+    FAST,
+    GROWTH,
+    JAUMANN,
+    LAW,
+    MEANS_TAKEN,
+    MEANS_USED,
+    NEO,
+    SMALL,
+    Pass,
+)
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
 
 
-@numba.njit(cache=True, error_model="numpy")
-def spread(S, node, first, count, x):
-    """Second moment Σ S (x_a − x)² of the functions that a point sees in one direction (m²)."""
-    total = 0.0
-    for a in range(count):
-        total += S[a] * (node[first + a] - x) ** 2
-    return total
-
-
 @functools.cache
-def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
+def kernel(
+    degree: int, growth: int, kind: int, affine: int, parts: Pass, general: bool, means: int = 0
+):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
     `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
@@ -51,7 +57,10 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
     wherever they are; the others take all points, and skip what `middle_weights` does not know.
     `record` tells whether what only others read is written: accelerations, volumes, stresses.
+    Growth of domains (0: points have none) and `means` of F-bar are told in
+    `dolfinmpm.dynamics.passes`.
     """
+    averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts
     APIC, TPIC = affine == 1, affine == 2
     gradient = strain or (TPIC and velocity)
@@ -67,11 +76,15 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
         line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
-        tau_old, e_out, body = points[13:]
+        tau_old, e_out, body = points[13:16]
+        if means > 0:
+            sums, J_bar = points[16:]
+            L0, L1 = np.empty(64), np.empty(64)
+            sums_at = sums.ctypes.data - 16 * (origin[0] * shape[1] + origin[1])
         addresses, numbers, stride, which = law
         S0, S1 = np.empty(64), np.empty(64)
         d0, d1 = np.empty(64), np.empty(64)
-        part, slope = np.empty(4), np.empty(4)
+        part, slope, S2 = np.empty(4), np.empty(4), np.empty(64)
         e, tau, tangent = np.empty(3), np.empty(3), np.empty(9)
         scratch = np.empty(max(internal.shape[1], 1))
         work = outer = fastest = 0.0
@@ -79,6 +92,7 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
         last0, last1 = line0.size - 2, line1.size - 2
         s0 = (last0 + 1) / (line0[last0 + 1] - line0[0])
         s1 = (last1 + 1) / (line1[last1 + 1] - line1[0])
+        step0, step1 = 1.0 / s0, 1.0 / s1
         start0, start1 = line0[0], line1[0]
         end0, end1 = line0[last0 + 1], line1[last1 + 1]
         low0, low1 = origin[0] + first[0], origin[1] + first[1]
@@ -143,6 +157,39 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     w0, w1, v0, v1 = v0, v1, w0, w1
                 _, _, h00, h10 = lanes(H0)
                 _, _, h01, h11 = lanes(H1)
+                if means > 0:
+                    if general:
+                        line_shares(
+                            line0, uniform, degree, i0, n0 - degree, x0, l0, d0, L0, S2, part, slope
+                        )
+                        line_shares(
+                            line1, uniform, degree, i1, n1 - degree, x1, l1, d1, L1, S2, part, slope
+                        )
+                    else:
+                        # slopes of splines are differences of those one degree lower
+                        r0 = r1 = 0.0
+                        for a in range(usual - 1):
+                            r0, r1 = r0 - d0[a] * step0, r1 - d1[a] * step1
+                            L0[a], L1[a] = r0, r1
+                    cell = sums_at + 16 * (i0 * shape[1] + i1)
+                if means == MEANS_TAKEN:
+                    volume = vp * (F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0])
+                    change = dt * (h00 + h11)
+                    if kind == LAW:
+                        change = (1.0 + dt * h00) * (1.0 + dt * h11) - dt * h01 * dt * h10
+                    for a in range(n0 - 1):
+                        for b in range(n1 - 1):
+                            at, q = cell + 16 * (a * shape[1] + b), L0[a] * L1[b] * volume
+                            add_at(at, q)
+                            add_at(at + 8, q * change)
+                    continue
+                mean = 0.0
+                if means == MEANS_USED:
+                    for a in range(n0 - 1):
+                        here = 0.0
+                        for b in range(n1 - 1):
+                            here += L1[b] * number_at(cell + 16 * (a * shape[1] + b) + 8)
+                        mean += L0[a] * here
                 if velocity:
                     if affine:
                         v[p, 0], v[p, 1] = v0, v1
@@ -151,6 +198,10 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                             # moments; where the point scatters its functions divide them
                             _, _, b00, b10 = lanes(B0)
                             _, _, b01, b11 = lanes(B1)
+                            if general and averaged:
+                                q0, q1 = drift(S0, node0, i0, n0, x0), drift(S1, node1, i1, n1, x1)
+                                b00, b10 = b00 - q0 * v0, b10 - q0 * v1
+                                b01, b11 = b01 - q1 * v0, b11 - q1 * v1
                         C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1] = b00, b01, b10, b11
                     else:
                         v[p, 0] = share * (v[p, 0] + w0) + (1.0 - share) * v0
@@ -168,6 +219,21 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     J = f00 * f11 - f01 * f10
                     if not (J > 0.0 and a00 * a11 - a01 * a10 > 0.0):
                         return np.intp(p), left, behind
+                    ratio = 1.0
+                    u00, u11 = h00, h11
+                    if means == MEANS_USED:
+                        if kind == LAW:
+                            # F-bar: the law sees the mean's change of volume
+                            q = mean / (a00 * a11 - a01 * a10)
+                            if not q > 0.0:
+                                return np.intp(p), left, behind
+                            q = math.sqrt(q)
+                            a00, a01, a10, a11 = q * a00, q * a01, q * a10, q * a11
+                            J_bar[p] *= mean
+                            ratio = J / J_bar[p]
+                        else:
+                            q = 0.5 * (mean / dt - h00 - h11)
+                            u00, u11 = h00 + q, h11 + q
                     L = np.intp(0) if single else np.intp(which[p])
                     if kind == NEO:
                         lmbda, mu = numbers[L, 0], numbers[L, 1]
@@ -182,9 +248,25 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                             w10, w11 = a10 * y00 + a11 * y01, a10 * y01 + a11 * y11
                             y00, y11 = w00 * a00 + w01 * a01, w10 * a10 + w11 * a11
                             y01 = w00 * a10 + w01 * a11
+                        elif kind == JAUMANN:
+                            # the increment by the middle of the step, and the turn of its spin
+                            z = 0.5 * dt * (u00 * u11 - h01 * h10)
+                            q = 1.0 + 0.5 * dt * (u00 + u11 + z)
+                            if not q > 0.0:
+                                return np.intp(p), left, behind
+                            q = dt / q
+                            w = 0.5 * q * (h01 - h10)
+                            turn = 1.0 / (1.0 + 0.25 * w * w)
+                            c, s = 1.0 - 0.5 * w * w * turn, w * turn
+                            y00, y11, y01 = state[p, 0], state[p, 1], state[p, 3]
+                            w00, w01 = c * y00 + s * y01, c * y01 + s * y11
+                            w10, w11 = c * y01 - s * y00, c * y11 - s * y01
+                            y00 = w00 * c + w01 * s + q * (u00 + z)
+                            y11 = w11 * c - w10 * s + q * (u11 + z)
+                            y01 = w01 * c - w00 * s + 0.5 * q * (h01 + h10)
                         else:
-                            y00 = state[p, 0] + dt * h00
-                            y11 = state[p, 1] + dt * h11
+                            y00 = state[p, 0] + dt * u00
+                            y11 = state[p, 1] + dt * u11
                             y01 = state[p, 3] + 0.5 * dt * (h01 + h10)
                         # eigenvalues from what does not cancel, axes by the half angle
                         gap, mid = 0.5 * (y00 - y11), 0.5 * (y00 + y11)
@@ -229,6 +311,11 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         mid, gap = 0.5 * (tau[0] + tau[1]), 0.5 * (tau[0] - tau[1])
                         t00, t11, t01 = mid + gap * cosine, mid - gap * cosine, gap * sine
                         t22 = tau[2]
+                        if kind == JAUMANN:
+                            # Cauchy's
+                            ratio = J
+                        if kind == JAUMANN or means == MEANS_USED:
+                            t00, t11, t01, t22 = ratio * t00, ratio * t11, ratio * t01, ratio * t22
                     if kind != SMALL:
                         # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
                         z = 0.5 * dt * (h00 * h11 - h01 * h10)
@@ -259,13 +346,25 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     P, K0, K1 = four(0.0, mp * v[p, 0], mp * v[p, 1], 0.0), nothing, nothing
                     if affine:
                         q0 = q1 = mp
+                        q = 0.0
                         if APIC:
-                            q0, q1 = (
-                                mp / spread(S0, node0, i0, n0, x0),
-                                mp / spread(S1, node1, i1, n1, x1),
+                            q0, q1, q = inverse_moments(
+                                general and averaged,
+                                mp,
+                                S0,
+                                node0,
+                                i0,
+                                n0,
+                                x0,
+                                S1,
+                                node1,
+                                i1,
+                                n1,
+                                x1,
                             )
-                        K0 = four(0.0, q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0)
-                        K1 = four(0.0, q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0)
+                        b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                        K0 = four(0.0, q0 * b00 + q * b01, q0 * b10 + q * b11, 0.0)
+                        K1 = four(0.0, q1 * b01 + q * b00, q1 * b11 + q * b10, 0.0)
                     for a in range(n0):
                         at = out_at + base + a * row + second - 8
                         R = times(S0[a], P)
@@ -276,6 +375,13 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                             if affine:
                                 Z = axpy(S0[a] * S1[b] * (node1[i1 + b] - x1), K1, Z)
                             store(at + b * STRIDE, Z)
+                if move and TPIC:
+                    # C (1 + Δt C)⁻¹ = (C + Δt det C)/det(1 + Δt C), by where the points go
+                    b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                    z = dt * (b00 * b11 - b01 * b10)
+                    q = 1.0 / (1.0 + dt * (b00 + b11 + z))
+                    C[p, 0, 0], C[p, 1, 1] = q * (b00 + z), q * (b11 + z)
+                    C[p, 0, 1], C[p, 1, 0] = q * b01, q * b10
                 if move:
                     x0, x1 = x0 + dt * v0, x1 + dt * v1
                     x[p, 0], x[p, 1] = x0, x1
@@ -287,12 +393,17 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     if not alike:
                         outer += g0 * v0 + g1 * v1
                     if averaged:
-                        # l = l0 diag(U), U = (FᵀF + J I)/√(tr FᵀF + 2 J)
                         f00, f01, f10, f11 = F[p, 0, 0], F[p, 0, 1], F[p, 1, 0], F[p, 1, 1]
                         J = f00 * f11 - f01 * f10
-                        k00, k11 = f00 * f00 + f10 * f10, f01 * f01 + f11 * f11
-                        q = 1.0 / math.sqrt(k00 + k11 + 2.0 * J)
-                        k00, k11 = half0[p, 0] * (k00 + J) * q, half0[p, 1] * (k11 + J) * q
+                        k00, k11 = half0[p, 0], half0[p, 1]
+                        if growth == by_stretch:
+                            # l = l0 diag(U), U = (FᵀF + J I)/√(tr FᵀF + 2 J)
+                            q = 1.0 / math.sqrt(f00**2 + f01**2 + f10**2 + f11**2 + 2.0 * J)
+                            k00 *= (f00 * f00 + f10 * f10 + J) * q
+                            k11 *= (f01 * f01 + f11 * f11 + J) * q
+                        elif growth == by_volume:
+                            q = math.sqrt(J)
+                            k00, k11 = q * k00, q * k11
                         way += max((k00 - l0) * fine0, (k11 - l1) * fine1)
                         l0, l1 = k00, k11
                         half[p, 0], half[p, 1] = l0, l1
@@ -328,13 +439,14 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                 K0 = K1 = nothing
                 if affine:
                     q0 = q1 = mp
+                    q = 0.0
                     if APIC:
-                        q0, q1 = (
-                            mp / spread(S0, node0, i0, n0, x0),
-                            mp / spread(S1, node1, i1, n1, x1),
+                        q0, q1, q = inverse_moments(
+                            general and averaged, mp, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1
                         )
-                    K0 = four(q0 * C[p, 0, 0], q0 * C[p, 1, 0], 0.0, 0.0)
-                    K1 = four(q1 * C[p, 0, 1], q1 * C[p, 1, 1], 0.0, 0.0)
+                    b00, b01, b10, b11 = C[p, 0, 0], C[p, 0, 1], C[p, 1, 0], C[p, 1, 1]
+                    K0 = four(q0 * b00 + q * b01, q0 * b10 + q * b11, 0.0, 0.0)
+                    K1 = four(q1 * b01 + q * b00, q1 * b11 + q * b10, 0.0, 0.0)
                 for a in range(n0):
                     at = out_at + base + a * row
                     R, Q, K, mass = times(S0[a], P), nothing, nothing, S0[a] * mp

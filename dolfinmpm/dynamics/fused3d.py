@@ -2,7 +2,7 @@
 
 It is that of `dolfinmpm.dynamics.fused2d` with one direction more. A node has a vector of three
 components and its mass, or 0, in the fourth lane; the principal axes of a strain are taken
-through the projectors of `dolfinmpm.dynamics.axes`.
+through the projectors of `dolfinmpm.dynamics.axes`. It knows no F-bar.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from dolfinmpm.dynamics.lanes import (
     times,
 )
 from dolfinmpm.dynamics.moments import drift, slopes
-from dolfinmpm.dynamics.passes import COLUMNS, FAST, LAW, NEO, SMALL, Pass
+from dolfinmpm.dynamics.passes import COLUMNS, FAST, GROWTH, JAUMANN, LAW, NEO, SMALL, Pass
+from dolfinmpm.dynamics.rates import carried, turned
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
@@ -40,11 +41,12 @@ def column(C, p, k):
 
 
 @functools.cache
-def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, general: bool):
+def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, general: bool):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
     See `dolfinmpm.dynamics.fused2d.kernel`, whose arguments and results these are.
     """
+    averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts
     APIC, TPIC = affine == 1, affine == 2
     gradient = strain or (TPIC and velocity)
@@ -195,16 +197,6 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         acceleration[p, 1] = w1 / dt
                         acceleration[p, 2] = w2 / dt
                 if strain:
-                    # ΔF = 1 + Δt H, of whose invariants and adjugate the mean rate is made too
-                    c00, c11, c22 = (
-                        h11 * h22 - h12 * h21,
-                        h00 * h22 - h02 * h20,
-                        h00 * h11 - h01 * h10,
-                    )
-                    trace, second = h00 + h11 + h22, c00 + c11 + c22
-                    third = (
-                        h00 * c00 + h01 * (h12 * h20 - h10 * h22) + h02 * (h10 * h21 - h11 * h20)
-                    )
                     a00, a01, a02 = 1.0 + dt * h00, dt * h01, dt * h02
                     a10, a11, a12 = dt * h10, 1.0 + dt * h11, dt * h12
                     a20, a21, a22 = dt * h20, dt * h21, 1.0 + dt * h22
@@ -230,8 +222,19 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         f00 * (f11 * f22 - f12 * f21) + f01 * (f12 * f20 - f10 * f22)
                         + f02 * (f10 * f21 - f11 * f20)
                     )  # fmt: skip
-                    if not (J > 0.0 and 1.0 + dt * (trace + dt * (second + dt * third)) > 0.0):
+                    change = (
+                        a00 * (a11 * a22 - a12 * a21) + a01 * (a12 * a20 - a10 * a22)
+                        + a02 * (a10 * a21 - a11 * a20)
+                    )  # fmt: skip
+                    if not (J > 0.0 and change > 0.0):
                         return np.intp(p), left, behind
+                    if kind != SMALL:
+                        # the rate by the middle of the step
+                        scale, h00, h01, h02, h10, h11, h12, h20, h21, h22 = carried(
+                            0.5 * dt, h00, h01, h02, h10, h11, h12, h20, h21, h22
+                        )
+                        if kind == JAUMANN and not scale > 0.0:
+                            return np.intp(p), left, behind
                     L = np.intp(0) if single else np.intp(which[p])
                     if kind == NEO:
                         lmbda, mu = numbers[L, 0], numbers[L, 1]
@@ -262,6 +265,11 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                             y12 = w10 * a20 + w11 * a21 + w12 * a22
                             y02 = w00 * a20 + w01 * a21 + w02 * a22
                         else:
+                            if kind == JAUMANN:
+                                y00, y11, y22, y01, y12, y02 = turned(
+                                    0.5 * dt * (h21 - h12), 0.5 * dt * (h02 - h20),
+                                    0.5 * dt * (h10 - h01), y00, y11, y22, y01, y12, y02,
+                                )  # fmt: skip
                             y00, y11, y22 = y00 + dt * h00, y11 + dt * h11, y22 + dt * h22
                             y01 += 0.5 * dt * (h01 + h10)
                             y12 += 0.5 * dt * (h12 + h21)
@@ -308,25 +316,16 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                         z, gap = r0 - 0.5 * (r1 + r2), 0.5 * (r1 - r2)
                         t01, t12 = z * P01 + gap * D01, z * P12 + gap * D12
                         t02 = z * P02 + gap * D02
+                        if kind == JAUMANN:
+                            # Cauchy's
+                            t00, t11, t22 = J * t00, J * t11, J * t22
+                            t01, t12, t02 = J * t01, J * t12, J * t02
                     k00, k11, k22 = tau_old[p, 0] + t00, tau_old[p, 1] + t11, tau_old[p, 2] + t22
                     k01, k12, k02 = tau_old[p, 3] + t01, tau_old[p, 4] + t12, tau_old[p, 5] + t02
-                    power = (
+                    work += vp * (
                         k00 * h00 + k11 * h11 + k22 * h22
                         + k01 * (h01 + h10) + k12 * (h12 + h21) + k02 * (h02 + h20)
                     )  # fmt: skip
-                    if kind != SMALL:
-                        # the rate by the middle, H (1 + s H)⁻¹, where H adj(1 + s H) is
-                        # H + s (II 1 − adj H) + s² III 1, by the invariants of H
-                        s = 0.5 * dt
-                        power += s * (
-                            (second + s * third) * (k00 + k11 + k22)
-                            - k00 * c00 - k11 * c11 - k22 * c22
-                            - k01 * (h02 * h21 - h01 * h22 + h12 * h20 - h10 * h22)
-                            - k12 * (h02 * h10 - h00 * h12 + h01 * h20 - h00 * h21)
-                            - k02 * (h01 * h12 - h02 * h11 + h10 * h21 - h11 * h20)
-                        )  # fmt: skip
-                        power /= 1.0 + s * (trace + s * (second + s * third))
-                    work += vp * power
                     tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
                     tau_old[p, 3], tau_old[p, 4], tau_old[p, 5] = t01, t12, t02
                     if record:
@@ -381,6 +380,17 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                                 if affine:
                                     Z = axpy(S2[c] * (node2[i2 + c] - x2), Q, Z)
                                 store(at + c * STRIDE, Z)
+                if move and TPIC:
+                    # the gradient by where the points go
+                    (
+                        _,
+                        C[p, 0, 0], C[p, 0, 1], C[p, 0, 2],
+                        C[p, 1, 0], C[p, 1, 1], C[p, 1, 2],
+                        C[p, 2, 0], C[p, 2, 1], C[p, 2, 2],
+                    ) = carried(
+                        dt, C[p, 0, 0], C[p, 0, 1], C[p, 0, 2], C[p, 1, 0], C[p, 1, 1],
+                        C[p, 1, 2], C[p, 2, 0], C[p, 2, 1], C[p, 2, 2],
+                    )  # fmt: skip
                 if move:
                     x0, x1, x2 = x0 + dt * v0, x1 + dt * v1, x2 + dt * v2
                     x[p, 0], x[p, 1], x[p, 2] = x0, x1, x2
@@ -393,21 +403,32 @@ def kernel(degree: int, averaged: bool, kind: int, affine: int, parts: Pass, gen
                     if not alike:
                         outer += g0 * v0 + g1 * v1 + g2 * v2
                     if averaged:
-                        # l = l0 diag(U), U = √(FᵀF)
+                        k00, k11, k22 = half0[p, 0], half0[p, 1], half0[p, 2]
                         f00, f01, f02 = F[p, 0, 0], F[p, 0, 1], F[p, 0, 2]
                         f10, f11, f12 = F[p, 1, 0], F[p, 1, 1], F[p, 1, 2]
                         f20, f21, f22 = F[p, 2, 0], F[p, 2, 1], F[p, 2, 2]
-                        r0, r1, r2, P00, P11, P22, _, _, _, D00, D11, D22, _, _, _ = axes(
-                            f00 * f00 + f10 * f10 + f20 * f20, f01 * f01 + f11 * f11 + f21 * f21,
-                            f02 * f02 + f12 * f12 + f22 * f22, f00 * f01 + f10 * f11 + f20 * f21,
-                            f01 * f02 + f11 * f12 + f21 * f22, f00 * f02 + f10 * f12 + f20 * f22,
-                        )  # fmt: skip
-                        if not r2 > 0.0:
-                            return np.intp(p), left, behind
-                        r0, r1, r2 = math.sqrt(r0), math.sqrt(r1), math.sqrt(r2)
-                        k00 = half0[p, 0] * combine(r0, r1, r2, P00, D00)
-                        k11 = half0[p, 1] * combine(r0, r1, r2, P11, D11)
-                        k22 = half0[p, 2] * combine(r0, r1, r2, P22, D22)
+                        if growth == by_stretch:
+                            # l = l0 diag(U), U = √(FᵀF)
+                            r0, r1, r2, P00, P11, P22, _, _, _, D00, D11, D22, _, _, _ = axes(
+                                f00 * f00 + f10 * f10 + f20 * f20,
+                                f01 * f01 + f11 * f11 + f21 * f21,
+                                f02 * f02 + f12 * f12 + f22 * f22,
+                                f00 * f01 + f10 * f11 + f20 * f21,
+                                f01 * f02 + f11 * f12 + f21 * f22,
+                                f00 * f02 + f10 * f12 + f20 * f22,
+                            )
+                            if not r2 > 0.0:
+                                return np.intp(p), left, behind
+                            r0, r1, r2 = math.sqrt(r0), math.sqrt(r1), math.sqrt(r2)
+                            k00 *= combine(r0, r1, r2, P00, D00)
+                            k11 *= combine(r0, r1, r2, P11, D11)
+                            k22 *= combine(r0, r1, r2, P22, D22)
+                        elif growth == by_volume:
+                            q = (
+                                f00 * (f11 * f22 - f12 * f21) + f01 * (f12 * f20 - f10 * f22)
+                                + f02 * (f10 * f21 - f11 * f20)
+                            ) ** (1.0 / 3.0)  # fmt: skip
+                            k00, k11, k22 = q * k00, q * k11, q * k22
                         way += max((k00 - l0) * fine0, (k11 - l1) * fine1, (k22 - l2) * fine2)
                         l0, l1, l2 = k00, k11, k22
                         half[p, 0], half[p, 1], half[p, 2] = l0, l1, l2

@@ -16,7 +16,18 @@ from numba.extending import intrinsic, models, register_model
 
 from dolfinmpm.dynamics.passes import FAST
 
-__all__ = ["add_at", "axpy", "exponential", "four", "lanes", "load", "logarithm", "store", "times"]
+__all__ = [
+    "add_at",
+    "axpy",
+    "exponential",
+    "four",
+    "lanes",
+    "load",
+    "logarithm",
+    "number_at",
+    "store",
+    "times",
+]
 
 _VECTOR = ir.VectorType(ir.DoubleType(), 4)
 
@@ -124,6 +135,16 @@ def add_at(typingctx, address, number):
         return context.get_dummy_value()
 
     return types.void(types.intp, types.float64), generate
+
+
+@intrinsic
+def number_at(typingctx, address):
+    """The number at an address."""
+
+    def generate(context, builder, sig, args):
+        return builder.load(builder.inttoptr(args[0], ir.DoubleType().as_pointer()))
+
+    return types.float64(types.intp), generate
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
+from petsc4py import PETSc
 from scipy import sparse
 
 from dolfinmpm._platform.checks import number
@@ -67,28 +68,43 @@ class Redistribution:
 
     def act(self, V: Array, f: Array, mass: Mass, s: Stencils) -> None:
         """See `Filter`."""
-        if mass.comm.size > 1:
-            raise ParameterError(
-                "redistribution works on one rank only: neighbours on others are not known; take "
-                'mass_cutoff, or stabilisation="aggregation"'
-            )
         m, bound = mass.lumped, self.share * _largest(mass)
         light = (m > 0) & (m < bound)
-        if not light.any():
+        if not mass.comm.allreduce(bool(light.any()), op=MPI.LOR):
             return
-        groups = s.node_start.size - 1
-        seen = sparse.csr_matrix(
-            (np.ones(s.nodes.size), s.nodes, s.node_start), shape=(groups, m.size)
-        )
-        near = seen.T.tocsr()[np.flatnonzero(light)] @ seen
-        near.data[:] = 1.0
-        weights = near @ sparse.diags(np.where(light, 0.0, m))
-        total = np.asarray(weights.sum(axis=1)).ravel()
+        near, owned = _neighbours(light, mass, s), mass.nodes.owned
+        heavy, weights = near.createVecs()
+        heavy.getArray()[:] = np.where(light, 0.0, m)[:owned]
+        near.mult(heavy, weights)
+        total = weights.getArray().copy()
         # a node without heavier neighbours keeps what it has
-        given = np.where(total > 0, 1.0 - m[light] / bound, 0.0)
-        handed = f[light] * given[:, None]
-        f[light] -= handed
-        f += (sparse.diags(1.0 / np.maximum(total, 1e-300)) @ weights).T @ handed
+        given = np.where(light[:owned] & (total > 0), 1.0 - m[:owned] / bound, 0.0)
+        per_weight, taken = given / np.maximum(total, 1e-300), heavy.duplicate()
+        for k in range(f.shape[1]):
+            weights.getArray()[:] = per_weight * f[:owned, k]
+            near.multTranspose(weights, taken)
+            f[:owned, k] += heavy.getArray() * taken.getArray() - given * f[:owned, k]
+
+
+def _neighbours(light: npt.NDArray[np.bool_], mass: Mass, s: Stencils) -> PETSc.Mat:
+    """Ones where a light node, the row, shares a point of any rank with a node. Collective."""
+    groups, owned = s.node_start.size - 1, mass.nodes.owned
+    ones = np.ones(s.nodes.size)
+    seen = sparse.csr_matrix((ones, s.nodes, s.node_start), shape=(groups, light.size))
+    at = np.flatnonzero(light)
+    near = sparse.csr_matrix(seen.T.tocsr()[at] @ seen)
+    to_global = mass.nodes.index_map.local_to_global
+    rows = to_global(at.astype(np.int32)).astype(PETSc.IntType)
+    columns = to_global(near.indices.astype(np.int32)).astype(PETSc.IntType)
+    size = (owned, mass.nodes.index_map.size_global)
+    found = PETSc.Mat().createAIJ((size, size), comm=mass.comm)
+    found.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
+    found.setUp()
+    for row, first, last in zip(rows, near.indptr, near.indptr[1:]):
+        # what several ranks see is still one
+        found.setValues(row, columns[first:last], ones[: last - first], PETSc.InsertMode.INSERT)
+    found.assemble()
+    return found
 
 
 def filters(mass_cutoff: Any, redistribution: Any) -> list[Filter]:

@@ -163,8 +163,8 @@ class Mapping:
             mass: Mass at the nodes.
             dt: The step (s).
             gamma: Newmark's γ, by which "accel" weighs the new acceleration.
-            gradient: Gradient of the velocity at the end of the step, by positions there (1/s),
-                for "tpic", shape (points, d, d).
+            gradient: Gradient of the velocity at the end of the step, by positions there or, where
+                the points have yet to move, at its start (1/s), for "tpic", shape (points, d, d).
         """
         v, a_new = points["velocity"], collect(s, motion.A_end)
         new = {"acceleration": a_new}

@@ -16,9 +16,11 @@ from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, Field
 from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.cut.unknowns import Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
+from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
@@ -28,6 +30,8 @@ KINDS = ("consistent", "lumped")
 
 # CG ends at this share of the right-hand side: an affine velocity is to come back to ten digits
 _TOLERANCE, _MOST = 1e-14, 2000
+# Velocities of nodes by those of points: a sound mass makes 100 of noise on cubic splines, else 10
+_PROPORTION = 1e3
 
 
 def point_masses(points: MaterialPoints) -> Array:
@@ -40,9 +44,11 @@ class MassTerms:
 
     Args:
         points: Material points.
-        kind: "consistent" or "lumped" by row sums. Behind a C that ties nodes, where row sums may
-            turn negative, the diagonal is scaled instead as Hinton, Rock & Zienkiewicz (1976,
-            doi 10.1002/eqe.4290040305) do.
+        kind: "consistent", or "lumped" by row sums: M_L, a diagonal of all active nodes, and behind
+            a C that ties nodes Cᵀ M_L C, which couples those that others are tied to. Row sums of
+            what is behind C would turn small or negative. So points, by their functions N
+            of all active nodes, get back no more energy than they gave: N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m
+            has no eigenvalue above 1, and keeps rigid velocities.
         ghost: Ghost penalty of the mass, γ_M J, or None.
     """
 
@@ -60,36 +66,17 @@ class MassTerms:
         field, mass = fields[0], point_masses(self.points)
         unit = np.eye(field.space.components)
         if self.kind == "lumped":
-            share = self._lumped(field, mass)
-            nodes = field.nodes
-            return [Blocks(0, 0, nodes, nodes, share[nodes, None, None] * unit)]
+            sums = np.zeros((field.basis.nodes.size, 1))
+            scatter(field.seen, mass, np.ones((len(mass), 1)), sums)
+            nodes = field.active
+            single = Blocks(0, 0, nodes, nodes, sums[nodes, :, None] * unit)
+            return [reduce_blocks(field.C, field.C, single)]
         rows, columns, values = mass_entries(field.stencils, mass)
         found = [Blocks(0, 0, rows, columns, values[:, None, None] * unit)]
         if self.ghost is not None:
             grid, _ = self.ghost.grid_blocks(fields)
             found += [b for b in grid if b.row_field == b.column_field == 0]
         return found
-
-    def _lumped(self, field: ActiveField, mass: Array) -> Array:
-        """This rank's share of the nodes' masses, shape (nodes,). Collective."""
-        comm = self.points.comm
-        sums = np.zeros((field.basis.nodes.size, 1))
-        scatter(field.stencils, mass, np.ones((len(mass), 1)), sums)
-        if field.C is None:
-            return sums[:, 0]
-        total = Nodal([field.basis.nodes], [1])
-        total.arrays[0][:] = sums
-        total.add_up()
-        total.spread()
-        lowest = total.arrays[0][field.nodes].min(initial=np.inf)
-        if comm.allreduce(lowest, op=MPI.MIN) > 0.0:
-            return sums[:, 0]
-        rows, columns, values = mass_entries(field.stencils, mass)
-        own = rows == columns
-        diagonal = np.zeros(len(sums))
-        np.add.at(diagonal, rows[own], values[own])
-        both = comm.allreduce(np.array([mass.sum(), diagonal.sum()]), op=MPI.SUM)
-        return diagonal * (both[0] / both[1])
 
     def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
         """A matrix of that pattern, the same as long as the pattern is. Collective."""
@@ -150,6 +137,10 @@ class Mass:
         if scaling != 1.0:
             self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
         self.iterations = 0
+        single = terms.kind == "lumped" and all(
+            np.array_equal(b.rows, b.columns) for b in self.blocks
+        )
+        self._diagonal: bool = self.comm.allreduce(single, op=MPI.LAND)
         sums = Nodal([self._field.basis.nodes], [1])
         for b in self.blocks:
             if terms.kind == "lumped":
@@ -167,6 +158,11 @@ class Mass:
     def comm(self) -> MPI.Intracomm:
         """Communicator of the problem."""
         return self._here.unknowns.comm
+
+    @property
+    def nodes(self) -> Numbering:
+        """Numbering of the nodes."""
+        return self._field.basis.nodes
 
     def nodal(self) -> Nodal:
         """Zeros at the nodes. Collective."""
@@ -199,6 +195,37 @@ class Mass:
         out.add_up()
         return out
 
+    def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
+        """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
+
+        Args:
+            momenta: Summed at the nodes' owners.
+            held: Velocities of prescribed components (m/s), shape (nodes, components).
+            fastest: The largest component of a velocity of this rank's points (m/s).
+
+        Raises:
+            ConvergenceError: The mass is singular: a node is out of all proportion faster than
+                the points, which a consistent mass allows where it has next to none of them.
+        """
+        V = self.solve(momenta, held)
+        if self._diagonal:
+            return V
+        nodes = self._here.unknowns.fields[0].nodes
+        given = np.where(self._here.unknowns.fields[0].fixed, held, 0.0)
+        found = [np.abs(V.arrays[0][nodes]).max(initial=0.0), np.abs(given).max(initial=0.0)]
+        both = np.array([*found, fastest])
+        self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+        largest, moved, fastest = both
+        bound = _PROPORTION * max(moved, fastest)
+        if not largest <= bound:
+            raise ConvergenceError(
+                f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
+                f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
+                "is allowed; give a ghost_mass above 0, which is the default, or "
+                'mass="lumped", or stabilisation="aggregation"'
+            )
+        return V
+
     def solve(self, right: Nodal, held: Array) -> Nodal:
         """Nodal values v with M v = right, those of held components being given. Collective.
 
@@ -213,13 +240,15 @@ class Mass:
             ConvergenceError: The mass is singular.
         """
         unknowns, out = self._unknowns, self.nodal()
-        m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
+        # nothing moves a node without mass, here as in the fused loops
+        m = np.where(self.lumped > 0, self.lumped, np.inf)[:, None]
         (p,) = right.arrays
-        if self._terms.kind != "lumped":
+        if not self._diagonal:
             # nodes of next to no mass, p/m of which may be anything, are to start from nothing
+            m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
             m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
         guess = unknowns.restrict([p / m])
-        if self._terms.kind != "lumped":
+        if not self._diagonal:
             fixed = np.where(unknowns.fields[0].fixed, held, 0.0)
             given = unknowns.restrict([p]) - unknowns.restrict(self.times(fixed).arrays)
             guess = self._cg(given, guess)
@@ -237,7 +266,7 @@ class Mass:
         return self._own
 
     def _cg(self, right: Array, guess: Array) -> Array:
-        """Conjugate gradients with the diagonal of the ghosted matrix. Collective."""
+        """Conjugate gradients with the diagonal of the matrix. Collective."""
         unknowns = self._unknowns
         if unknowns.total == 0:
             return guess

@@ -7,7 +7,7 @@ import numba
 from dolfinmpm.dynamics.lanes import axpy, times
 from dolfinmpm.dynamics.passes import FAST
 
-__all__ = ["drift", "slopes", "spread"]
+__all__ = ["drift", "inverse_moments", "slopes"]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -29,8 +29,22 @@ def drift(S, node, first, count, x):
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+def inverse_moments(cut, mass, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1):
+    """A mass times the inverse of the second moments in 2D: its two diagonal entries and the other.
+
+    `cut` tells whether the grid's edge may cut domains: directions are coupled then.
+    """
+    D0, D1 = spread(S0, node0, i0, n0, x0), spread(S1, node1, i1, n1, x1)
+    if not cut:
+        return mass / D0, mass / D1, 0.0
+    D01 = drift(S0, node0, i0, n0, x0) * drift(S1, node1, i1, n1, x1)
+    q = mass / (D0 * D1 - D01 * D01)
+    return q * D1, q * D0, -q * D01
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 def slopes(cut, B0, B1, B2, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1, S2, node2, i2, n2, x2):
-    """Columns of B D⁻¹, with D the second moments of the functions that a point sees.
+    """Columns of B D⁻¹ in 3D, with D the second moments of the functions that a point sees.
 
     These are A + m mᵀ, with m the first moments and A diagonal, whose inverse is that of Sherman
     and Morrison.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.energies import Work
-from dolfinmpm.dynamics.faces import Face, Faces
+from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
@@ -66,7 +65,7 @@ class Motion:
         terms: What the mass is made of.
         error: Bound of a step's error, see `Newmark`, or None.
         clock: DOLFINx constant that holds the time (s), or None.
-        faces: Faces of the grid that act on the body.
+        sides: Faces of the grid that act on the body.
 
     Attributes:
         rule, mapping, terms: The arguments.
@@ -91,12 +90,11 @@ class Motion:
         terms: MassTerms,
         error: float | None,
         clock: fem.Constant | None,
-        faces: Sequence[Face] = (),
+        sides: Sides,
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._error, self._clock = points, error, clock
-        self._faces = faces
-        self._on: dict[Any, Array | None] = {}
+        self._sides = sides
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
@@ -136,7 +134,8 @@ class Motion:
         x_node = field.basis.node_coordinates()
         self.mapping.to_grid(points, field.stencils, x_node, momenta)
         self._momenta = momenta.arrays[0].copy()
-        self.V = mass.solve(momenta, rates).arrays[0]
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        self.V = mass.velocities(momenta, rates, fastest).arrays[0]
         forces = mass.nodal()
         if self._starting:
             plain = form.on(here)
@@ -155,14 +154,10 @@ class Motion:
             Their derivative by the increments, this rank's nodes, and the forces of velocities
             without increments (N), shape (nodes, d), at the nodes' owners; or None.
         """
-        if not self._faces:
+        faces = self._sides.on(here.fields[0].basis)
+        if faces is None or faces.dashpots is None:
             return None
-        basis, rule, d = here.fields[0].basis, self.rule, self._points.gdim
-        if basis not in self._on:
-            self._on[basis] = Faces(self._faces, basis, d).dashpots
-        c = self._on[basis]
-        if c is None:
-            return None
+        rule, d, c = self.rule, self._points.gdim, faces.dashpots
         level = 1.0 - rule.alpha_f
         rest = rule.acceleration(np.zeros_like(self.V), self.V, self.A, dt)
         start = level * rule.velocity(self.V, self.A, rest, dt) + rule.alpha_f * self.V

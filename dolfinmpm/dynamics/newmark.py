@@ -32,7 +32,7 @@ from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
-from dolfinmpm.dynamics.faces import divided, set_velocities
+from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
@@ -161,7 +161,8 @@ class TimeStepping(QuasiStatic):
                 )
         super().__init__(form, increment, points, conditions, **options)
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
-        self.motion = Motion(points, rule, chosen, terms, error, time, faces)
+        sides = Sides(faces, points.gdim)
+        self.motion = Motion(points, rule, chosen, terms, error, time, sides)
         self.form.inertia = terms
 
     @property

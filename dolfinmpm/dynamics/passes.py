@@ -4,13 +4,32 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["COLUMNS", "FAST", "LAW", "NEO", "PASSES", "SMALL", "Pass"]
+__all__ = [
+    "COLUMNS",
+    "FAST",
+    "GROWTH",
+    "JAUMANN",
+    "LAW",
+    "MEANS_TAKEN",
+    "MEANS_USED",
+    "NEO",
+    "PASSES",
+    "SMALL",
+    "Pass",
+]
 
 # What compiled sums may do with floating-point numbers: reorder and contract them, nothing else.
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 # How the strain of a point makes its stress
-LAW, SMALL, NEO = 0, 1, 2
+LAW, SMALL, NEO, JAUMANN = 0, 1, 2, 3
+
+# How domains grow, see `dolfinmpm.body.domains`; 0 is no domain
+GROWTH = {"stretch": 1, "volume": 2, "fixed": 3}
+
+# What a pass does with the means of F-bar: a pass that strains takes them and does nothing else,
+# so that they are known to all cells; the next uses them
+MEANS_TAKEN, MEANS_USED = 1, 2
 
 
 class Pass(NamedTuple):

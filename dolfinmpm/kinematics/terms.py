@@ -184,7 +184,8 @@ def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tag
     if len(rows) == 0:
         return np.empty(0)
     lmbda, mu = lame(*parameters.at(rows).T)
-    largest = np.sum(points["F"][rows] ** 2, axis=(1, 2))
+    F = points["F"][rows]
+    largest = np.einsum("pij,pij->p", F, F)
     return lmbda + mu * (1.0 + np.maximum(largest, 1.0))
 
 

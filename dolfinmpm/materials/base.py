@@ -23,6 +23,7 @@ from numba.extending import intrinsic
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.grid.positions import ask
+from dolfinmpm.materials.discarded import DISCARDED
 
 __all__ = ["Law", "Parameter", "Parametrised", "Response", "Value", "call_law", "law_kernel"]
 
@@ -53,6 +54,20 @@ class _Kernel:
     def address(self) -> int:
         """Address of the C function."""
         return self._compiled.address
+
+    @functools.cached_property
+    def stress_address(self) -> int:
+        """Address of one that writes no tangent, for explicit steps; else the same.
+
+        Only of the package's own kernels: others may do with the tangent what goes with an array
+        alone.
+        """
+        if not self._function.__module__.startswith(_PACKAGE):
+            return self.address
+        signature = types.int32(*[_DOUBLES] * 5, DISCARDED)
+        kept = numba.cfunc(signature, cache=True, error_model="numpy")(self._function)
+        self._without_tangent = kept
+        return kept.address
 
 
 def law_kernel(function: Callable) -> _Kernel:
@@ -308,6 +323,11 @@ class Law(Parametrised):
     def address(self) -> int:
         """Address of the compiled kernel."""
         return self.kernel.address
+
+    @property
+    def stress_address(self) -> int:
+        """Address of a kernel that need not write the tangent."""
+        return getattr(self.kernel, "stress_address", self.address)
 
     def first_internal(self, parameters: Array) -> Array:
         """Internal variables of a point that has not yielded, shape (n, variables)."""

@@ -41,7 +41,17 @@ def test_alone(demo, tmp_path, monkeypatch):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("demo", [path.stem for path in DEMOS])
+# tests/mpi has every part of them on several ranks, by shorter scenes
+_DAILY = ("column_compaction", "your_own_law")
+
+
+@pytest.mark.parametrize(
+    "demo",
+    [
+        pytest.param(path.stem, marks=[] if path.stem in _DAILY else [pytest.mark.long])
+        for path in DEMOS
+    ],
+)
 def test_on_two_ranks(demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = start(f"demos/{demo}.py", ranks=2)

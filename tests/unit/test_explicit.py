@@ -75,7 +75,10 @@ def test_consistent_mass_with_ghost_penalty_keeps_the_step_at_small_cuts():
     assert min(steps) == pytest.approx(0.575, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark, mpm.GeneralisedAlpha])
+@pytest.mark.parametrize(
+    "kind",
+    [mpm.Explicit, mpm.Newmark, pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long)],
+)
 def test_absorbing_faces_let_a_pulse_out(kind):
     def faces(V):
         return mpm.absorbing(V, "left", "right", density=1.0, p_speed=10.0)
@@ -150,11 +153,105 @@ def test_velocities_are_of_steps_in_time():
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_an_unstable_run_ends_with_a_named_error(fused):
+def test_an_unstable_run_ends_with_a_named_error_and_a_whole_state(fused):
     problem = disc(fused=fused, scheme="usl")
+    points = problem.points
+    problem.step(0.02)
+    order = np.argsort(points["id"])
+    before = {name: values[order].copy() for name, values in points.fields.items()}
+    work = problem.energies().external
     problem.courant = 6.0
     with pytest.raises(errors.InstabilityError, match=r"The step is .* s, the critical one .* s;"):
         problem.step(3.0)
+    # it ended before its hundredth step
+    assert problem.time == 0.02
+    assert problem.energies().external == work
+    order = np.argsort(points["id"])
+    for name, values in before.items():
+        np.testing.assert_array_equal(points[name][order], values, err_msg=name)
+    # and goes on from there as if nothing had been
+    problem.courant, other = 0.8, disc(fused=fused, scheme="usl")
+    for t in (0.02, 0.04):
+        other.step(t)
+    problem.step(0.04)
+    one, two = (p.points["x"][np.argsort(p.points["id"])] for p in (problem, other))
+    np.testing.assert_allclose(one, two, rtol=0, atol=1e-13)
+    assert problem.energies().external == pytest.approx(other.energies().external, rel=1e-12)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_run_that_is_unstable_late_goes_back_a_hundred_steps_at_most(fused):
+    """A squeeze sets in after 130 steps; the state is the one after a hundred."""
+    dt = 0.4 * 0.25 / np.sqrt(1e5 * 0.7 / 0.52 / 1e3)
+
+    def build():
+        grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (8, 8), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((-0.5, -0.5), (0.5, 0.5)), 2, 1000.0)
+        V = mpm.Space(grid, "linear")
+        law, t = mpm.materials.Hencky(E=1e5, nu=0.3), fem.Constant(grid, 0.0)
+        a = ufl.conditional(ufl.gt(t, 130 * dt), 1e8, 1.0)
+        F = mpm.momentum(law, points, V.increment, V.test)
+        F += ufl.inner(points.density * a * points.x0, V.test) * points.dX
+        options = {"time": t, "fused": fused, "scheme": "usl", "courant": 0.4}
+        return mpm.Explicit(F, V.increment, points, **options)
+
+    problem, other = build(), build()
+    assert (problem.unfused == "") == fused
+    with pytest.raises(errors.InstabilityError, match=r"The state is that at t = 0\.\d+ s"):
+        problem.step(1e3 * dt)
+    assert 99 * dt < problem.time < 130 * dt
+    points = problem.points
+    assert all(np.isfinite(values).all() for values in points.fields.values())
+    other.step(problem.time)
+    order = [np.argsort(p.points["id"]) for p in (problem, other)]
+    one, two = ((p.points["x"] - p.points["x0"])[o] for p, o in zip((problem, other), order))
+    np.testing.assert_allclose(one, two, rtol=0, atol=1e-2 * np.abs(two).max())
+    assert problem.energies().external == pytest.approx(other.energies().external, rel=1e-2)
+
+
+def test_aggregation_keeps_the_energy_of_a_block_in_flight():
+    """Half the critical step; the energy swings with the step, and comes from nowhere else."""
+    E, nu, density, wide = 1e4, 0.3, 1e3, 6
+    c = np.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / density)
+    grid = mesh.create_rectangle(COMM, [(0, 0), (18, 18)], (18, 18), mesh.CellType.quadrilateral)
+    low = np.full(2, 2.0 + 1e-3)
+    points = mpm.fill(grid, mpm.Box(low, low + wide), 3, density, aligned="body")
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=nu), points, V.increment, V.test)
+    problem = mpm.Explicit(F, V.increment, points, stabilisation="aggregation", courant=1e6)
+    flight = 0.3 * c * np.array([1.0, 0.7])
+    X = (points["x"] - points["x"].mean(axis=0)) / wide
+    points["velocity"] = flight + 0.01 * c * np.sin(np.pi * X)
+    drift = 0.5 * density * wide**2 * flight @ flight
+    first = problem.energies().kinetic - drift
+    for t in 6 / flight[0] * np.arange(1, 42) / 41:
+        problem.step(t)
+        e = problem.energies()
+        assert 0.8 < (e.kinetic - drift + e.strain + e.dissipated) / first < 1.25
+
+
+def test_a_node_that_points_see_with_no_weight_is_not_accelerated():
+    """A point on a grid line sees the far node of its cell with a slope and no weight."""
+    found = []
+    for fused in (True, False):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (8, 8)], (8, 8), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((2, 2), (5, 5)), 1, 1.0)
+        points["x"] = points["x"] + 0.5
+        points.locate()
+        V = mpm.Space(grid, "linear")
+        law = mpm.materials.Hencky(E=1.0, nu=0.3)
+        mpm.set_stress(points, law, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
+        F = mpm.momentum(law, points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points, fused=fused, courant=0.01, scheme="usl")
+        assert (problem.unfused == "") == fused
+        problem.step(next(mpm.times(5e-3)))
+        order = np.argsort(points["id"])
+        found.append([points[name][order] for name in ("x", "F", "velocity")])
+    for one, other in zip(*found):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
+    # by the forces at nodes with mass alone
+    dt = problem.time
+    assert 0 < np.abs(found[0][1] - np.eye(2)).max() < 2e-3 * dt**2
 
 
 def test_mass_cut_off_stops_light_nodes_and_redistribution_keeps_their_forces():

@@ -9,7 +9,7 @@ from dolfinx import mesh
 from scenes import disc
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.dynamics import transfer
 from dolfinmpm.dynamics.energies import angular_momentum
 from dolfinmpm.dynamics.mass import Mass
@@ -26,7 +26,7 @@ def affine(x):
     return x @ GRADIENT[:d, :d].T + SHIFT[:d]
 
 
-def block(kind, basis, cut, **options):
+def block(kind, basis, cut, rule=mpm.Newmark, **options):
     """A block whose edges reach into their last cells by a share of one; it moves affinely."""
     h, low, high = 0.1, 0.53, 1.2 + 0.1 * cut
     if kind == "interval":
@@ -46,7 +46,7 @@ def block(kind, basis, cut, **options):
     F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, V.increment, V.test)
     points.add_field("velocity", (points.gdim,), "m/s")
     points["velocity"] = affine(points["x"])
-    return mpm.Newmark(F, V.increment, points, (), **options)
+    return rule(F, V.increment, points, (), **options)
 
 
 def mapped(problem):
@@ -149,6 +149,23 @@ def test_without_a_ghost_penalty_small_cuts_spoil_it():
         assert (error < worst) == (cut == 0.5)
 
 
+@pytest.mark.parametrize("rule", [mpm.Newmark, mpm.Explicit])
+def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_an_error(rule):
+    def wavy(cut, **options):
+        problem = block("quadrilateral", "gimp", cut, rule, mass="consistent", **options)
+        problem.points["velocity"] = np.sin(3 * problem.points["x"])
+        return problem
+
+    given = {"mapping": "pic", "scheme": "usl"} if rule is mpm.Explicit else {}
+    message = r"next to singular: a node has the velocity .* m/s .* give a ghost_mass above 0"
+    with pytest.raises(ConvergenceError, match=message):
+        wavy(1e-6, ghost_mass=0.0, **given).step(1e-3)
+    # sound where cuts are large, or a penalty or ties act
+    wavy(0.5, ghost_mass=0.0, **given).step(1e-3)
+    wavy(1e-6, **given).step(1e-3)
+    wavy(1e-6, stabilisation="aggregation", **given).step(1e-3)
+
+
 @pytest.mark.parametrize("remedy", ["none", "aggregation"])
 @pytest.mark.parametrize("basis", ["gimp", "bspline2"])
 def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, remedy):
@@ -162,6 +179,43 @@ def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, rem
     np.testing.assert_allclose(mass.lumped @ V, momentum, rtol=1e-13)
     assert mass.lumped.sum() == pytest.approx(masses(points).sum(), rel=1e-13)
     assert (mass.lumped[nodes] > 0).all()
+
+
+@pytest.mark.parametrize("basis", ["gimp", "bspline2"])
+@pytest.mark.parametrize("remedy", ["aggregation", "extended"])
+def test_a_lumped_mass_behind_ties_keeps_rigid_velocities_and_makes_no_energy(basis, remedy):
+    """The edges of a box that is turned have steps; row sums behind C would make energy there."""
+    grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (16, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((-0.5, -0.5), (0.5, 0.5)), 2, 1000.0)
+    c, s = np.cos(0.25), np.sin(0.25)
+    points["x"] = points["x"] @ np.array([[c, s], [-s, c]]) + (0.013, -0.021)
+    points.locate()
+    V = mpm.Space(grid, basis)
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
+    problem = mpm.Newmark(F, V.increment, points, mass="lumped", stabilisation=remedy)
+    points["velocity"] = SHIFT
+    mass, V, nodes, _ = mapped(problem)
+    (s,), m = (field.stencils for field in problem.here.fields), mass.lumped
+    M = np.zeros((len(m), len(m)))
+    np.add.at(M, *((rows := transfer.mass_entries(s, masses(points)))[:2], rows[2]))
+    by_sums = (M / np.sqrt(np.outer(m, m).clip(1e-300)))[np.ix_(nodes, nodes)]
+    assert basis != "gimp" or np.linalg.eigvalsh(by_sums)[-1] > 1.05
+    np.testing.assert_allclose(V[nodes], np.tile(SHIFT, (len(nodes), 1)), rtol=0, atol=1e-12)
+    rng = np.random.default_rng(3)
+    velocities = [*rng.standard_normal((20, len(points), 2)), affine(points["x"])]
+    # and those that come back largest
+    for _ in range(40):
+        points["velocity"] = velocities[-1]
+        _, V, *_ = mapped(problem)
+        back = transfer.collect(problem.here.fields[0].stencils, V)
+        velocities.append(back / np.abs(back).max())
+    for velocity in velocities:
+        points["velocity"] = velocity
+        mass, V, *_ = mapped(problem)
+        kinetic = masses(points) @ (velocity**2).sum(axis=1)
+        assert np.sum(V * mass.times(V).arrays[0]) <= kinetic * (1 + 1e-12)
+        back = transfer.collect(problem.here.fields[0].stencils, V)
+        assert masses(points) @ (back**2).sum(axis=1) <= kinetic * (1 + 1e-12)
 
 
 def test_the_ghost_penalty_of_the_mass_gives_nothing_to_affine_fields():
@@ -260,6 +314,27 @@ def test_a_body_that_flies_apart_is_followed_exactly(mass, mapping):
         problem.step(problem.time + 0.4)
     np.testing.assert_allclose(points["velocity"], start, rtol=0, atol=1e-9)
     np.testing.assert_allclose(points["x"], points["x0"] + 4.0 * start, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("scheme", ["usl", "usf", "musl"])
+def test_tpic_follows_a_body_that_flies_apart_and_turns_in_explicit_steps(scheme, fused):
+    """x = (1 + t A) X, for the gradient is that of where the points have gone."""
+    grid = mesh.create_rectangle(COMM, [(-2, -2), (2, 2)], (16, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((-0.47, -0.5), (0.53, 0.41)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e-16, nu=0.0), points, V.increment, V.test)
+    problem = mpm.Explicit(F, V.increment, points, mapping="tpic", scheme=scheme, fused=fused)
+    assert (problem.unfused == "") == fused
+    X, A = points["x0"], np.array([[0.8, -0.6], [0.9, 0.3]])
+    points["velocity"], points["velocity_gradient"] = X @ A.T, A
+    for t in np.arange(0.1, 1.05, 0.1):
+        problem.step(t)
+    X = points["x0"]
+    np.testing.assert_allclose(points["x"], X @ (np.eye(2) + A).T, rtol=0, atol=1e-12)
+    turned = A @ np.linalg.inv(np.eye(2) + A)
+    given = np.broadcast_to(turned, points["velocity_gradient"].shape)
+    np.testing.assert_allclose(points["velocity_gradient"], given, rtol=0, atol=1e-11)
 
 
 def test_pic_with_a_lumped_mass_does_not():

@@ -13,6 +13,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.cut.activation import Activation, ActiveField
+from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.solve.newton import Outcome
 
 ROOT = Path(mpm.__file__).parent
@@ -84,11 +85,33 @@ def test_classes_on_the_path_of_a_step_are_small():
             problem.fields[0], problem._held, problem._loads, Outcome(), *problem.form.regions,
         ]  # fmt: skip
         parts += [problem.path] if isinstance(problem, mpm.ArcLength) else []
-        for part in parts:
-            assert len(vars(part)) <= 15, (type(part).__name__, sorted(vars(part)))
-    for frozen in (Activation, ActiveField):
+        small(parts)
+    for frozen in (Activation, ActiveField, Settings):
         assert frozen.__dataclass_params__.frozen
         assert len(frozen.__dataclass_fields__) <= 15
+
+
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.Explicit])
+def test_classes_on_the_path_of_a_step_in_time_are_small(kind):
+    problems = []
+    for options in ({"mass": "consistent"}, {}) if kind is mpm.Explicit else ({},):
+        grid = unit_grid("quadrilateral", 4)
+        points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.6)), 2, 1.0)
+        V = mpm.Space(grid, "bspline2", averaged=False)
+        F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.3), points, V.increment, V.test)
+        F -= ufl.inner(ufl.as_vector((0.0, -1e-3)), V.test) * points.dX
+        problem = kind(F, V.increment, points, mpm.fixed(V, "bottom"), **options)
+        problem.step(1e-3)
+        problems.append(problem)
+    if kind is mpm.Newmark:
+        return small([*problems, problems[0].motion.terms])
+    assert [problem.unfused == "" for problem in problems] == [False, True]
+    small([part for p in problems for part in (p, p.balance, p.terms)] + [problems[0]._loop])
+
+
+def small(parts):
+    for part in parts:
+        assert len(vars(part)) <= 15, (type(part).__name__, sorted(vars(part)))
 
 
 def test_a_tangent_is_compiled_when_a_solver_asks():

@@ -171,7 +171,8 @@ def test_upwards_is_the_mirror_image_of_downwards():
 
 
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [2, 3])
 def test_figures_do_not_depend_on_the_ranks(ranks):
     short = "--ghost", "scaled", "--steps", "25", "--points-per-cell", "4"
     one, many = demo(*short), demo(*short, ranks=ranks)

@@ -138,7 +138,8 @@ def test_thick_cylinder(share):
 
 
 @pytest.mark.parametrize(
-    ("rough", "finest", "tolerance"), [(False, 0.1, 0.015), (True, 0.05, 0.015)]
+    ("rough", "finest", "tolerance"),
+    [(False, 0.1, 0.015), pytest.param(True, 0.05, 0.015, marks=pytest.mark.long)],
 )
 def test_prandtl(rough, finest, tolerance):
     """The limit pressure (2 + π) c, from above; rough or smooth is the same to the exact one."""
@@ -149,6 +150,7 @@ def test_prandtl(rough, finest, tolerance):
     assert curve.load[-1] - curve.load[-4] < 1e-3 * limit
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scene", "run"), [("cam_clay", cam_clay), ("tresca", tresca)])
 @STRAINS
 def test_stored_curves_can_be_had_again(scene, run, strain):

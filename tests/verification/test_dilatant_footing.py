@@ -7,6 +7,7 @@ of "plane strain" has the same limit loads as Mohr–Coulomb's pyramid.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -45,6 +46,7 @@ def bearing_factors(h):
     return np.array(factors)
 
 
+@pytest.mark.long
 def test_finer_splines_without_f_bar_approach_the_limit():
     """The remedy that the refusal names: a plateau, from above, at first order in h."""
     error = {}

@@ -56,6 +56,7 @@ def test_at_small_strains_the_difference_goes():
 
 
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
+@pytest.mark.long
 def test_ranks():
     options = "--h 0.025 --basis gimp --stabilisation ghost"
     one, three = demo(options), demo(options, ranks=3)

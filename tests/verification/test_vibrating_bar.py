@@ -87,7 +87,10 @@ def test_losses_and_period(mass, mapping, options, one, five, period):
 
 @pytest.mark.parametrize(
     ("mass", "mapping", "five", "period"),
-    [("lumped", "pic", ".8311", 10.0024), ("consistent", "flip", ".99998", 10.0011)],
+    [
+        ("lumped", "pic", ".8311", 10.0024),
+        pytest.param("consistent", "flip", ".99998", 10.0011, marks=pytest.mark.long),
+    ],
 )
 def test_losses_and_period_in_smaller_cells(mass, mapping, five, period):
     stabilisation = STIFF if mass == "consistent" else "none"

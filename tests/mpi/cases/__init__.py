@@ -6,6 +6,7 @@ from . import (
     arguments,
     bodies,
     dynamics,
+    explicit,
     failures,
     fbar,
     loads,
@@ -68,5 +69,7 @@ CASES = {
         dynamics.dynamics,
         dynamics.dynamics_lumped,
         dynamics.dynamics_restart,
+        explicit.explicit_steps,
+        explicit.explicit_restart,
     )
 }

@@ -1,0 +1,213 @@
+# %% [markdown]
+# # Explicit steps: how many points a second
+#
+# A block of side 1 m that shears and turns everywhere, so that every point strains in every step,
+# and with a law that yields every point yields. What counts is points times steps over the time
+# that the steps took: no start, no compilation, no output. Each case is run in turn with all
+# others, several times, and the median is told, since a machine that others use changes its
+# speed from minute to minute; that is also why what other codes reach (`--peers warp,taichi`,
+# where their packages are installed) is measured in the same run: the same scene, basis, law and
+# double precision, and their points end where ours do. Under `mpirun` the time is that of
+# all ranks together.
+
+# %%
+from __future__ import annotations
+
+import importlib.util
+import statistics
+import time
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from explicit_peers import PEERS, neo_hookean
+from mpi4py import MPI
+from scene import finish, parser, say
+
+import dolfinmpm as mpm
+
+E, NU, DENSITY = 1e6, 0.3, 1000.0
+LAWS = {
+    "neo-hookean": lambda: mpm.materials.NeoHookean(E=E, nu=NU),
+    "hencky": lambda: mpm.materials.Hencky(E=E, nu=NU),
+    "von-mises": lambda: mpm.materials.VonMises(E=E, nu=NU, yield_stress=20.0),
+    "mohr-coulomb": lambda: mpm.materials.MohrCoulomb(
+        E=E, nu=NU, cohesion=1.0, friction_angle=20.0, dilation_angle=0.0
+    ),
+}
+MARGIN = 10
+
+
+def words(text):
+    """Words on the command line, by commas."""
+    return text.split(",") if text else []
+
+
+options = parser("Points times steps a second of explicit steps.")
+options.add_argument("--laws", type=words, default=list(LAWS), help="of " + ", ".join(LAWS))
+options.add_argument(
+    "--bases", type=words, default=["bspline2"],
+    help="linear, gimp, bspline2, bspline3; averaged-bspline2 averages it over domains",
+)  # fmt: skip
+options.add_argument("--schemes", type=words, default=["usl"])
+options.add_argument("--mapping", default="flip")
+options.add_argument("--points", type=int, default=100_000, help="about so many")
+options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
+options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+options.add_argument("--steps", type=int, default=100, help="in each run that is timed")
+options.add_argument("--repeat", type=int, default=5)
+options.add_argument("--peers", type=words, default=[], help="of " + ", ".join(PEERS))
+args = options.parse_args()
+unknown = {*args.laws} - {*LAWS} | {*args.peers} - {*PEERS}
+if unknown:
+    options.error(f"not known: {', '.join(sorted(unknown))}")
+comm, d = MPI.COMM_WORLD, args.dimension
+if args.peers and (comm.size > 1 or d > 2):
+    options.error("other codes are run on one rank and in two dimensions")
+cells = max(1, round(args.points ** (1 / d) / args.points_per_cell))
+h = 1.0 / cells
+COURANT = 0.3
+
+
+def swirl(x):
+    """Velocities that strain everywhere (m/s)."""
+    v = np.zeros_like(x)
+    v[:, 0], v[:, 1] = 2 * np.sin(6 * x[:, 1]), -2 * np.sin(6 * x[:, 0])
+    if x.shape[1] == 3:
+        v[:, 2] = np.sin(6 * x[:, 0])
+    return v
+
+
+class Ours:
+    """A block in this package, ready to be timed."""
+
+    def __init__(self, law, basis, scheme):
+        low, high = [-MARGIN * h] * d, [1 + MARGIN * h] * d
+        n = [cells + 2 * MARGIN] * d
+        make = mesh.create_rectangle if d == 2 else mesh.create_box
+        kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
+        grid = make(comm, [low, high], n, kind)
+        block = mpm.Box((0,) * d, (1,) * d)
+        self.points = mpm.fill(grid, block, args.points_per_cell, DENSITY)
+        averaged = basis.startswith("averaged-")
+        name = basis.removeprefix("averaged-")
+        splines = {"averaged": averaged} if name.startswith("bspline") else {}
+        V = mpm.Space(grid, name, **splines)
+        gravity = fem.Constant(grid, (0.0, -10.0, 0.0)[:d])
+        F = mpm.momentum(LAWS[law](), self.points, V.increment, V.test)
+        F -= ufl.inner(self.points.density * gravity, V.test) * self.points.dX
+        self.points.add_field("velocity", (d,), "m/s")
+        self.points["velocity"] = swirl(self.points["x"])
+        self.problem = mpm.Explicit(
+            F, V.increment, self.points, mpm.fixed(V, "bottom"), scheme=scheme,
+            mapping=args.mapping, courant=COURANT,
+        )  # fmt: skip
+        self.longest = COURANT * self.problem.critical_step()
+        self.number = self.points.total
+        self.yields = law in ("von-mises", "mohr-coulomb")
+
+    def __call__(self, steps):
+        """Take about so many steps; returns how many it took, and how long they were (s)."""
+        record = self.problem.step(self.problem.time + (steps - 0.01) * self.longest)
+        return record.parts, record.dt
+
+    def yielding(self):
+        """Share of the points that have yielded. Collective."""
+        if not self.yields:
+            return None
+        yielded = int(np.count_nonzero(self.points["plastic_strain"] > 0))
+        return comm.allreduce(yielded) / self.number
+
+
+class Peer:
+    """The block in another code, whose functions have their centres on the grid's lines."""
+
+    def __init__(self, name):
+        reference = first.points
+        shift = (MARGIN + 0.5) * h
+        self.number = reference.total
+        scene = {
+            "x": reference["x0"] + shift, "v": swirl(reference["x0"]), "h": h, "dt": first_dt,
+            "side": cells + 2 * MARGIN + 2, "held": 1, **neo_hookean(E, NU),
+            "mass": DENSITY / self.number, "V0": 1.0 / self.number,
+        }  # fmt: skip
+        self.go, positions = PEERS[name](scene)
+        self.positions = lambda: positions() - shift
+
+    def __call__(self, steps):
+        """Take so many steps; returns how many, and how long they are (s)."""
+        self.go(steps)
+        return steps, first_dt
+
+
+# %% [markdown]
+# ## Cases
+# Everything is compiled, and runs a few steps, before anything is timed.
+
+# %%
+cases = {}
+for basis in args.bases:
+    for scheme in args.schemes:
+        for law in args.laws:
+            cases[f"{law} {basis} {scheme}"] = Ours(law, basis, scheme)
+if args.peers:
+    # how far, and in which steps, others are to go for the comparison
+    first = Ours("neo-hookean", "bspline2", "usl")
+    first_steps, first_dt = first(5)
+for name in args.peers:
+    if importlib.util.find_spec(name) is None:
+        say(f"{name} is not installed: pip install {'warp-lang' if name == 'warp' else name}")
+        continue
+    cases[name] = Peer(name)
+for name in args.peers:
+    if name in cases:
+        # a speed is worth nothing unless the same work is done
+        cases[name](first_steps)
+        x = first.points["x"]
+        way = np.abs(x - first.points["x0"]).max()
+        away = float(np.abs(cases[name].positions() - x).max() / way)
+        say(f"{name}: points end {away:.1e} of the largest way from ours")
+        assert away < 1e-9, name
+for case in cases.values():
+    case(5)
+
+speeds: dict[str, list[float]] = {name: [] for name in cases}
+for _ in range(args.repeat):
+    for name, case in cases.items():
+        comm.barrier()
+        started = time.perf_counter()
+        taken, _ = case(args.steps)
+        comm.barrier()
+        seconds = time.perf_counter() - started
+        speeds[name].append(1e-6 * case.number * taken / seconds)
+
+figures = {}
+for name, case in cases.items():
+    speed, best = statistics.median(speeds[name]), max(speeds[name])
+    share = case.yielding() if isinstance(case, Ours) else None
+    unfused = case.problem.unfused if isinstance(case, Ours) else None
+    figures[name] = {
+        "points": case.number, "million_point_steps_per_second": speed, "best": best,
+        "yielding": share, "unfused": unfused,
+    }  # fmt: skip
+    say(
+        f"{name:32s} {case.number:8d} points: {speed:6.2f} million point-steps/s (best {best:.2f})"
+        + (f", {share:.1%} of the points yield" if share is not None else "")
+        + (f"; not fused: {unfused}" if unfused else "")
+    )
+
+# %% [markdown]
+# ## Picture
+
+
+# %%
+if not args.no_plot and comm.rank == 0:
+    with mpm.figure(args.output / "explicit_speed.png", 6.0, 0.6 + 0.32 * len(cases)) as (_, ax):
+        names = list(cases)[::-1]
+        widths = [figures[name]["million_point_steps_per_second"] for name in names]
+        bars = ax.barh(names, widths, color=["0.6" if n in PEERS else "C0" for n in names])
+        ax.bar_label(bars, fmt="%.1f", padding=3)
+        ax.set(xlabel="million points times steps a second", xlim=(0, 1.15 * max(widths)))
+        ax.grid(visible=False, axis="y")
+
+finish(args, {"cases": figures, "ranks": comm.size})

@@ -1,0 +1,253 @@
+"""The general explicit step: any form, any grid, any mass, by stencils and the weak form.
+
+Orders of the stress update (Bardenhagen 2002, doi 10.1006/jcph.2002.7103): "usl" takes the
+velocity gradient from the new nodal velocities, "usf" from those before the forces, "musl"
+(Sulsky, Zhou & Schreyer 1995) from the points' new velocities mapped to the nodes again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import raise_together
+from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.critical import wave_speed
+from dolfinmpm.dynamics.energies import Work
+from dolfinmpm.dynamics.faces import Sides, set_velocities
+from dolfinmpm.dynamics.fusable import only_momentum
+from dolfinmpm.dynamics.lightnodes import viscous_pressure
+from dolfinmpm.dynamics.mappings import NodalMotion
+from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.transfer import collect, scatter_stress
+from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.solve.advance import advance, commit
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.step import Step
+
+__all__ = ["General"]
+
+Array = npt.NDArray[np.float64]
+
+
+class General:
+    """Explicit steps of a problem, one after the other.
+
+    Args:
+        problem: The problem.
+        held: Its essential conditions.
+        updates: Fields of the points that a step sets to UFL expressions.
+        settings: How steps are taken.
+        sides: Faces of the grid that act on the body.
+        instead: Why these steps are taken and not fused ones.
+
+    Attributes:
+        at_once: Steps that one call may take.
+        instead: The argument.
+    """
+
+    at_once = 1
+
+    def __init__(
+        self,
+        problem: Problem,
+        held: Held,
+        updates: Sequence,
+        settings: Settings,
+        sides: Sides,
+        instead: str,
+    ):
+        self._problem, self._held, self._updates = problem, held, updates
+        self._settings, self._sides, self.instead = settings, sides, instead
+        self._by_stress = only_momentum(problem.form)
+        self._work = Work()
+
+    def work(self) -> tuple[float, float]:
+        """Work (J) of the stresses, and of loads and prescribed motions, since last asked."""
+        done, self._work = self._work, Work()
+        return done.internal, done.external
+
+    def start(self, rate: float) -> None:
+        """Begin a call; the points are taken as they are in every step."""
+
+    def run(
+        self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
+    ) -> tuple[int, int, str | None]:
+        """Take equal steps. Collective.
+
+        Args:
+            count: How many.
+            dt: Their length (s).
+            more: Whether others follow without a new start.
+            begin: Gives form and conditions the time of a step by its number, and the step.
+
+        Returns:
+            Steps taken, points that changed rank, and why it ended before the last, or None.
+        """
+        migrated = 0
+        for k in range(count):
+            found = self._take(begin(k))
+            if isinstance(found, str):
+                return k, migrated, found
+            migrated += found
+        return count, migrated, None
+
+    def _take(self, step: Step) -> int | str:
+        """One step; how many points changed rank, or why there is no state. Collective."""
+        problem, settings = self._problem, self._settings
+        points, dt = problem.points, step.dt
+        raise_together(points.comm, points.fault())
+        here = problem.activate(step)
+        field = here.fields[0]
+        s, x_node = field.stencils, field.basis.node_coordinates()
+        terms = problem.form.inertia
+        assert isinstance(terms, MassTerms)
+        mass = Mass(terms, here, settings.scaling)
+        held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
+        momenta = self._momenta(mass, s, x_node)
+        before = self._before(step, held, field.basis)
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        V = mass.velocities(momenta, before, fastest).arrays[0]
+        operator = problem.form.on(here)
+        forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
+        if isinstance(forces, str):
+            return forces
+        self._resist(forces, mass, s, V)
+        A = self._accelerations(forces, mass, V)
+        V_end = self._end(V + dt * A, mass, here, held, dt)
+        motion = NodalMotion(V, A, V_end, A)
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if settings.mapping.kind == "tpic":
+            operator.place([dt * V_end])
+            gradient = operator.points.gradient[0] / dt
+        new = settings.mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
+        moved = points["x"] + dt * collect(s, V_end)
+        V_strain = V if settings.scheme == "usf" else V_end
+        if settings.scheme == "musl":
+            V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
+        operator.place([dt * V_strain])
+        state = advance(operator, self._updates, True, self._cell, self._number, moved)
+        if isinstance(state, str):
+            return state
+        external = self._external(operator, mass, forces, V, V_end, dt)
+        self._work.add(points, state.fields, operator, external)
+        if settings.mapping.kind == "tpic":
+            # from here on it is that of where the points have gone
+            turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
+            new["velocity_gradient"] = turned
+        state.fields.update(new)
+        return commit(points, state)
+
+    @property
+    def _cell(self) -> float:
+        return largest_cell(self._problem.points.grid)
+
+    @property
+    def _number(self) -> int:
+        """Number of the call of `step`, for messages."""
+        return len(self._problem.history) + 1
+
+    def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
+        """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
+        momenta = mass.nodal()
+        self._settings.mapping.to_grid(self._problem.points, s, x_node, momenta, new)
+        momenta.arrays[0][...] *= self._settings.scaling
+        return momenta
+
+    def _before(self, step: Step, held: Array, basis: Any) -> Array:
+        """Velocities of held components at the start of a step, shape (nodes, d). Collective."""
+        bcs = self._held.conditions
+        if not any(condition.velocity for condition in bcs):
+            return held
+        dt, share = step.dt, step.share
+        ending = [np.array(bc.increment) for bc in bcs]
+        set_velocities(bcs, lambda v: v(step.t - dt) * dt / share)
+        values = self._held.at([basis], share)[1][0] / dt
+        for condition, value in zip(bcs, ending):
+            if condition.velocity is not None:
+                condition.value.value = value  # type: ignore[union-attr]
+        return np.asarray(values, np.float64)
+
+    def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
+        """Forces on the nodes in the present state, or of the stresses after an increment.
+
+        Collective. Returns why there are none where the increment admits no state.
+        """
+        forces = mass.nodal()
+        if u is None and not self._by_stress:
+            operator.rest()
+            forces.arrays[0][:] = -operator.forces()[0]
+            return forces
+        points = self._problem.points
+        d = points.gdim
+        weight, stress = points["V"].copy(), points["stress"]
+        if u is not None:
+            operator.place([u])
+            state = advance(operator, self._updates, False, self._cell, self._number)
+            if isinstance(state, str):
+                return state
+            weight *= np.linalg.det(operator.points.gradient[0] + np.eye(d))
+            stress = state.fields["stress"]
+        for declaration in self._problem.form.parts.declarations:
+            if declaration.strain == "small":
+                weight[declaration.rows] = points["V0"][declaration.rows]
+        scatter_stress(s, weight[:, None, None] * stress[:, :d, :d], forces.arrays[0])
+        forces.arrays[0][:] *= -1.0
+        forces.add_up()
+        forces.arrays[0][:] -= operator.external[0]
+        return forces
+
+    def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
+        """Bulk viscosity, and what acts on light nodes: both change forces. Collective."""
+        points, b = self._problem.points, self._settings.viscosity
+        if b != (0.0, 0.0):
+            speeds = wave_speed(points, self._problem.form.parts.declarations)
+            viscous = mass.nodal()
+            scatter_stress(s, viscous_pressure(points, s, V, b, speeds), viscous.arrays[0])
+            viscous.add_up()
+            forces.arrays[0][:] -= viscous.arrays[0]
+        for one in self._settings.filters:
+            one.act(V, forces.arrays[0], mass, s)
+
+    def _accelerations(self, forces: Nodal, mass: Mass, V: Array) -> Array:
+        """Accelerations of the nodes, with local damping. Collective."""
+        damping = self._settings.damping
+        if damping:
+            f = forces.arrays[0]
+            f -= damping * np.abs(f) * np.sign(V)
+        return mass.solve(forces, np.zeros_like(V)).arrays[0]
+
+    def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
+        """Velocities at the end of a step, under faces of the grid and conditions. Collective."""
+        faces = self._sides.on(here.fields[0].basis)
+        if faces is not None and faces.dashpots is not None:
+            m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
+            V_end /= 1.0 + dt * faces.dashpots / m
+        if faces is not None:
+            faces.rub(V_end)
+        fixed = here.unknowns.fields[0].fixed
+        V_end[fixed] = held[fixed]
+        return V_end
+
+    def _external(
+        self, operator: Operator, mass: Mass, forces: Nodal, V: Array, V_end: Array, dt: float
+    ) -> float:
+        """Work of loads, and of what moves held nodes, in a step (J). Collective."""
+        external = operator.load_work([dt * V_end])
+        here = operator.here
+        if here.driven:
+            # what moves held nodes gives them momentum against their forces
+            impulse = mass.times(V_end - V).arrays[0] - dt * forces.arrays[0]
+            at = here.unknowns.fields[0].places[1]
+            done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
+            external += mass.comm.allreduce(done, op=MPI.SUM)
+        return external

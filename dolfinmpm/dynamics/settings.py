@@ -1,0 +1,76 @@
+"""How explicit steps are taken: what the user chose, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dolfinx import fem
+
+from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.dynamics.lightnodes import Filter, checked_viscosity, filters
+from dolfinmpm.dynamics.mappings import Mapping, mapping_of
+
+__all__ = ["Settings"]
+
+SCHEMES = ("usl", "usf", "musl")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How explicit steps are taken, see `Explicit`.
+
+    Attributes:
+        scheme: Order of the stress update.
+        mapping: How velocities go to the grid and come back.
+        damping: Share of local damping.
+        scaling: Factor of the mass in the inertia.
+        viscosity: Linear and quadratic coefficients of bulk viscosity.
+        filters: What acts on light nodes.
+        clock: DOLFINx constant that holds the time (s), or None.
+    """
+
+    scheme: str
+    mapping: Mapping
+    damping: float
+    scaling: float
+    viscosity: tuple[float, float]
+    filters: tuple[Filter, ...]
+    clock: fem.Constant | None
+
+    @staticmethod
+    def of(
+        scheme: Any,
+        mapping: Any,
+        basis: Any,
+        mass: str,
+        damping: Any,
+        mass_scaling: Any,
+        bulk_viscosity: Any,
+        mass_cutoff: Any,
+        redistribution: Any,
+        clock: fem.Constant | None,
+    ) -> Settings:
+        """Those that arguments ask for, on a basis and with a kind of mass.
+
+        Raises:
+            ParameterError: An argument is not what it may be.
+        """
+        chosen = mapping_of(mapping, "flip")
+        if chosen.kind == "accel":
+            raise ParameterError('mapping = "accel" is of implicit steps; use "flip"')
+        return Settings(
+            choice("scheme", scheme, SCHEMES),
+            chosen.on(basis, mass),
+            number("damping", damping, 0.0, 1.0, closed=True),
+            number("mass_scaling", mass_scaling, 0.0),
+            checked_viscosity(bulk_viscosity),
+            tuple(filters(mass_cutoff, redistribution)),
+            clock,
+        )
+
+    @property
+    def plain(self) -> bool:
+        """Whether neither bulk viscosity nor filters of light nodes act."""
+        return not self.filters and self.viscosity == (0.0, 0.0)

@@ -1,0 +1,50 @@
+"""The last good state of a run, to which one that turns out unstable goes back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.energies import Work
+
+__all__ = ["Snapshot"]
+
+
+class Snapshot:
+    """A copy of the points' fields, in memory that is used again for the next one.
+
+    Args:
+        points: Material points.
+
+    Attributes:
+        time: Time that it is of (s).
+    """
+
+    def __init__(self, points: MaterialPoints):
+        self.time = math.nan
+        self._points, self._work = points, Work()
+        self._fields: dict[str, npt.NDArray] = {}
+
+    def take(self, time: float, work: Work) -> None:
+        """Copy what the points have at a time (s), and the work done until then (J)."""
+        self.time = time
+        self._work.internal, self._work.external = work.internal, work.external
+        kept, self._fields = self._fields, {}
+        for name, values in self._points.fields.items():
+            own = kept.get(name)
+            if own is None or own.shape != values.shape:
+                own = np.empty_like(values)
+            np.copyto(own, values)
+            self._fields[name] = own
+
+    def put(self, work: Work) -> None:
+        """Give points and work back what they had, on the ranks that had them. Collective."""
+        points = self._points
+        work.internal, work.external = self._work.internal, self._work.external
+        for name, values in self._fields.items():
+            points.fields[name] = values.copy()
+        points.recount()
+        points.locate()
