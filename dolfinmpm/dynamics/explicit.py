@@ -178,10 +178,7 @@ class Explicit(Problem):
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
-        return Fused(
-            self.points, basis, self._held, laws, loads, settings.scheme, settings.mapping,
-            settings.scaling, settings.damping, sides, domains,
-        )  # fmt: skip
+        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains)
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""

@@ -53,8 +53,8 @@ def kernel(
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
     `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
-    first bad point or -1, and the numbers of points skipped and not scattered; see `Fused` in
-    `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
+    first bad point or -1, and the numbers of points skipped and not scattered; see `Window`,
+    `PointArrays` and `Laws` for what the tuples hold. A general one takes the points of `rows`,
     wherever they are; the others take all points, and skip what `middle_weights` does not know.
     `record` tells whether what only others read is written: accelerations, volumes, stresses.
     Growth of domains (0: points have none) and `means` of F-bar are told in
