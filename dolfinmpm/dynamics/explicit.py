@@ -76,8 +76,9 @@ class Explicit(Problem):
         redistribution: Nodes of less than this share of the largest mass hand that part of
             their forces that their mass lacks to their neighbours (Ma, Zhang & Qiu 2010).
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
-        fused: Whether one loop may do a step of a form that it knows: laws under large or small
-            strain and loads, lumped mass, a rectangular grid, "flip", "pic", "apic" or "tpic".
+        fused: Whether one loop may do a step of a form that it knows: laws of one measure of
+            strain and loads, lumped mass, a rectangular grid in two or three dimensions, "flip",
+            "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused` says why it does not.
 
     Attributes:
         history: One record a call of `step`.
@@ -166,8 +167,6 @@ class Explicit(Problem):
         if not settings.plain:
             return "bulk viscosity or filters of light nodes act"
         domains = self.fields[0].space.domains
-        if basis.averaged and domains != "stretch" and self.points.gdim != 2:
-            return "domains grow by another rule than the stretch"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
@@ -179,10 +178,7 @@ class Explicit(Problem):
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
-        return Fused(
-            self.points, basis, self._held, laws, loads, settings.scheme, settings.mapping,
-            settings.scaling, settings.damping, sides, domains,
-        )  # fmt: skip
+        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains)
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics import fused2d
+from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
@@ -32,8 +32,8 @@ def why_not(form: WeakForm) -> str | None:
     """Why the fused loops cannot take a form, or None if they can."""
     points, declarations = form.points, form.parts.declarations
     space = form.spaces[0]
-    if points.gdim != 2:
-        return "they are written for two dimensions"
+    if points.gdim == 1:
+        return "they are written for two and three dimensions"
     if any(one is not None for one in form.parts.grid.external):
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}
@@ -43,6 +43,8 @@ def why_not(form: WeakForm) -> str | None:
         return "F-bar takes its means over the cells of the points' centres"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "laws by tags of which some share volume changes"
+    if points.gdim == 3 and any(d.fbar for d in declarations):
+        return "shared volume changes (F-bar) in three dimensions"
     if any(d.u is not space.increment for d in declarations):
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
@@ -98,7 +100,7 @@ class Laws:
 
     def kernel(self, gdim: int):
         """Maker of the loops in that many dimensions."""
-        return fused2d.kernel
+        return fused2d.kernel if gdim == 2 else fused3d.kernel
 
     def gather(self) -> None:
         """Take parameters and internal variables of the points as they are now."""

@@ -28,6 +28,7 @@ from dolfinmpm.dynamics.lanes import (
     store,
     times,
 )
+from dolfinmpm.dynamics.moments import drift, inverse_moments
 from dolfinmpm.dynamics.passes import (
     COLUMNS,
     FAST,
@@ -45,38 +46,6 @@ from dolfinmpm.materials.base import call_law
 __all__ = ["kernel"]
 
 
-@numba.njit(cache=True, error_model="numpy")
-def spread(S, node, first, count, x):
-    """Second moment Σ S (x_a − x)² of the functions that a point sees in one direction (m²)."""
-    total = 0.0
-    for a in range(count):
-        total += S[a] * (node[first + a] - x) ** 2
-    return total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def drift(S, node, first, count, x):
-    """First moment Σ S (x_a − x) (m): 0 but for domains that the grid's edge cuts."""
-    total = 0.0
-    for a in range(count):
-        total += S[a] * (node[first + a] - x)
-    return total
-
-
-@numba.njit(cache=True, error_model="numpy", forceinline=True)
-def inverse_moments(cut, mass, S0, node0, i0, n0, x0, S1, node1, i1, n1, x1):
-    """A mass times the inverse of the second moments: its two diagonal entries and the other.
-
-    `cut` tells whether the grid's edge may cut domains: directions are coupled then.
-    """
-    D0, D1 = spread(S0, node0, i0, n0, x0), spread(S1, node1, i1, n1, x1)
-    if not cut:
-        return mass / D0, mass / D1, 0.0
-    D01 = drift(S0, node0, i0, n0, x0) * drift(S1, node1, i1, n1, x1)
-    q = mass / (D0 * D1 - D01 * D01)
-    return q * D1, q * D0, -q * D01
-
-
 @functools.cache
 def kernel(
     degree: int, growth: int, kind: int, affine: int, parts: Pass, general: bool, means: int = 0
@@ -84,8 +53,8 @@ def kernel(
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
     `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
-    first bad point or -1, and the numbers of points skipped and not scattered; see `Fused` in
-    `dolfinmpm.dynamics.fused` for what the tuples hold. A general one takes the points of `rows`,
+    first bad point or -1, and the numbers of points skipped and not scattered; see `Window`,
+    `PointArrays` and `Laws` for what the tuples hold. A general one takes the points of `rows`,
     wherever they are; the others take all points, and skip what `middle_weights` does not know.
     `record` tells whether what only others read is written: accelerations, volumes, stresses.
     Growth of domains (0: points have none) and `means` of F-bar are told in

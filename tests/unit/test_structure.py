@@ -106,7 +106,9 @@ def test_classes_on_the_path_of_a_step_in_time_are_small(kind):
     if kind is mpm.Newmark:
         return small([*problems, problems[0].motion.terms])
     assert [problem.unfused == "" for problem in problems] == [False, True]
-    small([part for p in problems for part in (p, p.balance, p.terms)] + [problems[0]._loop])
+    parts = [part for p in problems for part in (p, p.balance, p.terms, p._loop)]
+    fused = problems[1]._loop
+    small([*parts, fused._window, fused._window.cells, fused._prescribed, fused._arrays])
 
 
 def small(parts):

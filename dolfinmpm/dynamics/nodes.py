@@ -1,0 +1,113 @@
+"""What explicit steps do at the nodes of a window, see `dolfinmpm.dynamics.window`."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from dolfinmpm.dynamics.passes import FAST
+
+__all__ = ["divide", "move_nodes", "take_means"]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _rub(mark, rubbing, velocity):
+    """Stop a node that would move out of sides of the grid, and let friction act on its slip."""
+    for face in range(rubbing.shape[0]):
+        if (mark >> np.uint64(face)) & np.uint64(1) == 0:
+            continue
+        axis, outward, mu = int(rubbing[face, 0]), rubbing[face, 1], rubbing[face, 2]
+        out = outward * velocity[axis]
+        if not out > 0.0:
+            continue
+        velocity[axis] = 0.0
+        slip = 0.0
+        for i in range(velocity.size):
+            slip += velocity[i] ** 2
+        left = max(0.0, 1.0 - mu * out / max(math.sqrt(slip), 1e-300))
+        for i in range(velocity.size):
+            velocity[i] *= left
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def move_nodes(
+    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, scaling, damping,
+    known, last, done,
+):  # fmt: skip
+    """Accelerate the nodes of a box.
+
+    Args:
+        own: Whose work this rank counts.
+        before, held: Velocities of fixed components at the start and the end of the step.
+        faces: What acts at sides of the grid, see `Faces.by_nodes`.
+        pushed: Written unless empty, changes of velocity by forces alone.
+        known: Whether velocities for the strain have been set before.
+        last: Whether the sums are done with, and cleared.
+    """
+    _, mass, force, _, velocity, strain = columns
+    d = fixed.shape[1]
+    marks, rubbing, dashpots = faces
+    ends, forces = np.empty(d), np.empty(d)
+    work = 0.0
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            m = out[k, mass]
+            per_mass = 1.0 / m if m > 0.0 else 0.0
+            for i in range(d):
+                y = out[k, i] * per_mass
+                f = out[k, force + i] + m * g[i]
+                if damping > 0.0:
+                    f -= damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                forces[i] = f
+                ends[i] = before[k, i] if fixed[k, i] else y + dt * f * per_mass / scaling
+            if dashpots.shape[0] > 0 and m > 0.0:
+                for i in range(d):
+                    ends[i] /= 1.0 + dt * dashpots[k, i] / (m * scaling)
+            if marks.shape[0] > 0 and marks[k] != 0:
+                _rub(marks[k], rubbing, ends)
+            for i in range(d):
+                y, f, end = out[k, i] * per_mass, forces[i], ends[i]
+                change = dt * f * per_mass / scaling
+                if fixed[k, i]:
+                    y, end, change = before[k, i], held[k, i], 0.0
+                    if own[k]:
+                        # what moves the node does work against its forces and its inertia
+                        work += (m * scaling * (end - y) - dt * f) * end
+                nodes[k, i] = end - y
+                nodes[k, velocity + i] = end
+                if not known:
+                    nodes[k, strain + i] = end
+                if pushed.shape[0] > 0:
+                    pushed[k, i] = change
+                if own[k]:
+                    work += dt * m * g[i] * end
+            if last:
+                for i in range(out.shape[1]):
+                    out[k, i] = 0.0
+    done[1] += work
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def divide(box, columns, out, momentum, nodes, fixed, held, last):
+    """Velocities for the strain from momenta; the sums are cleared if they are done with."""
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            m = out[k, columns[1]]
+            per_mass = 1.0 / m if m > 0.0 else 0.0
+            for i in range(fixed.shape[1]):
+                y = out[k, momentum + i] * per_mass
+                nodes[k, columns[5] + i] = held[k, i] if fixed[k, i] else y
+            if last:
+                for i in range(out.shape[1]):
+                    out[k, i] = 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def take_means(box, sums):
+    """Means from sums of volumes and of volumes times a change, in their place."""
+    for block in range(box[0], box[1]):
+        for k in range(block * box[4] + box[2], block * box[4] + box[3]):
+            if sums[k, 0] > 0.0:
+                sums[k, 1] /= sums[k, 0]

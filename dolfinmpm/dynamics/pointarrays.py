@@ -1,0 +1,71 @@
+"""What fused loops take of the points, and give back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.fusable import Laws
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.passes import LAW, SMALL
+
+__all__ = ["PointArrays"]
+
+Array = npt.NDArray[np.float64]
+
+# Rows and columns of a symmetric tensor, in the order in which the loops take its components
+_PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
+
+
+class PointArrays:
+    """Arrays of the points as the loops take them; anew when points have come or gone.
+
+    Args:
+        points: Material points.
+        laws: Their laws.
+        affine: Name of the field of affine velocities, or None.
+
+    Attributes:
+        data: The arrays, in the order of the loops.
+        J_bar: Product of the means of all steps where F-bar acts, else empty.
+        rows, skipped: All points, and room for those that a loop skips or does not scatter.
+    """
+
+    def __init__(self, points: MaterialPoints, laws: Laws, affine: str | None):
+        self._points, self._laws = points, laws
+        d = points.gdim
+        n = len(points)
+        C = points[affine] if affine else np.empty((n, d, d))
+        laws.gather()
+        state = points[laws.state] if laws.state else np.ones((n, 6))
+        small, logarithmic = laws.kind == SMALL, laws.kind == LAW
+        e_out = 0.5 * np.log(state[:, 2]) if logarithmic else state[:, 2].copy()
+        # Kirchhoff's stresses; by columns, since fancy indices are ten times slower
+        stress, J = points["stress"], 1.0 if small else points["V"] / points["V0"]
+        tau = np.empty((n, len(_PAIRS[d][0])))
+        for k, (i, j) in enumerate(zip(*_PAIRS[d])):
+            tau[:, k] = J * stress[:, i, j]
+        self.rows, self.skipped = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
+        self.J_bar: Array = points["J_bar"] if laws.fbar and laws.kind == LAW else np.empty(0)
+        self.data: tuple[Any, ...] = (
+            points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
+            points["V"], points["V0"], point_masses(points), state, laws.internal,
+            points["stress"], points["acceleration"], tau, e_out,
+        )  # fmt: skip
+
+    def publish(self) -> None:
+        """Give the fields what steps without a record keep for themselves and go on with."""
+        points, (tau, e_out) = self._points, self.data[-2:]
+        small = self._laws.kind == SMALL
+        J = np.linalg.det(points["F"])
+        points["V"][:] = J * points["V0"]
+        i, j = _PAIRS[points.gdim]
+        sigma = tau if small else tau / J[:, None]
+        points["stress"][:, i, j] = sigma
+        points["stress"][:, j, i] = sigma
+        if self._laws.state and points.gdim == 2:
+            logarithmic = self._laws.kind == LAW
+            points[self._laws.state][:, 2] = np.exp(2.0 * e_out) if logarithmic else e_out

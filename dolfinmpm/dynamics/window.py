@@ -1,0 +1,224 @@
+"""Nodes of the lattice around a rank's cells, by their position, for fused loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.la import InsertMode
+
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.bspline import greville
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.cellmeans import numbering
+from dolfinmpm.cut.held import Held
+from dolfinmpm.dynamics.cellfinder import CellFinder
+from dolfinmpm.dynamics.faces import Faces, Sides, set_velocities
+from dolfinmpm.dynamics.nodes import take_means
+from dolfinmpm.dynamics.passes import COLUMNS
+from dolfinmpm.dynamics.transfer import collect
+
+__all__ = ["MARGIN", "Means", "Prescribed", "Window"]
+
+Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.intp]
+
+# Layers of cells that points may wander beyond this rank's own before they are handed on
+MARGIN = 2
+
+
+class Window:
+    """The nodes that points of this rank may reach, and what they have. Collective.
+
+    Args:
+        points: Material points.
+        basis: Basis of the displacement, on a lattice.
+        sides: Sides of the grid that act on the body.
+
+    Attributes:
+        basis: The basis with the overlap that the window needs.
+        nodes, out: Motion of the nodes, and sums over points, shape (nodes, columns), see
+            `dolfinmpm.dynamics.passes.Columns`.
+        own: Nodes whose work this rank counts, shape (nodes,).
+        grid: What the loops over points know of lattice and window.
+        sides: What acts at sides of the grid, see `Faces.by_nodes`.
+        cells: Finds cells of the points.
+    """
+
+    def __init__(self, points: MaterialPoints, basis: LatticeBasis, sides: Sides):
+        layers, _ = basis.reach(points.placement())
+        basis = basis.grown(max(layers, 1) + MARGIN)
+        halo, lattice = basis.halo, basis.lattice
+        self.basis = basis
+        self._shape = np.array(halo.node_table.shape, np.int64)
+        width = COLUMNS[points.gdim].width
+        self.nodes, self.out = (np.zeros((int(np.prod(self._shape)), width)) for _ in range(2))
+        self._known, self._at = self.places(halo.node_ijk)
+        self.own = np.zeros(len(self.nodes), np.bool_)
+        self.own[self._at] = self._known < basis.nodes.owned
+        self._vector = basis.nodes.vector(width) if points.comm.size > 1 else None
+        self._first, self._last = np.zeros(points.gdim, np.int64), self._shape.copy()
+        self.grid = (
+            *lattice.lines,
+            *(np.ascontiguousarray(greville(line, basis.degree)) for line in lattice.lines),
+            lattice.uniform, halo.origin.astype(np.int64), self._shape, self._first, self._last,
+            np.array([1.0 / np.diff(line).min() for line in lattice.lines]),
+        )  # fmt: skip
+        place = np.full(basis.nodes.size, -1)
+        place[self._known] = self._at
+        faces = sides.on(basis) or Faces((), basis, points.gdim)
+        self.sides = faces.by_nodes(place, len(self.nodes))
+        self.cells = CellFinder(basis)
+
+    def places(self, ijk: npt.NDArray[Any]) -> tuple[Places, Places]:
+        """Which of places in the lattice, shape (n, d), the window has, and where it has them."""
+        ijk = ijk - self.basis.halo.origin
+        inside = np.all((ijk >= 0) & (ijk < self._shape), axis=1)
+        return np.flatnonzero(inside), np.ravel_multi_index(
+            tuple(ijk[inside].T), tuple(self._shape)
+        )
+
+    def box(self, points: MaterialPoints) -> None:
+        """Find nodes that points may reach until they are given to ranks again: see `MARGIN`."""
+        x, basis = points["x"], self.basis
+        if self._vector is not None:
+            # sums of other ranks too must be cleared, and the work at every node counted
+            return
+        if not len(points):
+            self._first[:], self._last[:] = 0, 0
+            return
+        origin = basis.halo.origin
+        half = points["l"].max(axis=0) if basis.averaged else np.zeros(points.gdim)
+        for k, line in enumerate(basis.lattice.lines):
+            low, high = x[:, k].min() - half[k], x[:, k].max() + half[k]
+            i = np.searchsorted(line, [low, high], side="right") - 1 - origin[k]
+            self._first[k] = min(max(i[0] - MARGIN, 0), self._shape[k])
+            self._last[k] = min(max(i[1] + basis.degree + 1 + MARGIN, 0), self._shape[k])
+
+    def rows(self) -> tuple[int, ...]:
+        """Nodes in use: first and last row, first and last node of each, and length of a row."""
+        row, across = int(self._shape[-1]), 1 if len(self._shape) == 2 else int(self._shape[1])
+        rows = int(self._first[0]) * across, int(self._last[0]) * across
+        return *rows, int(self._first[-1]), int(self._last[-1]), row
+
+    def add_up(self, begin: int = 0, end: int | None = None) -> None:
+        """Add up columns of the sums over ranks, for all that know the nodes. Collective."""
+        if self._vector is not None:
+            _add_up(self._vector, self._known, self.out, self._at, begin, end)
+
+    def taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values of the basis's nodes, shape (n, ...), at those of the window, else zeros."""
+        found = np.zeros((len(self.nodes), *values.shape[1:]), values.dtype)
+        found[self._at] = values[self._known]
+        return found
+
+    def at_points(self, values: Array, points: MaterialPoints) -> Array:
+        """Values at the window's nodes, shape (nodes, d), at the points where they are."""
+        known = np.zeros((self.basis.nodes.size, values.shape[1]))
+        known[self._known] = values[self._at]
+        return collect(self.basis.stencils(points.placement()), known)
+
+
+class Means:
+    """Means of volume changes over cells, at the window's places of these. Collective.
+
+    Args:
+        window: The window.
+
+    Attributes:
+        sums: Volumes and volumes times a change, or the mean change, shape (nodes, 2).
+    """
+
+    def __init__(self, window: Window):
+        own, ijk = numbering(window.basis)
+        self._known, self._at = window.places(ijk)
+        self.sums = np.zeros((len(window.nodes), 2))
+        self._vector = own.vector(2) if own.comm.size > 1 else None
+
+    def take(self, rows: tuple[int, ...]) -> None:
+        """Means from sums over the points of this rank, in their place. Collective."""
+        if self._vector is not None:
+            _add_up(self._vector, self._known, self.sums, self._at, 0, 2)
+        take_means(rows, self.sums)
+
+
+class Prescribed:
+    """Velocities of the nodes of a window that conditions prescribe.
+
+    Args:
+        held: Essential conditions.
+
+    Attributes:
+        fixed: Which components are, shape (nodes, d).
+        before, after: Their velocities at the start and the end of a step (m/s).
+    """
+
+    fixed: npt.NDArray[np.bool_]
+    before: Array
+    after: Array
+
+    _window: Window
+    _rate: float
+
+    def __init__(self, held: Held):
+        self._held = held
+        # velocities prescribed in time, as nodes have them now
+        self._driven: Sequence[float] | None = None
+
+    @property
+    def driven(self) -> bool:
+        """Whether some are functions of time."""
+        return self._driven is not None
+
+    def start(self, window: Window, rate: float) -> None:
+        """Take them as increments tell now. Collective.
+
+        Args:
+            window: The window.
+            rate: Prescribed velocities over prescribed increments (1/s).
+        """
+        self._window, self._rate, self._driven = window, rate, None
+        self._take()
+
+    def _take(self) -> None:
+        fixed, values = self._held.at([self._window.basis], 1.0)
+        self.fixed = self._window.taken(fixed[0])
+        self.after = self._rate * self._window.taken(values[0])
+        self.before = self.after
+
+    def drive(self, t: float, dt: float) -> None:
+        """Take those prescribed in time for a step from t on. Collective."""
+        conditions = self._held.conditions
+        driven = [c.velocity for c in conditions if c.velocity is not None]
+        if not driven:
+            return
+        wanted = [v(t) for v in driven], [v(t + dt) for v in driven]
+        if self._driven is None or self._driven != wanted[0]:
+            set_velocities(conditions, lambda v: v(t) / self._rate)
+            self._take()
+        self.before = self.after
+        if wanted[1] != wanted[0]:
+            set_velocities(conditions, lambda v: v(t + dt) / self._rate)
+            start = self.before
+            self._take()
+            self.before = start
+        self._driven = wanted[1]
+
+
+def _add_up(vector, known, sums: Array, at, begin: int, end: int | None) -> None:
+    """Add up columns of sums over ranks, for all that know the places. Collective.
+
+    Args:
+        vector: A distributed array of as many columns.
+        known, at: Places in it, and in the sums.
+        sums: Changed.
+        begin, end: The columns.
+    """
+    values = vector.array.reshape(-1, sums.shape[1])
+    values[:] = 0.0
+    values[known, begin:end] = sums[at, begin:end]
+    vector.scatter_reverse(InsertMode.add)
+    vector.scatter_forward()
+    sums[at, begin:end] = values[known, begin:end]
