@@ -32,8 +32,7 @@ from dolfinmpm.dynamics.passes import (
     FAST,
     GROWTH,
     LAW,
-    MEANS_TAKEN,
-    MEANS_USED,
+    MEANS,
     PASSES,
     SMALL,
     Pass,
@@ -483,12 +482,13 @@ class Fused:
         """One pass over the points; why it ended early, or None. Collective."""
         if not (parts.strain and self._laws.fbar):
             return self._once(parts, dt, record)
+        taken, used = MEANS[self._laws.fbar]
         self._sums[:] = 0.0
-        reason = self._once(Pass(strain=True), dt, False, MEANS_TAKEN)
+        reason = self._once(Pass(strain=True), dt, False, taken)
         if self._sums_vector is not None:
             _add_up(self._sums_vector, self._averaging, self._sums, self._averaging_at, 0, 2)
         _take_means(self._rows(), self._sums)
-        return reason or self._once(parts, dt, record, MEANS_USED)
+        return reason or self._once(parts, dt, record, used)
 
     def _once(self, parts: Pass, dt: float, record: bool, means: int = 0) -> str | None:
         points, basis = self._points, self._window
