@@ -21,6 +21,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space, extraction
 from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
@@ -393,7 +394,10 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         stencils = pushed(stencils)
         where = here.where
         if region.by_centres:
-            where = replace(where, half=np.zeros_like(where.half))
+            # a point on the grid's upper edge is in the last cell
+            inside = np.nextafter(bounds(points.grid)[1], -np.inf)
+            x = np.minimum(where.x, inside)
+            where = replace(where, x=x, half=np.zeros_like(where.half))
         means = CellMeans(points["V"], where, shared, first.basis)
     within = [(f.basis.nodes, u.nodes) for f, u in zip(fields, unknowns.fields)]
     return ActiveRegion(stencils, means, within)

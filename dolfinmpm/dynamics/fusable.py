@@ -39,8 +39,6 @@ def why_not(form: WeakForm) -> str | None:
     kinds = {_kind(d) for d in declarations}
     if len(kinds) != 1 or None in kinds:
         return "laws of several or other measures of strain"
-    if any(d.fbar == "centres" for d in declarations):
-        return "F-bar takes its means over the cells of the points' centres"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "laws by tags of which some share volume changes"
     if points.gdim == 3 and any(d.fbar for d in declarations):
@@ -81,7 +79,7 @@ class Laws:
     Attributes:
         kind: How strain makes stress, see `dolfinmpm.dynamics.passes`.
         state: Name of the field of elastic strain; empty if the law takes F.
-        fbar: Whether points share changes of volume.
+        fbar: Whether points share changes of volume, or "centres"; see `Declaration`.
         internal: Internal variables side by side, shape (n, variables).
         table: Addresses of the laws, their parameters, whether these are by points, and
             which law a point has.

@@ -21,7 +21,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.nodes import divide, move_nodes
-from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS_TAKEN, MEANS_USED, PASSES, Pass
+from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, PASSES, Pass
 from dolfinmpm.dynamics.pointarrays import PointArrays
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.window import MARGIN, Means, Prescribed, Window
@@ -171,10 +171,11 @@ class Fused:
         """One pass over the points; why it ended early, or None. Collective."""
         if self._means is None or not parts.strain:
             return self._once(parts, dt, record)
+        taken, used = MEANS[self._laws.fbar]
         self._means.sums[:] = 0.0
-        reason = self._once(Pass(strain=True), dt, False, MEANS_TAKEN)
+        reason = self._once(Pass(strain=True), dt, False, taken)
         self._means.take(self._window.rows())
-        return reason or self._once(parts, dt, record, MEANS_USED)
+        return reason or self._once(parts, dt, record, used)
 
     def _once(self, parts: Pass, dt: float, record: bool, means: int = 0) -> str | None:
         general = not self._window.basis.lattice.uniform

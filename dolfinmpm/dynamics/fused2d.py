@@ -35,8 +35,7 @@ from dolfinmpm.dynamics.passes import (
     GROWTH,
     JAUMANN,
     LAW,
-    MEANS_TAKEN,
-    MEANS_USED,
+    MEANS,
     NEO,
     SMALL,
     Pass,
@@ -44,6 +43,15 @@ from dolfinmpm.dynamics.passes import (
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
+
+
+@numba.njit(cache=True, error_model="numpy", forceinline=True)
+def cell_of(line, first, count, x):
+    """Which of the cells that a point's domain overlaps, in one direction, its centre is in."""
+    k = 0
+    while k < count - 1 and x >= line[first + k + 1]:
+        k += 1
+    return k
 
 
 @functools.cache
@@ -62,6 +70,8 @@ def kernel(
     """
     averaged, by_volume, by_stretch = growth > 0, GROWTH["volume"], GROWTH["stretch"]
     velocity, strain, move, same, new = parts
+    centres, taken = means in MEANS["centres"], means in (MEANS[True][0], MEANS["centres"][0])
+    used = means > 0 and not taken
     APIC, TPIC = affine == 1, affine == 2
     gradient = strain or (TPIC and velocity)
     # changes and velocities are gathered together, or velocities and those of the strain
@@ -157,7 +167,10 @@ def kernel(
                     w0, w1, v0, v1 = v0, v1, w0, w1
                 _, _, h00, h10 = lanes(H0)
                 _, _, h01, h11 = lanes(H1)
-                if means > 0:
+                if centres:
+                    k0, k1 = cell_of(line0, i0, n0 - 1, x0), cell_of(line1, i1, n1 - 1, x1)
+                    cell = sums_at + 16 * ((i0 + k0) * shape[1] + i1 + k1)
+                elif means > 0:
                     if general:
                         line_shares(
                             line0, uniform, degree, i0, n0 - degree, x0, l0, d0, L0, S2, part, slope
@@ -172,11 +185,15 @@ def kernel(
                             r0, r1 = r0 - d0[a] * step0, r1 - d1[a] * step1
                             L0[a], L1[a] = r0, r1
                     cell = sums_at + 16 * (i0 * shape[1] + i1)
-                if means == MEANS_TAKEN:
+                if taken:
                     volume = vp * (F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0])
                     change = dt * (h00 + h11)
                     if kind == LAW:
                         change = (1.0 + dt * h00) * (1.0 + dt * h11) - dt * h01 * dt * h10
+                    if centres:
+                        add_at(cell, volume)
+                        add_at(cell + 8, volume * change)
+                        continue
                     for a in range(n0 - 1):
                         for b in range(n1 - 1):
                             at, q = cell + 16 * (a * shape[1] + b), L0[a] * L1[b] * volume
@@ -184,7 +201,9 @@ def kernel(
                             add_at(at + 8, q * change)
                     continue
                 mean = 0.0
-                if means == MEANS_USED:
+                if used and centres:
+                    mean = number_at(cell + 8)
+                elif used:
                     for a in range(n0 - 1):
                         here = 0.0
                         for b in range(n1 - 1):
@@ -221,7 +240,7 @@ def kernel(
                         return np.intp(p), left, behind
                     ratio = 1.0
                     u00, u11 = h00, h11
-                    if means == MEANS_USED:
+                    if used:
                         if kind == LAW:
                             # F-bar: the law sees the mean's change of volume
                             q = mean / (a00 * a11 - a01 * a10)
@@ -314,7 +333,7 @@ def kernel(
                         if kind == JAUMANN:
                             # Cauchy's
                             ratio = J
-                        if kind == JAUMANN or means == MEANS_USED:
+                        if kind == JAUMANN or used:
                             t00, t11, t01, t22 = ratio * t00, ratio * t11, ratio * t01, ratio * t22
                     if kind != SMALL:
                         # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle

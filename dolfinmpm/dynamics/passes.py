@@ -10,8 +10,7 @@ __all__ = [
     "GROWTH",
     "JAUMANN",
     "LAW",
-    "MEANS_TAKEN",
-    "MEANS_USED",
+    "MEANS",
     "NEO",
     "PASSES",
     "SMALL",
@@ -28,8 +27,9 @@ LAW, SMALL, NEO, JAUMANN = 0, 1, 2, 3
 GROWTH = {"stretch": 1, "volume": 2, "fixed": 3}
 
 # What a pass does with the means of F-bar: a pass that strains takes them and does nothing else,
-# so that they are known to all cells; the next uses them
-MEANS_TAKEN, MEANS_USED = 1, 2
+# so that they are known to all cells; the next uses them. By kind of F-bar: over cells by shares of
+# domains, or over splines one degree lower; and over the cells of the points' centres
+MEANS: dict[bool | str, tuple[int, int]] = {True: (1, 2), "centres": (3, 4)}
 
 
 class Pass(NamedTuple):
