@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, Kept, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 from dolfinmpm.forms.slots import Slots
@@ -63,7 +64,10 @@ class Evaluation:
     """The point terms of a weak form on an activation.
 
     Fluxes and tangents are pure functions of the points' state and the nodal
-    increments; `interpolate` takes the increments that the other methods go by.
+    increments; `interpolate` takes the increments that the other methods go by. What laws
+    answered is kept until then, or until `commit`: a tangent, or the end of a step, at the
+    increments of the last residual asks no law a second time. The state must stay as it is
+    in between.
 
     Args:
         regions: Terms of the parts of the body.
@@ -216,6 +220,9 @@ class _Region:
         self._rows = np.sort(part.stencils[0].order)
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
         self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
+        # what operators' laws keep in the order of the stencils, and whose is of these increments
+        self._kept: dict[int, Array] = {}
+        self._known: set[int] = set()
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.slots.functions):
             self._data["function", k] = _function_values(function, gradient, points)
@@ -225,11 +232,13 @@ class _Region:
         self.update_constants()
 
     def update_constants(self) -> None:
+        self._known.clear()
         for k, constant in enumerate(self.terms.slots.constants):
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
     def prepare(self) -> None:
-        """Let laws take their means over cells. Collective if there are any."""
+        """Forget old increments, let laws take means over cells. Collective if there are any."""
+        self._known.clear()
         for k in self.terms.by_mean:
             means = self.part.means
             assert means is not None
@@ -282,6 +291,9 @@ class _Region:
         # dead loads, say, do not ask a law for its stress
         asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
         plain = [key for key in inputs if not key[0].startswith("operator")]
+        known = self._known & set(asked)
+        # a law that fails on the way leaves the rest as it was
+        self._known -= set(asked)
         for first, last in self._chunks():
             rows = s.order[s.groups[first] : s.groups[last]]
             data = self._taken(plain, rows)
@@ -292,7 +304,8 @@ class _Region:
                 by_mean = None
                 if slope is not None and k in terms.by_mean:
                     data["operator by mean", k] = by_mean = np.empty_like(value)
-                bad = self._ask(k, operand, value, slope, rows, by_mean)
+                kept = self._kept_in(k, first, last, k in known)
+                bad = self._ask(k, operand, value, slope, rows, by_mean, kept)
                 if bad >= 0:
                     self._fail(operator, int(rows[bad]), operand[bad])
                     return
@@ -303,26 +316,41 @@ class _Region:
             for program, values in zip(programs, out):
                 program.run(data, values)
             yield first, last, out
+        self._known |= {k for k in asked if k in self._kept}
 
-    def _ask(self, k: int, operand, value, slope, rows, by_mean) -> int:
+    def _kept_in(self, k: int, first: int, last: int, known: bool) -> Kept | None:
+        """What the k-th operator's law keeps of the points of some groups, or None."""
+        law, s = self.terms.operators[k].law, self.part.stencils[0]
+        if not (self.terms.sloped and isinstance(law, KeepingLaw) and law.keeps):
+            return None
+        if k not in self._kept:
+            self._kept[k] = np.empty((s.order.size, law.keeps))
+        return Kept(self._kept[k][s.groups[first] : s.groups[last]], known)
+
+    def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: Kept | None) -> int:
         """The k-th operator at some points, zero at those of other laws; the first that fails."""
         operator = self.terms.operators[k]
 
-        def evaluate(operand, outs, rows) -> int:
+        def evaluate(operand, outs, rows, kept) -> int:
+            law: Any = operator.law
             tangent = outs[1] if slope is not None else None
-            if by_mean is None:
-                return operator.law.evaluate(operand, outs[0], tangent, rows)
-            return self.averaging(k).evaluate(operand, outs[0], tangent, rows, outs[2])
+            further = if_kept(kept)
+            if by_mean is not None:
+                further["by_mean"] = outs[2]
+            return law.evaluate(operand, outs[0], tangent, rows, **further)
 
         whole = [a for a in (value, slope, by_mean) if a is not None]
         own = None
         if operator.tags is not None:
             own = np.isin(self._points["tag"][rows], operator.tags)
         if own is None or own.all():
-            return evaluate(operand, whole, rows)
+            return evaluate(operand, whole, rows, kept)
         mine = np.flatnonzero(own)
         part = [np.empty((mine.size, *a.shape[1:])) for a in whole]
-        bad = evaluate(operand[mine], part, rows[mine])
+        of_mine = _taken_of(kept, mine)
+        bad = evaluate(operand[mine], part, rows[mine], of_mine)
+        if kept is not None and of_mine is not None and not kept.known:
+            kept.values[mine] = of_mine.values
         for a, values in zip(whole, part):
             a[:] = 0.0
             a[mine] = values
@@ -395,24 +423,41 @@ class _Region:
         """Write the value of the k-th operator at the region's points."""
         rows = self._rows
         value = np.empty((rows.size, out.shape[1]))
-        if self._ask(k, self.operand(k, rows), value, None, rows, None) >= 0:
+        if self._ask(k, self.operand(k, rows), value, None, rows, None, None) >= 0:
             value[:] = np.nan
         out[rows] = value
 
     def commit(self, new: dict[str, Array]) -> None:
         """Write what the laws' fields are at the end of the step into new arrays."""
         self.failure = None
+        s, points = self.part.stencils[0], self._points
+        # a rank without points has the fields all the same
+        chunks = list(self._chunks()) or [(0, 0)]
         for k, operator in enumerate(self.terms.operators):
-            rows = self._rows
-            if operator.tags is not None:
-                rows = rows[np.isin(self._points["tag"][rows], operator.tags)]
-            operand = self.operand(k, rows)
-            for name, values in operator.law.commit(operand, rows).items():
-                if len(rows) == len(self._points):
-                    new[name] = values
-                else:
-                    new.setdefault(name, self._points[name].copy())[rows] = values
-                if self.failure is None and not np.isfinite(values).all():
-                    finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-                    bad = int(np.argmin(finite))
-                    self._fail(operator, int(rows[bad]), operand[bad])
+            law: Any = operator.law
+            whole = operator.tags is None and s.order.size == len(points)
+            for first, last in chunks:
+                rows = s.order[s.groups[first] : s.groups[last]]
+                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                if operator.tags is not None:
+                    mine = np.flatnonzero(np.isin(points["tag"][rows], operator.tags))
+                    rows, kept = rows[mine], _taken_of(kept, mine)
+                operand = self.operand(k, rows)
+                found = law.commit(operand, rows, **if_kept(kept))
+                for name, values in found.items():
+                    if name not in new:
+                        shape = len(points), *values.shape[1:]
+                        new[name] = np.empty(shape) if whole else points[name].copy()
+                    new[name][rows] = values
+                    if self.failure is None and not np.isfinite(values).all():
+                        finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+                        bad = int(np.argmin(finite))
+                        self._fail(operator, int(rows[bad]), operand[bad])
+        # the state of the points may be another from here on
+        self._known.clear()
+        self._kept.clear()
+
+
+def _taken_of(kept: Kept | None, rows: npt.NDArray[np.integer]) -> Kept | None:
+    """What is kept of some of the points, copied."""
+    return None if kept is None else Kept(kept.values[rows], kept.known)

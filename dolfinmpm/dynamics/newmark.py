@@ -265,7 +265,8 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         # forces balance at a level within the step, the state is that at its end
         scale = 1.0 / (1.0 - motion.rule.alpha_f)
-        operator.move(x, scale)
+        if scale != 1.0:
+            operator.move(x, scale)
         state = super()._advance(operator, x, step)
         if isinstance(state, str):
             return state

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import basix.ufl
@@ -15,7 +16,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["AveragingLaw", "PointOperator", "PointwiseLaw"]
+__all__ = ["AveragingLaw", "KeepingLaw", "Kept", "PointOperator", "PointwiseLaw", "if_kept"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -88,6 +89,57 @@ class AveragingLaw(Protocol):
         """
 
     def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
+        """Fields of some points at the end of a converged step; see `PointwiseLaw.commit`."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is kept of a law's answers at some points.
+
+    Attributes:
+        values: The numbers, shape (n, `KeepingLaw.keeps`).
+        known: Whether they are those of this operand and state, to be read; else they are
+            to be written.
+    """
+
+    values: Array
+    known: bool
+
+
+def if_kept(kept: Kept | None) -> dict[str, Any]:
+    """The argument `kept` of a call, without which laws that keep nothing are called."""
+    return {} if kept is None else {"kept": kept}
+
+
+@runtime_checkable
+class KeepingLaw(Protocol):
+    """A `PointwiseLaw` that does most of its work once for the same increments.
+
+    What its value is made of serves the tangent, and the end of the step, at the same
+    increments too. Who asks holds the numbers, and knows whether increments are the same.
+    """
+
+    @property
+    def keeps(self) -> int:
+        """How many numbers it keeps of a point; 0 if none after all."""
+
+    def evaluate(
+        self,
+        operand: Array,
+        value: Array,
+        tangent: Array | None,
+        rows: Rows,
+        *,
+        kept: Kept | None = None,
+    ) -> int:
+        """As `PointwiseLaw.evaluate`, or `AveragingLaw.evaluate`.
+
+        Args:
+            operand, value, tangent, rows: See there.
+            kept: What is kept of these points, written or read; or None.
+        """
+
+    def commit(self, operand: Array, rows: Rows, kept: Kept | None = None) -> dict[str, Array]:
         """Fields of some points at the end of a converged step; see `PointwiseLaw.commit`."""
 
 

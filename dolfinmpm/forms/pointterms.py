@@ -200,6 +200,11 @@ class PointTerms:
             made.append(compile_program(self.slots.points.grid, parts, self.slots.sources))
         return made
 
+    @property
+    def sloped(self) -> bool:
+        """Whether anybody has asked for the tangent yet, as those who step explicitly never do."""
+        return "tangent" in self.__dict__
+
     @functools.cached_property
     def tangent(self) -> dict[tuple[int, int], TangentBlock]:
         """Derivatives of the internal flux, by row and column field. Collective at first."""

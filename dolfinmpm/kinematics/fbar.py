@@ -19,6 +19,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError, SoftVolumeWarning, raise_together, warn
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.operators import KeepingLaw, Kept, if_kept
 
 __all__ = ["FBar", "StrainFramework"]
 
@@ -27,6 +28,8 @@ Array = npt.NDArray[np.float64]
 
 class StrainFramework(Protocol):
     """A `PointwiseLaw` of the increment's gradient H that F-bar may be put around.
+
+    It may be a `KeepingLaw` too.
 
     Attributes:
         law: The constitutive law in it.
@@ -255,6 +258,11 @@ class FBar:
         """The constitutive law."""
         return self.framework.law
 
+    @property
+    def keeps(self) -> int:
+        """Numbers of a point that are kept, those of the framework; see `KeepingLaw`."""
+        return self.framework.keeps if isinstance(self.framework, KeepingLaw) else 0
+
     def describe(self, operand: Array, row: int) -> str:
         """What is known of a point at which there is no stress; see `Framework`."""
         changed = np.empty((1, operand.size))
@@ -291,15 +299,15 @@ class FBar:
 
     def evaluate(
         self, operand: Array, value: Array, tangent: Array | None, rows,
-        by_mean: Array | None = None,
+        by_mean: Array | None = None, kept: Kept | None = None,
     ) -> int:  # fmt: skip
-        """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`."""
+        """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
         d, kind = self.points.gdim, self._multiplicative
         measure, mean = self._measure[rows], self._mean[rows]
         changed = np.empty_like(operand)
         bad = _replace_volume(operand, measure, mean, d, kind, changed)
         if bad < 0:
-            bad = self.framework.evaluate(changed, value, tangent, rows)
+            bad = self.framework.evaluate(changed, value, tangent, rows, **if_kept(kept))
         if bad >= 0:
             return bad
         history = self._history(rows) if kind else np.empty(0)
@@ -311,7 +319,7 @@ class FBar:
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
         return -1
 
-    def commit(self, operand: Array, rows) -> dict[str, Array]:
+    def commit(self, operand: Array, rows, kept: Kept | None = None) -> dict[str, Array]:
         """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
         points = self.points
         changed = np.empty_like(operand)
@@ -319,7 +327,7 @@ class FBar:
             operand, self._measure[rows], self._mean[rows], points.gdim, self._multiplicative,
             changed,
         )  # fmt: skip
-        new = self.framework.commit(changed, rows)
+        new = self.framework.commit(changed, rows, **if_kept(kept))
         if self._multiplicative:
             # the framework took det ΔF̄ times the true det F before the step for its volume
             new["stress"] *= self._history(rows)[:, None, None]

@@ -7,9 +7,10 @@ import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.forms.operators import Kept
 from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters
-from dolfinmpm.kinematics.spectral import components, stress_kernel
+from dolfinmpm.kinematics.spectral import components, kept_numbers, stress_kernel
 from dolfinmpm.materials.base import Law
 
 __all__ = ["Framework", "symmetric"]
@@ -102,14 +103,23 @@ class Framework:
             return np.empty((len(self.points["id"][rows]), 0))
         return np.stack(columns, axis=1)
 
-    def _run(self, operand: Array, rows: Rows, S, A, new, internal, sigma) -> int:
+    @property
+    def keeps(self) -> int:
+        """Numbers of a point that are kept between residual and tangent; see `KeepingLaw`."""
+        return kept_numbers(self.points.gdim, len(self.law.internal))
+
+    def _run(
+        self, operand: Array, rows: Rows, kept: Kept | None, S, A, new, internal, sigma
+    ) -> int:
         points, measure = self.points, self._measure
         n, ending = len(rows), len(new) > 0
+        values, known = (np.empty((0, 1)), False) if kept is None else (kept.values, kept.known)
         return self._kernel(
             self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
             measure.checks, measure.logarithmic, np.ascontiguousarray(operand),
             points["F"].take(rows, axis=0).reshape(n, points.gdim**2),
-            points[self.state].take(rows, axis=0), self.internal(rows), S, A, new, internal, sigma,
+            points[self.state].take(rows, axis=0), self.internal(rows), values, known, S, A, new,
+            internal, sigma,
         )  # fmt: skip
 
     def _principal(self, rows: Rows) -> Array:
@@ -134,21 +144,28 @@ class Framework:
         strain = np.empty((len(rows), 3)) if known else self._principal(rows)
         return law.stiffness(strain, self.internal(rows), parameters)
 
-    def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
-        """Flux S and its derivative by ∇ũ; see `PointwiseLaw`."""
+    def evaluate(
+        self,
+        operand: Array,
+        value: Array,
+        tangent: Array | None,
+        rows: Rows,
+        kept: Kept | None = None,
+    ) -> int:
+        """Flux S and its derivative by ∇ũ; see `KeepingLaw`."""
         if len(rows) == 0:
             return -1
         A = np.empty((0, 1, 1)) if tangent is None else tangent
-        return self._run(operand, rows, value, A, *[np.empty((0, 6))] * 3)
+        return self._run(operand, rows, kept, value, A, *[np.empty((0, 6))] * 3)
 
-    def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
+    def commit(self, operand: Array, rows: Rows, kept: Kept | None = None) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
         n = len(rows)
         new, sigma = np.empty((n, 6)), np.empty((n, 6))
         internal = np.empty((n, len(self.law.internal)))
         if n:
             none = np.empty((0, 1)), np.empty((0, 1, 1))
-            bad = self._run(operand, rows, *none, new, internal, sigma)
+            bad = self._run(operand, rows, kept, *none, new, internal, sigma)
             if bad >= 0:
                 new[bad:] = sigma[bad:] = np.nan
         fields = {self.state: new, "stress": symmetric(sigma)}

@@ -27,7 +27,7 @@ from dolfinmpm.forms.pointwise import call_tabulate
 from dolfinmpm.grid.tensors import eigen
 from dolfinmpm.materials.base import call_law
 
-__all__ = ["Layout", "components", "layout", "stress_kernel"]
+__all__ = ["Layout", "components", "kept_numbers", "layout", "stress_kernel"]
 
 
 def components(d: int) -> list[tuple[int, int]]:
@@ -67,13 +67,26 @@ def layout(d: int) -> Layout:
     return Layout(*(sum(sizes[:k]) for k in range(len(sizes) + 1)))
 
 
+def kept_numbers(d: int, variables: int) -> int:
+    """How many numbers of a point's response `stress_kernel` keeps.
+
+    They are the axes, d², the trial tensor's principal values, the principal strains before and
+    after the law and its stresses, 3 each, the law's tangent, 9, and the internal variables.
+
+    Args:
+        d: Dimension of space.
+        variables: Number of internal variables.
+    """
+    return d * d + 4 * 3 + 9 + variables
+
+
 @functools.cache
 def stress_kernel(d: int):
     """The loop in d dimensions, which Numba unrolls for that d.
 
-    `kernel(law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, S, A,
-    state, internal, stress) -> first point without a stress, or -1`, with m components of a
-    symmetric tensor in d dimensions:
+    `kernel(law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, kept,
+    known, S, A, state, internal, stress) -> first point without a stress, or -1`, with m
+    components of a symmetric tensor in d dimensions:
 
     - law, parameters: address of the law's kernel; shape (1, parameters) or (n, parameters);
     - programs: addresses of the compiled functions, see `StrainMeasure.programs`;
@@ -82,6 +95,8 @@ def stress_kernel(d: int):
     - H, F_n, state_n, internal_n: the increment's gradient, shape (n, d²); deformation
       gradient, state and internal variables at the start of the step, shapes (n, d²), (n, 6)
       and (n, variables);
+    - kept: response of the law at the points, shape (n, `kept_numbers`): written, or read
+      instead of asking the law again if `known`; nothing is kept if it is empty;
     - S: written unless state is, the flux (Pa), shape (n, d²);
     - A: written unless empty, its derivative by H, shape (n, d², d²);
     - state, internal, stress: written unless empty, all at the end of the step, shapes
@@ -99,8 +114,8 @@ def stress_kernel(d: int):
 
     @numba.njit(cache=True, error_model="numpy")
     def kernel(
-        law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, S, A, state,
-        internal, stress,
+        law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, kept, known,
+        S, A, state, internal, stress,
     ):  # fmt: skip
         z, out = np.zeros(size), np.empty(checks + max(m, dd))
         tensor, Q, value = np.empty((d, d)), np.eye(3), np.ones(3)
@@ -108,8 +123,9 @@ def stress_kernel(d: int):
         C, N, W = np.empty((3, 3)), np.empty((m, m)), np.empty((m, m))
         by_H, by_G = np.empty((dd, dd)), np.empty((m, dd))
         ratio_of = np.empty(1)
-        scratch = np.empty(max(internal_n.shape[1], 1))
-        ending, sloping = state.shape[0] > 0, A.shape[0] > 0
+        variables = internal_n.shape[1]
+        new = np.empty(max(variables, 1))
+        keeping, ending, sloping = kept.shape[0] > 0, state.shape[0] > 0, A.shape[0] > 0
         trial_of, second_of, flux_of, volume_of, tangent_of, slope_of, second_slope_of = programs
         staged = second_of != 0
         data = z.ctypes.data
@@ -119,46 +135,70 @@ def stress_kernel(d: int):
                 z[at_F + k] = F_n[p, k]
             for k in range(6):
                 z[at_state + k] = state_n[p, k]
-            out[:] = 0.0
-            call_tabulate(trial_of, out.ctypes.data, data)
-            for k in range(checks):
-                if not out[k] > 0.0:
-                    return p
             start = checks
+            if staged or not known:
+                out[:] = 0.0
+                call_tabulate(trial_of, out.ctypes.data, data)
+                for k in range(checks):
+                    if not out[k] > 0.0:
+                        return p
             if staged:
                 for k in range(dd):
                     z[at_G + k] = out[checks + k]
-                out[:] = 0.0
-                start = 0
-                call_tabulate(second_of, out.ctypes.data, data)
-            for k in range(m):
-                i, j = rows[k], columns[k]
-                tensor[i, j] = tensor[j, i] = out[start + k]
-            for i in range(d, 3):
-                value[i] = state_n[p, i]
-            eigen(d, tensor, value, Q)
-            for i in range(3):
-                given[i] = value[i]
-                if logarithmic:
-                    if not value[i] > 0.0:
-                        return p
-                    given[i] = 0.5 * math.log(value[i])
-                strain[i] = given[i]
-            new = scratch.ctypes.data
-            if ending:
-                new = internal.ctypes.data + 8 * p * internal.shape[1]
-            row = p if parameters.shape[0] > 1 else 0
-            status = call_law(
-                law, parameters.ctypes.data + 8 * row * parameters.shape[1], strain.ctypes.data,
-                internal_n.ctypes.data + 8 * p * internal_n.shape[1], new, tau.ctypes.data,
-                C.ctypes.data,
-            )  # fmt: skip
-            if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
-                return p
+            if known:
+                for i in range(d):
+                    for a in range(d):
+                        Q[i, a] = kept[p, i * d + a]
+                for i in range(3):
+                    value[i], given[i] = kept[p, dd + i], kept[p, dd + 3 + i]
+                    strain[i], tau[i] = kept[p, dd + 6 + i], kept[p, dd + 9 + i]
+                    for j in range(3):
+                        C[i, j] = kept[p, dd + 12 + 3 * i + j]
+                for i in range(variables):
+                    new[i] = kept[p, dd + 21 + i]
+            else:
+                if staged:
+                    out[:] = 0.0
+                    start = 0
+                    call_tabulate(second_of, out.ctypes.data, data)
+                for k in range(m):
+                    i, j = rows[k], columns[k]
+                    tensor[i, j] = tensor[j, i] = out[start + k]
+                for i in range(d, 3):
+                    value[i] = state_n[p, i]
+                eigen(d, tensor, value, Q)
+                for i in range(3):
+                    given[i] = value[i]
+                    if logarithmic:
+                        if not value[i] > 0.0:
+                            return p
+                        given[i] = 0.5 * math.log(value[i])
+                    strain[i] = given[i]
+                row = p if parameters.shape[0] > 1 else 0
+                status = call_law(
+                    law, parameters.ctypes.data + 8 * row * parameters.shape[1],
+                    strain.ctypes.data, internal_n.ctypes.data + 8 * p * variables,
+                    new.ctypes.data, tau.ctypes.data, C.ctypes.data,
+                )  # fmt: skip
+                if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
+                    return p
+                if keeping:
+                    for i in range(d):
+                        for a in range(d):
+                            kept[p, i * d + a] = Q[i, a]
+                    for i in range(3):
+                        kept[p, dd + i], kept[p, dd + 3 + i] = value[i], given[i]
+                        kept[p, dd + 6 + i], kept[p, dd + 9 + i] = strain[i], tau[i]
+                        for j in range(3):
+                            kept[p, dd + 12 + 3 * i + j] = C[i, j]
+                    for i in range(variables):
+                        kept[p, dd + 21 + i] = new[i]
             for a in range(d):
                 for k in range(m):
                     N[a, k] = Q[rows[k], a] * Q[columns[k], a]
             if ending:
+                for i in range(variables):
+                    internal[p, i] = new[i]
                 ratio_of[0] = 0.0
                 call_tabulate(volume_of, ratio_of.ctypes.data, data)
                 for i in range(3):

@@ -176,11 +176,16 @@ class Newton:
         elif not balance.residuals or balance.residuals[-1] > self.tolerance:
             # SNES has criteria of its own; only the out-of-balance force counts
             outcome.reason = f"{name_of(reason)} without balance"
-        else:
+        elif not (self.searches and linear.snes.getType() == "newtonls"):
+            # what a user chose may end elsewhere than at the last residual
             operator.move(outcome.x)
 
     def _run(self, operator: Operator, balance: Balance, start: Array) -> tuple[int, int]:
-        """Let SNES iterate; writes what it finds over the start. Collective."""
+        """Let SNES iterate; writes what it finds over the start. Collective.
+
+        The line searches of `SEARCHES` end with the residual of the step that they choose, which
+        leaves the operator moved to what was found.
+        """
         linear = self.linear
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
