@@ -31,6 +31,7 @@ __all__ = [
     "ParameterError",
     "PointsOutsideGridError",
     "ShapeOutsideGridError",
+    "SingularMassWarning",
     "SoftVolumeWarning",
     "StateError",
     "UnknownNameError",
@@ -120,6 +121,10 @@ class IdleConditionWarning(DolfinMPMWarning):
 
 class DegreesWarning(DolfinMPMWarning):
     """An angle in degrees is so small that it may have been given in radians."""
+
+
+class SingularMassWarning(DolfinMPMWarning):
+    """A consistent mass is next to singular: its nodal velocities are out of all proportion."""
 
 
 class SoftVolumeWarning(DolfinMPMWarning):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +12,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.checks import number
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError, raise_together
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    ParameterError,
+    SingularMassWarning,
+    raise_together,
+    warn,
+)
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, Field
@@ -55,6 +62,8 @@ class MassTerms:
     def __init__(self, points: MaterialPoints, kind: str, ghost: WeakForm | None):
         self.points, self.kind, self.ghost = points, kind, ghost
         self._matrix: Matrix | None = None
+        #: Whether it has been told that the mass is next to singular.
+        self.warned = False
 
     @property
     def moving(self) -> set[int]:
@@ -203,9 +212,12 @@ class Mass:
             held: Velocities of prescribed components (m/s), shape (nodes, components).
             fastest: The largest component of a velocity of this rank's points (m/s).
 
+        Warns once where a node is out of all proportion faster than the points, which a consistent
+        mass allows where it has next to none of them: what comes back to the points may be sound
+        all the same, as in a bar, or end in no state.
+
         Raises:
-            ConvergenceError: The mass is singular: a node is out of all proportion faster than
-                the points, which a consistent mass allows where it has next to none of them.
+            ConvergenceError: The mass is singular.
         """
         V = self.solve(momenta, held)
         if self._diagonal:
@@ -218,12 +230,17 @@ class Mass:
         largest, moved, fastest = both
         bound = _PROPORTION * max(moved, fastest)
         if not largest <= bound:
-            raise ConvergenceError(
+            text = (
                 f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
                 f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
-                "is allowed; give a ghost_mass above 0, which is the default, or "
-                'mass="lumped", or stabilisation="aggregation"'
+                "is what a sound mass may give; give a ghost_mass above 0, which is the default, "
+                'or mass="lumped", or stabilisation="aggregation"'
             )
+            if not math.isfinite(largest):
+                raise ConvergenceError(text)
+            if not self._terms.warned:
+                self._terms.warned = True
+                warn(self.comm, text, SingularMassWarning)
         return V
 
     def solve(self, right: Nodal, held: Array) -> Nodal:

@@ -66,8 +66,8 @@ def forces(stress_only, strain, fbar):
     form -= ufl.inner(points.density * gravity, v) * points.dX
     bcs = mpm.fixed(V, lambda x: x[1] < 1e-6) + mpm.prescribed(V, lambda x: x[0] < 1e-6, 0)
     problem = mpm.Explicit(form, u, points, bcs, fused=False)
-    assert problem._by_stress
-    problem._by_stress = stress_only
+    assert problem._loop._by_stress
+    problem._loop._by_stress = stress_only
     problem.step(0.5)
     return points
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from conftest import COMM, unit_grid
@@ -9,7 +11,7 @@ from dolfinx import mesh
 from scenes import disc
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.errors import DolfinMPMError, ParameterError, SingularMassWarning
 from dolfinmpm.dynamics import transfer
 from dolfinmpm.dynamics.energies import angular_momentum
 from dolfinmpm.dynamics.mass import Mass
@@ -150,7 +152,7 @@ def test_without_a_ghost_penalty_small_cuts_spoil_it():
 
 
 @pytest.mark.parametrize("rule", [mpm.Newmark, mpm.Explicit])
-def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_an_error(rule):
+def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_told(rule):
     def wavy(cut, **options):
         problem = block("quadrilateral", "gimp", cut, rule, mass="consistent", **options)
         problem.points["velocity"] = np.sin(3 * problem.points["x"])
@@ -158,7 +160,7 @@ def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_an_error(rule):
 
     given = {"mapping": "pic", "scheme": "usl"} if rule is mpm.Explicit else {}
     message = r"next to singular: a node has the velocity .* m/s .* give a ghost_mass above 0"
-    with pytest.raises(ConvergenceError, match=message):
+    with pytest.warns(SingularMassWarning, match=message), contextlib.suppress(DolfinMPMError):
         wavy(1e-6, ghost_mass=0.0, **given).step(1e-3)
     # sound where cuts are large, or a penalty or ties act
     wavy(0.5, ghost_mass=0.0, **given).step(1e-3)

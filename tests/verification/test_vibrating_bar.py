@@ -7,6 +7,8 @@ those of an independent code.
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from conftest import COMM
@@ -14,6 +16,7 @@ from dolfinx import mesh
 from scenes import vibrating_bar
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import SingularMassWarning
 
 PERIOD = 10.0
 STIFF = mpm.Stabilisation("ghost", E=100.0)
@@ -173,6 +176,10 @@ def moving_bar(h=0.5, length=10.0, **options):
 )
 def test_a_bar_that_vibrates_while_it_flies(options, kept):
     """Its points go through twenty cells, with cuts of all sizes at both ends."""
-    share, momentum = moving_bar(**options)
+    # without a penalty nodes beyond the ends have any velocity, which no point sees
+    singular = options.get("ghost_mass") == 0.0
+    told = pytest.warns(SingularMassWarning) if singular else contextlib.nullcontext()
+    with told:
+        share, momentum = moving_bar(**options)
     assert share == pytest.approx(kept, abs=6e-4)
     assert momentum == pytest.approx(1.0, abs=1e-13)
