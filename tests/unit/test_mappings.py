@@ -318,23 +318,29 @@ def test_a_body_that_flies_apart_is_followed_exactly(mass, mapping):
     np.testing.assert_allclose(points["x"], points["x0"] + 4.0 * start, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize(
+    ("fused", "d"), [(True, 2), (False, 2), pytest.param(True, 3, marks=pytest.mark.long)]
+)
 @pytest.mark.parametrize("scheme", ["usl", "usf", "musl"])
-def test_tpic_follows_a_body_that_flies_apart_and_turns_in_explicit_steps(scheme, fused):
+def test_tpic_follows_a_body_that_flies_apart_and_turns_in_explicit_steps(scheme, fused, d):
     """x = (1 + t A) X, for the gradient is that of where the points have gone."""
-    grid = mesh.create_rectangle(COMM, [(-2, -2), (2, 2)], (16, 16), mesh.CellType.quadrilateral)
-    points = mpm.fill(grid, mpm.Box((-0.47, -0.5), (0.53, 0.41)), 2, 1.0)
+    kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
+    make = mesh.create_rectangle if d == 2 else mesh.create_box
+    grid = make(COMM, [(-2,) * d, (2,) * d], (16,) * d, kind)
+    box = mpm.Box((-0.47, -0.5, -0.38)[:d], (0.53, 0.41, 0.47)[:d])
+    points = mpm.fill(grid, box, 2, 1.0)
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(mpm.materials.Hencky(E=1e-16, nu=0.0), points, V.increment, V.test)
     problem = mpm.Explicit(F, V.increment, points, mapping="tpic", scheme=scheme, fused=fused)
     assert (problem.unfused == "") == fused
-    X, A = points["x0"], np.array([[0.8, -0.6], [0.9, 0.3]])
+    X = points["x0"]
+    A = np.array([[0.8, -0.6, 0.2], [0.9, 0.3, -0.5], [-0.1, 0.4, 0.6]])[:d, :d]
     points["velocity"], points["velocity_gradient"] = X @ A.T, A
     for t in np.arange(0.1, 1.05, 0.1):
         problem.step(t)
     X = points["x0"]
-    np.testing.assert_allclose(points["x"], X @ (np.eye(2) + A).T, rtol=0, atol=1e-12)
-    turned = A @ np.linalg.inv(np.eye(2) + A)
+    np.testing.assert_allclose(points["x"], X @ (np.eye(d) + A).T, rtol=0, atol=1e-12)
+    turned = A @ np.linalg.inv(np.eye(d) + A)
     given = np.broadcast_to(turned, points["velocity_gradient"].shape)
     np.testing.assert_allclose(points["velocity_gradient"], given, rtol=0, atol=1e-11)
 
