@@ -429,6 +429,7 @@ def test_vortex(tmp_path):
     assert (tmp_path / "vortex.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_vortex_of_hencky(tmp_path):
     """Of small strain both laws are one, and so are the forces that the motion takes."""
     options = "--amplitude 1e-3 --cells 8 --points-per-cell 2 --integrator explicit"

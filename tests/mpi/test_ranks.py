@@ -48,7 +48,11 @@ def leaves(figures, path=()):
 @pytest.mark.parametrize(
     ("case", "ranks"),
     [
-        pytest.param(case, ranks, marks=pytest.mark.xdist_group(f"ranks-{k}"))
+        pytest.param(
+            case,
+            ranks,
+            marks=[pytest.mark.xdist_group(f"ranks-{k}")] + [pytest.mark.long] * (ranks > 2),
+        )
         for k, names in enumerate(GROUPS)
         for case in names
         for ranks in (2, 3)

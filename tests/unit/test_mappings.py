@@ -321,7 +321,10 @@ def test_a_body_that_flies_apart_is_followed_exactly(mass, mapping):
 @pytest.mark.parametrize(
     ("fused", "d"), [(True, 2), (False, 2), pytest.param(True, 3, marks=pytest.mark.long)]
 )
-@pytest.mark.parametrize("scheme", ["usl", "usf", "musl"])
+@pytest.mark.parametrize(
+    "scheme",
+    [pytest.param(s, marks=[pytest.mark.long] * (s != "musl")) for s in ("usl", "usf", "musl")],
+)
 def test_tpic_follows_a_body_that_flies_apart_and_turns_in_explicit_steps(scheme, fused, d):
     """x = (1 + t A) X, for the gradient is that of where the points have gone."""
     kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron

@@ -129,7 +129,10 @@ def test_the_tip_follows_the_elastica(options):
     assert figures["last_residuals"][-1] <= 1e-9
 
 
-@pytest.mark.parametrize(("h", "bent", "all_loads"), [(0.25, 0.003, 0.015), (0.125, 0.003, 0.006)])
+@pytest.mark.parametrize(
+    ("h", "bent", "all_loads"),
+    [(0.25, 0.003, 0.015), pytest.param(0.125, 0.003, 0.006, marks=pytest.mark.long)],
+)
 def test_the_tip_follows_conforming_elements(h, bent, all_loads):
     """Quadratic elements, at the place of the loaded points: h/12 from the end."""
     figures = demo("--h", str(h)) if h != 0.25 else demo()

@@ -77,6 +77,7 @@ def test_the_limit_load_is_missed_without_f_bar():
     assert errors["0.4", "off"] > 3 * errors["0.4", "on"]
 
 
+@pytest.mark.long
 def test_f_bar_and_splines_are_softer():
     """Locking, by the settlement of hardening Tresca clay under the last load."""
     bases = "linear", "gimp", "bspline2"
