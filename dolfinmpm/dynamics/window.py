@@ -19,6 +19,7 @@ from dolfinmpm.dynamics.faces import Faces, Sides, set_velocities
 from dolfinmpm.dynamics.nodes import take_means
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.transfer import collect
+from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["MARGIN", "Means", "Prescribed", "Window"]
 
@@ -58,7 +59,9 @@ class Window:
         self._known, self._at = self.places(halo.node_ijk)
         self.own = np.zeros(len(self.nodes), np.bool_)
         self.own[self._at] = self._known < basis.nodes.owned
-        self._vector = basis.nodes.vector(width) if points.comm.size > 1 else None
+        self._exchange: _Exchange | None = None
+        if points.comm.size > 1:
+            self._exchange = _Exchange(basis.nodes, self._known, self._at, width)
         self._first, self._last = np.zeros(points.gdim, np.int64), self._shape.copy()
         self.grid = (
             *lattice.lines,
@@ -83,7 +86,7 @@ class Window:
     def box(self, points: MaterialPoints) -> None:
         """Find nodes that points may reach until they are given to ranks again: see `MARGIN`."""
         x, basis = points["x"], self.basis
-        if self._vector is not None:
+        if self._exchange is not None:
             # sums of other ranks too must be cleared, and the work at every node counted
             return
         if not len(points):
@@ -105,8 +108,8 @@ class Window:
 
     def add_up(self, begin: int = 0, end: int | None = None) -> None:
         """Add up columns of the sums over ranks, for all that know the nodes. Collective."""
-        if self._vector is not None:
-            _add_up(self._vector, self._known, self.out, self._at, begin, end)
+        if self._exchange is not None:
+            self._exchange.add_up(self.out, begin, end)
 
     def taken(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Values of the basis's nodes, shape (n, ...), at those of the window, else zeros."""
@@ -133,14 +136,14 @@ class Means:
 
     def __init__(self, window: Window):
         own, ijk = numbering(window.basis)
-        self._known, self._at = window.places(ijk)
+        known, at = window.places(ijk)
         self.sums = np.zeros((len(window.nodes), 2))
-        self._vector = own.vector(2) if own.comm.size > 1 else None
+        self._exchange = _Exchange(own, known, at, 2) if own.comm.size > 1 else None
 
     def take(self, rows: tuple[int, ...]) -> None:
         """Means from sums over the points of this rank, in their place. Collective."""
-        if self._vector is not None:
-            _add_up(self._vector, self._known, self.sums, self._at, 0, 2)
+        if self._exchange is not None:
+            self._exchange.add_up(self.sums)
         take_means(rows, self.sums)
 
 
@@ -207,18 +210,32 @@ class Prescribed:
         self._driven = wanted[1]
 
 
-def _add_up(vector, known, sums: Array, at, begin: int, end: int | None) -> None:
-    """Add up columns of sums over ranks, for all that know the places. Collective.
+class _Exchange:
+    """Sums over ranks of what stands at a window's nodes. Collective.
+
+    Only what ranks have in common is handed over: the rest of a window is as large as its rank.
 
     Args:
-        vector: A distributed array of as many columns.
-        known, at: Places in it, and in the sums.
-        sums: Changed.
-        begin, end: The columns.
+        nodes: Numbering of the nodes.
+        known, at: Those that the window has, and where.
+        width: Columns of the sums.
     """
-    values = vector.array.reshape(-1, sums.shape[1])
-    values[:] = 0.0
-    values[known, begin:end] = sums[at, begin:end]
-    vector.scatter_reverse(InsertMode.add)
-    vector.scatter_forward()
-    sums[at, begin:end] = values[known, begin:end]
+
+    def __init__(self, nodes: Numbering, known: Places, at: Places, width: int):
+        marks = nodes.vector()
+        marks.array[:] = 0.0
+        marks.array[nodes.owned :] = 1.0
+        marks.scatter_reverse(InsertMode.add)
+        shared = marks.array > 0.0
+        self._all = np.flatnonzero(shared)
+        self._rows, self._at = known[shared[known]], at[shared[known]]
+        self._vector = nodes.vector(width)
+
+    def add_up(self, sums: Array, begin: int = 0, end: int | None = None) -> None:
+        """Add up columns, for all that know the nodes. Collective."""
+        values = self._vector.array.reshape(-1, sums.shape[1])
+        values[self._all] = 0.0
+        values[self._rows, begin:end] = sums[self._at, begin:end]
+        self._vector.scatter_reverse(InsertMode.add)
+        self._vector.scatter_forward()
+        sums[self._at, begin:end] = values[self._rows, begin:end]
