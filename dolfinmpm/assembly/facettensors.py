@@ -1,4 +1,4 @@
-"""Facet tensors of B-splines from one-dimensional ones, without a compiled kernel.
+"""Facet tensors of splines of any degree from one-dimensional ones, without a compiled kernel.
 
 On a facet of a rectangular grid a bilinear form is a sum of products of derivatives of
 splines, each of which is a product of derivatives along the axes: of values on the two

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfinmpm._platform.compat import preallocate_coo, set_values_coo
+from dolfinmpm.assembly.stiffness import stiffness_kernel
 from dolfinmpm.basis import Stencils
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.unknowns import FieldUnknowns, Unknowns
@@ -66,76 +67,8 @@ def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out:
 
 
 @functools.cache
-def _stiffness_kernel(nc: int, ns: int, gradient_only: bool):
-    """The loop of a field on itself: nc components, ns slots (gradients, or values too) each."""
-    offset = 0 if gradient_only else 1
-
-    @numba.njit(cache=True, fastmath={"contract", "reassoc"})
-    def kernel(
-        begin, end, groups, node_start, nodes, value_start, N, dN, T, row_of, indptr, indices,
-        data, prescribed, lift,
-    ):  # fmt: skip
-        largest = 0
-        for g in range(begin, end):
-            largest = max(largest, node_start[g + 1] - node_start[g])
-        phi = np.empty((ns, largest))
-        K = np.empty((largest, nc, nc, largest))
-        t = np.empty((nc, nc, ns))
-        for g in range(begin, end):
-            first = node_start[g]
-            m = node_start[g + 1] - first
-            for a in range(m):
-                for i in range(nc):
-                    for k in range(nc):
-                        for b in range(m):
-                            K[a, i, k, b] = 0.0
-            for position in range(groups[g], groups[g + 1]):
-                p = position - groups[begin]
-                at = value_start[g] + (position - groups[g]) * m
-                for b in range(m):
-                    if offset:
-                        phi[0, b] = N[at + b]
-                    for s in range(ns - offset):
-                        phi[offset + s, b] = dN[at + b, s]
-                for a in range(m):
-                    for i in range(nc):
-                        for k in range(nc):
-                            for r in range(ns):
-                                value = 0.0
-                                for s in range(ns):
-                                    value += phi[s, a] * T[p, (i * ns + s) * nc * ns + k * ns + r]
-                                t[i, k, r] = value
-                    for i in range(nc):
-                        for k in range(nc):
-                            for r in range(ns):
-                                weight = t[i, k, r]
-                                for b in range(m):
-                                    K[a, i, k, b] += weight * phi[r, b]
-            # nodes and columns both increase: one walk along each row of the matrix
-            for a in range(m):
-                for i in range(nc):
-                    row = row_of[nodes[first + a], i]
-                    if row < 0:
-                        continue
-                    at = indptr[row]
-                    for b in range(m):
-                        node = nodes[first + b]
-                        for k in range(nc):
-                            column = row_of[node, k]
-                            if column >= 0:
-                                while indices[at] != column:
-                                    at += 1
-                                data[at] += K[a, i, k, b]
-                                at += 1
-                            else:
-                                lift[nodes[first + a], i] += K[a, i, k, b] * prescribed[node, k]
-
-    return kernel
-
-
-@functools.cache
 def _coupling_kernel(rows_nc: int, rows_ns: int, rows_value: bool, nc: int, ns: int, value: bool):
-    """The loop between two fields, each with its components and slots; see `_stiffness_kernel`."""
+    """The loop between two fields, each with its components and slots; see `stiffness_kernel`."""
     rows_offset, offset = int(rows_value), int(value)
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc"})
@@ -250,7 +183,7 @@ def add_stiffness(
     place = to.pattern.indptr, to.pattern.indices, to.data, to.prescribed, to.lift
     if a is b and to.rows is to.columns and tangent.row_value == tangent.value:
         nc, ns = to.rows.components, gdim + int(tangent.value)
-        _stiffness_kernel(nc, ns, not tangent.value)(
+        stiffness_kernel(nc, ns, not tangent.value)(
             begin, end, a.groups, a.node_start, a.nodes, a.value_start, a.N, a.dN, tangent.values,
             to.rows.row_of, *place,
         )  # fmt: skip

@@ -1,8 +1,9 @@
-"""Terms over ghost facets of B-splines: one element tensor for all facets that are alike.
+"""Terms over ghost facets of rectangular grids: one element tensor for all facets that are alike.
 
 On a rectangular grid the splines around a facet are the same, but for where they
 are, wherever the cells around it have the same sizes. The tensor between splines is made
-for one facet of each such class, and added for all others.
+for one facet of each such class, and added for all others. Linear functions are splines of
+degree 1: on a grid of equal cells their classes are the directions.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
     same on all ranks. The form must be bilinear and over ghost facets alone; see `readable`.
     """
     basis = space.basis
-    if not isinstance(basis, LatticeBasis) or basis.degree == 1:
+    if not isinstance(basis, LatticeBasis):
         return False
     for integral in form.integrals():
         given = integral.subdomain_id()
@@ -143,7 +144,7 @@ def _add(kind, direction, start, facet, position, slot, tensors, begin, slots, s
 
 
 class FacetBlock:
-    """A bilinear form over ghost facets, between splines.
+    """A bilinear form over ghost facets, between splines or linear functions.
 
     Args:
         form: The form, of which `are_alike` holds.

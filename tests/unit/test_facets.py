@@ -1,4 +1,4 @@
-"""Terms over ghost facets of B-splines: classes of facets against every facet by DOLFINx."""
+"""Terms over ghost facets of lattices: classes of facets against every facet by DOLFINx."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.active import GhostFacets
 
 SPLINES = ("bspline2", "bspline3")
+BASES = ("linear", "gimp", *SPLINES)
 LAW = mpm.materials.Hencky(E=1e6, nu=0.3)
 CELLS = {1: (9,), 2: (8, 7), 3: (6, 5, 5)}
 
@@ -77,7 +78,7 @@ def every_facet(monkeypatch):
     monkeypatch.setattr("dolfinmpm.assembly.gridterms.are_alike", lambda *_: False)
 
 
-def check(monkeypatch, make):
+def check(monkeypatch, make, tolerance=1e-11):
     """One matrix by classes and by all facets; returns that by classes."""
     problem = make()
     assert on_splines(problem)
@@ -88,7 +89,7 @@ def check(monkeypatch, make):
     assert not on_splines(reference)
     expected = matrix_of(reference)
     assert np.abs(expected).max() > 0
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
     return problem
 
 
@@ -129,7 +130,7 @@ def by_definition(problem, u, gamma):
     return total
 
 
-@pytest.mark.parametrize("basis", SPLINES)
+@pytest.mark.parametrize("basis", BASES)
 @pytest.mark.parametrize("gdim", [1, 2, 3])
 def test_ghost_penalty(basis, gdim):
     check_ghost(problem_of(box(*CELLS[gdim]), basis, ghost))
@@ -165,6 +166,18 @@ def test_ghost_penalty_by_dolfinx(basis, gdim, monkeypatch):
     # borders of the grid on all sides, and insides
     kinds = [np.unique(cells).size for cells, _ in block._kinds]
     assert kinds == [3 if basis == "bspline2" else 5] * gdim
+
+
+@pytest.mark.parametrize("basis", ["linear", "gimp"])
+@pytest.mark.parametrize("gdim", [1, 2, 3])
+def test_linear_functions_by_dolfinx(basis, gdim, monkeypatch):
+    """A ghost penalty and a term that tells the sides apart, to the last digits."""
+    grid = box(*CELLS[gdim])
+    problem = check(monkeypatch, lambda: problem_of(grid, basis, ghost), 1e-13)
+    check(monkeypatch, lambda: problem_of(grid, basis, one_sided), 1e-13)
+    # one class a direction, or two where DOLFINx numbers the upper cell first
+    block = problem.form.grid._jacobian[0, 0]
+    assert gdim <= block._codes.size <= 2 * gdim
 
 
 @pytest.mark.parametrize("gdim", [1, 2, 3])
@@ -286,7 +299,7 @@ def test_a_graded_grid():
     assert not on_splines(problem_of(graded(20, 1.1), "bspline2", one_sided))
 
 
-@pytest.mark.parametrize("basis", SPLINES)
+@pytest.mark.parametrize("basis", BASES)
 def test_a_grid_of_few_sizes(basis, monkeypatch):
     """Cells of other sizes nearby are another class."""
     check(monkeypatch, lambda: problem_of(graded(8, 1.0), basis, one_sided))
@@ -310,7 +323,14 @@ def test_what_is_not_alike(basis):
     for term in others:
         problem = problem_of(grid, basis, term)
         assert not on_splines(problem)
-    assert on_splines(problem_of(grid, basis, ghost)) == (basis == "bspline2")
+    assert on_splines(problem_of(grid, basis, ghost))
+
+
+def test_linear_functions_on_other_grids():
+    """Where cells are no boxes, or all of other sizes, DOLFINx takes every facet."""
+    triangles = mesh.create_unit_square(COMM, 6, 6, mesh.CellType.triangle)
+    assert not on_splines(problem_of(triangles, "linear", ghost))
+    assert not on_splines(problem_of(graded(20, 1.1), "linear", ghost))
 
 
 @pytest.mark.parametrize("basis", SPLINES)
@@ -342,7 +362,9 @@ def test_with_another_remedy(kind, monkeypatch):
     check(monkeypatch, lambda: problem_of(grid, "bspline2", ghost, stabilisation=remedy))
 
 
-@pytest.mark.parametrize("basis", ["bspline2", pytest.param("bspline3", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "basis", ["linear", "bspline2", pytest.param("bspline3", marks=pytest.mark.long)]
+)
 def test_steps(basis, monkeypatch):
     """A column under its weight with a ghost penalty comes to the same state."""
 

@@ -57,12 +57,12 @@ def remedies_bspline2():
 
 
 def facets_of_few_ranks():
-    """Terms over facets of splines as a small body goes along a strip, past one rank after another.
+    """Terms over facets of a lattice as a small body goes along a strip, past rank after rank.
 
     Most ranks have no facets, and meet classes of facets that others know.
     """
     figures = {}
-    for basis in ("bspline2", "bspline3"):
+    for basis in ("linear", "bspline2", "bspline3"):
         grid = mesh.create_rectangle(COMM, [(0, 0), (24, 3)], (24, 3), mesh.CellType.quadrilateral)
         points = mpm.fill(grid, mpm.Box((0, 0), (3.3, 2.2)), 2, 1.0)
         V = mpm.Space(grid, basis)
