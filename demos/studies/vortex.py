@@ -58,6 +58,12 @@ def arguments():
     options = parser("A ring turns within itself: observed orders in space and time.")
     options.add_argument("--basis", choices=(*BASES, "all"), default="bspline2")
     options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
+    options.add_argument(
+        "--implicit", choices=("newmark", "generalised-alpha"), default="newmark", help="steps"
+    )
+    options.add_argument(
+        "--remedy", choices=("ghost", "aggregation"), default="ghost", help="of the implicit mass"
+    )
     options.add_argument("--law", choices=("neo-hookean", "hencky"), default="neo-hookean")
     options.add_argument("--amplitude", type=float, default=0.1, help="A (rad)")
     options.add_argument("--period", type=float, default=1.0, help="T (s), half a cycle")
@@ -177,7 +183,10 @@ def ring(args, integrator, basis, cells, steps=None):
     F = mpm.momentum(law(E, NU), points, u, v)
     F -= ufl.inner(points.density * body_force(args, points, t), v) * points.dX
     if integrator == "implicit":
-        problem = mpm.Newmark(F, u, points, mapping=args.mapping, time=t)
+        kind = mpm.Newmark if args.implicit == "newmark" else mpm.GeneralisedAlpha
+        # without ties a consistent mass has its ghost penalty
+        remedy = "none" if args.remedy == "ghost" else args.remedy
+        problem = kind(F, u, points, mapping=args.mapping, time=t, stabilisation=remedy)
         fastest = args.amplitude * np.pi / args.period
         step = args.share / cells / (np.sqrt((LAMBDA + 2 * MU) / RHO) + fastest)
     else:

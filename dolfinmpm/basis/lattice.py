@@ -23,7 +23,8 @@ from dolfinmpm.grid.lattice import Lattice
 
 __all__ = ["SNAP", "LatticeBasis", "line_shares", "line_weights", "overlapped"]
 
-# An overlap below this share of a cell is rounding: it must not make a cell active.
+# What is below this share of a cell is rounding: an overlap of a domain with a cell, or the
+# distance of a point without one from where a function begins. It must make nothing active.
 SNAP = 1e-10
 
 
@@ -39,9 +40,15 @@ def _cell_of(line, uniform, x):
 
 @numba.njit(cache=True, error_model="numpy")
 def overlapped(line, uniform, x, half):
-    """First cell that a domain overlaps, and number of them, in one direction."""
+    """First cell that a domain overlaps, and number of them, in one direction.
+
+    A point without a domain is in one cell, on a grid line in the upper one.
+    """
     first = _cell_of(line, uniform, x - half)
     last = first
+    rounding = SNAP * (line[first + 1] - line[first])
+    if half == 0.0 and first < line.size - 2 and line[first + 1] - x < rounding:
+        return first + 1, 1
     if half > 0.0:
         last = _cell_of(line, uniform, x + half)
         left, right = max(x - half, line[0]), min(x + half, line[line.size - 1])
@@ -67,6 +74,11 @@ def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slop
         S, dS: Written.
         part, slope: Room for degree + 1 numbers each.
     """
+    if half == 0.0:
+        if x - line[first] < SNAP * (line[first + 1] - line[first]):
+            x = line[first]
+        elif line[first + 1] - x < SNAP * (line[first + 1] - line[first]):
+            x = line[first + 1]
     if degree == 1:
         domain_weights(line, first, count, x, half, S, dS)
     elif half > 0.0:
@@ -267,6 +279,50 @@ class LatticeBasis:
         _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
         return half, low, count
 
+    def _on_lines(self, x, low) -> npt.NDArray[np.bool_]:
+        """Whether points without domains are on the lower grid lines of their cells, a direction.
+
+        Args:
+            x: Positions (m), shape (points, gdim).
+            low: Lattice position of their cells, likewise.
+        """
+        on = np.zeros(x.shape, bool)
+        if not self.averaged:
+            for d, line in enumerate(self.lattice.lines):
+                i = low[:, d]
+                on[:, d] = (i > 0) & (x[:, d] - line[i] < SNAP * (line[i + 1] - line[i]))
+        return on
+
+    def _beside_others(self, x, low) -> npt.NDArray[np.int32]:
+        """Cells of points on grid lines: one that others are in, if any is beside. Collective.
+
+        A function that begins at the line is 0 there and must make no node active, nor its first
+        cell; and the slope of a linear one is that towards a node without mass. Seen from a cell
+        of the body such a point has its gradient, and sees nodes that others see. One that is
+        alone is in the upper cell.
+
+        Args:
+            x: Positions (m), shape (points, gdim).
+            low: Positions of their cells in the halo's tables, the upper ones on grid lines.
+        """
+        on = self._on_lines(x, low + self.halo.origin)
+        some = on.any(axis=1)
+        if not self.grid.comm.allreduce(bool(some.any()), op=MPI.LOR):
+            return low
+        table, low = self.halo.cell_table, low.copy()
+        filled = np.zeros(self.cells.size, bool)
+        filled[table[tuple(low[~some].T)]] = True
+        filled = self.cells.share_flags(filled)
+        rows = np.flatnonzero(some)
+        upper, left = low[rows], np.ones(rows.size, bool)
+        for below in np.ndindex(*(2,) * x.shape[1]):
+            cell = upper - on[rows] * np.array(below, np.int32)
+            at = table[tuple(np.maximum(cell, 0).T)]
+            take = left & np.all(cell >= 0, axis=1) & (at >= 0) & filled[at]
+            low[rows[take]] = cell[take]
+            left &= ~take
+        return low
+
     def reach(self, where: Placement) -> tuple[int, int]:
         """How far the points' domains reach beyond their own cells, and across. Collective.
 
@@ -292,12 +348,14 @@ class LatticeBasis:
         raise_together(self.grid.comm, error)
         own = self.lattice.cell_ijk[where.cell]
         layers = np.maximum(own - low, low + count - 1 - own).max(initial=0)
+        # the cell below may be the one that they are seen from
+        layers = max(layers, int(self._on_lines(where.x, low).any()))
         both = np.array([layers, count.max(initial=1)], np.int64)
         self.grid.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
         return int(both[0]), int(both[1])
 
     def stencils(self, where: Placement) -> Stencils:
-        """Stencils of the points; the overlap must hold all nodes that they see.
+        """Stencils of the points; the overlap must hold all nodes that they see. Collective.
 
         Args:
             where: The points.
@@ -308,6 +366,8 @@ class LatticeBasis:
         half, low, count = self._spans(where, self.halo.origin)
         table = self.halo.cell_table.shape
         known = bool(np.all(low >= 0) and np.all(low + count <= table))
+        if not self.averaged and self.grid.comm.allreduce(known, op=MPI.LAND):
+            low = self._beside_others(where.x, low)
         result = self.stencils_in(where.x, half, low, count) if known else None
         if result is None:
             raise PointsOutsideGridError(

@@ -39,6 +39,12 @@ def middle_weights(degree, averaged, x, half, start, per_length, last, S, dS):
     at = (x - start) * per_length
     if not averaged:
         i = int(at)
+        if degree > 1:
+            # splines that begin at the grid line that the point is on are 0, see `line_weights`
+            if i + 1 - at < SNAP:
+                i += 1
+            if at - i < SNAP:
+                at = float(i)
         known = i >= degree - 1 and i <= last - degree + 1 and (degree > 1 or at >= 0.0)
         a, b, c, e, da, db, dc, de = uniform_weights(degree, at - i, per_length)
         S[0], S[1], dS[0], dS[1] = a, b, da, db

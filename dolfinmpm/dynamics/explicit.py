@@ -207,9 +207,9 @@ class Explicit(Problem):
         if exact:
             return exact_step(self.form, self.terms, self.activate(), scaling)
         self.form.bind()
-        basis = self.fields[0].space.basis
-        declarations = self.form.parts.declarations
-        found = critical_step(self.points, basis, declarations, self.terms.kind)
+        field, declarations = self.fields[0], self.form.parts.declarations
+        tied = field.remedy.kind in ("aggregation", "extended") or field.prolongate is not None
+        found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
         return math.sqrt(scaling) * found
 
     def step(self, t: float) -> MotionRecord:

@@ -310,14 +310,22 @@ class Mass:
         raise_together(unknowns.comm, error)
         return np.array(x.getArray(readonly=True))
 
+    def assembled(self) -> Matrix:
+        """It as a matrix of the first field's unknowns. Collective."""
+        unknowns = self._unknowns
+        matrix = Matrix(self._pattern(unknowns), unknowns)
+        self.add_to(matrix, unknowns)
+        return matrix
+
+    def _pattern(self, unknowns: Unknowns) -> Pattern:
+        """Where it has entries, whatever else the activation couples. Collective."""
+        pairs = [(b.rows, b.columns) for b in self.blocks]
+        lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
+        return Pattern.build(lists, unknowns, pairs, None)
+
     def _solver_of(self, unknowns: Unknowns) -> PETSc.KSP:
         here = self._here
-        if unknowns is here.unknowns:
-            pattern = here.pattern
-        else:
-            pairs = [(b.rows, b.columns) for b in self.blocks]
-            lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
-            pattern = Pattern.build(lists, unknowns, pairs, None)
+        pattern = here.pattern if unknowns is here.unknowns else self._pattern(unknowns)
         matrix = self._terms.matrix(pattern, unknowns)
         self.add_to(matrix, unknowns)
         ksp = PETSc.KSP().create(unknowns.comm)

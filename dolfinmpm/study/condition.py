@@ -7,7 +7,11 @@ from dataclasses import dataclass, replace
 import ufl
 from dolfinx import fem
 
+from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
+from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
@@ -21,7 +25,8 @@ class Conditioning:
 
     Attributes:
         kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
-        dt_consistent, dt_lumped: Critical steps (s) with either mass.
+        dt_consistent, dt_lumped: Critical steps (s) with either mass, the second with that of
+            explicit steps: row sums, behind ties Cᵀ M_L C, and no penalty.
         unknowns: Number of unknowns.
     """
 
@@ -38,14 +43,13 @@ def conditioning(
     """Condition numbers and critical steps of a problem in its present state. Collective.
 
     The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4 times the
-    factor of the basis, the same ties, a weak tie with ρ h^d. Row sums remove a ghost
-    penalty from the lumped mass, and soft stiffness helps no mass.
+    factor of the basis, the same ties, a weak tie with ρ h^d. Soft stiffness helps no mass.
 
     Args:
         problem: Problem whose tangent is K.
         density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
         gamma: Their factor.
-        extra: Form added to that of the mass, such as a penalty of one's own; the
+        extra: Form added to that of the consistent mass, such as a penalty of one's own; the
             stiffness has it in the problem's form.
     """
     stiffness, points = problem, problem.points
@@ -73,6 +77,12 @@ def conditioning(
         condition_number(K, rigid_modes(stiffness.here)),
         condition_number(M),
         critical_step(K, M),
-        critical_step(K, M, lumped=True),
+        critical_step(K, _lumped(points, stiffness.here).petsc),
         stiffness.here.unknowns.total,
     )
+
+
+def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
+    """The lumped mass of explicit steps. Collective."""
+    terms = MassTerms(points, "lumped", None)
+    return Mass(terms, replace(here, mass=terms.blocks(here.fields))).assembled()

@@ -75,6 +75,38 @@ def test_consistent_mass_with_ghost_penalty_keeps_the_step_at_small_cuts():
     assert min(steps) == pytest.approx(0.575, rel=0.01)
 
 
+TIED = [
+    (basis, averaged, mass)
+    for basis, averaged in (("gimp", True), *((f"bspline{q}", a) for q in (2, 3) for a in (1, 0)))
+    for mass in ("consistent", "lumped")
+]
+
+
+@pytest.mark.parametrize(("basis", "averaged", "mass"), TIED)
+def test_the_estimate_behind_ties_is_below_the_step_of_any_cut(basis, averaged, mass):
+    """Bars, and discs, of which each place and size cuts the grid otherwise."""
+    bars = [(4 + a, 4 + a + length) for a in OFFSETS for length in (4.0, 3.65, 5.3)]
+    discs = [((5.2, 5.07), 2.79), ((5.39, 5.07), 2.785), ((5.26, 5.48), 2.587), ((5.2, 5.36), 2.07)]
+    bodies = [*((1, mpm.Box((a,), (b,))) for a, b in bars), *((2, mpm.Disc(*a)) for a in discs)]
+    steps = {1: [], 2: []}
+    for d, body in bodies:
+        if d == 1:
+            grid = mesh.create_interval(COMM, 14, [0, 14])
+        else:
+            quadrilateral = mesh.CellType.quadrilateral
+            grid = mesh.create_rectangle(COMM, [(0, 0), (11, 11)], (11, 11), quadrilateral)
+        points = mpm.fill(grid, body, 2, 1.0, **({"aligned": "body"} if d == 1 else {}))
+        V = mpm.Space(grid, basis, averaged=bool(averaged))
+        nu = 0.45 if mass == "lumped" and d == 2 else 0.0
+        law = mpm.materials.Hencky(E=(1 + nu) * (1 - 2 * nu) / (1 - nu), nu=nu)
+        F = mpm.momentum(law, points, V.increment, V.test)
+        problem = mpm.Explicit(F, V.increment, points, stabilisation="aggregation", mass=mass)
+        steps[d].append(problem.critical_step(exact=True))
+        assert problem.critical_step() < steps[d][-1]
+    # nor is it so far below that steps are wasted
+    assert problem.critical_step() > 0.5 * min(steps[1] + steps[2])
+
+
 @pytest.mark.parametrize(
     "kind",
     [mpm.Explicit, mpm.Newmark, pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long)],
