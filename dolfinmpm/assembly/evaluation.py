@@ -13,6 +13,8 @@ from dolfinx import fem
 
 from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.basis.stencils import gather
+from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
@@ -40,11 +42,28 @@ def _function_values(function: fem.Function, gradient: bool, points: MaterialPoi
         expression = fem.Expression(ufl.grad(function), space.element.interpolation_points())
         slope.interpolate(expression)
         function = slope
-    if len(points) == 0:
-        return np.empty((0, *function.ufl_shape))
-    x = np.zeros((len(points), 3))
-    x[:, : points.gdim] = points["x"]
-    return np.ascontiguousarray(function.eval(x, points["cell"])).reshape(len(points), -1)
+    if points.partition is None:
+        return _values(function, points["x"], points["cell"])
+    # the ranks that have the cells in DOLFINx's mesh are asked
+    comm, to = points.comm, destinations(points.grid, points["x"], points["cell"])
+    first = points.grid.topology.index_map(points.gdim).local_range[0]
+    row = np.arange(len(points), dtype=np.int64)
+    asked = {"x": points["x"], "cell": to.cell, "row": row, "of": np.full(len(points), comm.rank)}
+    asked = exchange(comm, asked, to.rank)
+    found = _values(function, asked["x"], (asked["cell"] - first).astype(np.int32))
+    back = exchange(comm, {"value": found, "row": asked["row"]}, asked["of"].astype(np.int32))
+    result = np.empty_like(back["value"])
+    result[back["row"]] = back["value"]
+    return result
+
+
+def _values(function: fem.Function, positions: Array, cells) -> Array:
+    """A DOLFINx function at positions in cells of this rank, shape (n, values)."""
+    if len(positions) == 0:
+        return np.empty((0, int(np.prod(function.ufl_shape, dtype=int))))
+    x = np.zeros((len(positions), 3))
+    x[:, : positions.shape[1]] = positions
+    return np.ascontiguousarray(function.eval(x, cells)).reshape(len(positions), -1)
 
 
 @dataclass(frozen=True)

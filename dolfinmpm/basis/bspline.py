@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.common import IndexMap
 from dolfinx.mesh import Mesh
+from mpi4py import MPI
 
 from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm.grid.lattice import Lattice
@@ -22,6 +23,7 @@ from dolfinmpm.grid.lattice import Lattice
 __all__ = [
     "averaged_spline_weights",
     "extension_weights",
+    "functions_of",
     "greville",
     "integrals",
     "number_functions",
@@ -213,14 +215,29 @@ def number_functions(
         Index map without ghosts, and the lattice position of its functions,
         shape (functions, gdim).
     """
-    shape = np.array(lattice.shape)
     owned = grid.topology.index_map(grid.topology.dim).size_local
-    cells = lattice.cell_ijk[:owned]
-    pieces = []
+    return functions_of(grid.comm, lattice.cell_ijk[:owned], lattice.shape, degree)
+
+
+def functions_of(
+    comm: MPI.Intracomm, cells: npt.NDArray[np.int32], shape: tuple[int, ...], degree: int
+) -> tuple[IndexMap, npt.NDArray[np.int32]]:
+    """Number the functions that have their middles in each rank's own cells. Collective.
+
+    Args:
+        comm: Communicator.
+        cells: Lattice positions of this rank's own cells, shape (n, gdim).
+        shape: Number of cells of the lattice in each direction.
+        degree: Degree of the functions.
+
+    Returns:
+        As `number_functions`.
+    """
+    last, pieces = np.array(shape) - 1, []
     # a function is anchored at cell i − ⌊p/2⌋, those at the ends at the first and last cell
-    for shift in np.ndindex(*(degree + 1,) * shape.size):
+    for shift in np.ndindex(*(degree + 1,) * len(shape)):
         function = cells + np.array(shift)
-        anchor = np.clip(function - degree // 2, 0, shape - 1)
+        anchor = np.clip(function - degree // 2, 0, last)
         pieces.append(function[np.all(anchor == cells, axis=1)])
     ijk = np.unique(np.concatenate(pieces), axis=0).astype(np.int32)
-    return make_index_map(grid.comm, len(ijk), [], []), ijk
+    return make_index_map(comm, len(ijk), [], []), ijk

@@ -14,12 +14,14 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.basis.bspline import averaged_spline_weights, greville, weights_at
+from dolfinmpm.basis.bspline import averaged_spline_weights, functions_of, greville, weights_at
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice
+from dolfinmpm.grid.partition import Partition
 
 __all__ = ["SNAP", "LatticeBasis", "line_shares", "line_weights", "overlapped"]
 
@@ -220,6 +222,9 @@ class LatticeBasis:
 
     Attributes:
         nodes, cells: Numberings of the nodes and cells that are known here.
+        partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
+        grid_nodes, grid_cells: The nodes that `nodes` has without a partition, and the cells of
+            DOLFINx's mesh, as they are numbered here; None where the numbers are the same.
         continuity: Highest derivative that is continuous across facets.
     """
 
@@ -233,32 +238,57 @@ class LatticeBasis:
         self.continuity = degree - 1
         self._node_map = node_map
         self._node_ijk = node_ijk
+        self.partition: Partition | None = None
         self._lines = np.concatenate(lattice.lines)
         self._line_start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
-        self._grown: dict[int, LatticeBasis] = {}
+        self._grown: dict[tuple[Partition | None, int], LatticeBasis] = {}
         self._surround(1 if averaged or degree > 1 else 0)
 
     def _surround(self, layers: int) -> None:
+        grid, shape, on_grid = self.grid, self.lattice.shape, self.lattice.cell_ijk
+        cells = grid.topology.index_map(grid.topology.dim), on_grid
+        nodes = self._node_map, self._node_ijk
+        if self.partition is not None:
+            own = self.partition.cells(grid.comm.rank)
+            cells = make_index_map(grid.comm, len(own), [], []), own
+            nodes = functions_of(grid.comm, own, shape, self.degree)
         self.halo: LatticeHalo = build_halo(
-            self.grid, self.lattice, self.degree, self._node_map, self._node_ijk, layers
+            grid.comm, shape, self.degree, *cells, *nodes, layers, on_grid
         )
         self.nodes = self.halo.nodes
         self.cells = self.halo.cells
         self._node_x: npt.NDArray[np.float64] | None = None
+        self.grid_cells: npt.NDArray[np.int32] | None = None
+        self.grid_nodes: npt.NDArray[np.int32] | None = None
+        if self.partition is not None:
+            origin = self.halo.origin
+            self.grid_cells = self.halo.cell_table[tuple((on_grid - origin).T)]
+            self.grid_nodes = self.halo.node_table[tuple((self._node_ijk - origin).T)]
 
-    def grown(self, layers: int) -> LatticeBasis:
+    def grown(self, layers: int, partition: Partition | None = None) -> LatticeBasis:
         """The basis that knows what is within so many layers of this rank's own cells. Collective.
 
-        It has numberings of its own, of which the owned nodes and cells, and the ghosts of
-        DOLFINx, are the same. Asked again, it is the same one.
+        It has numberings of its own. Without a partition the owned nodes and cells, and the ghosts
+        of DOLFINx, are the same in them. Asked again, it is the same one.
+
+        Args:
+            layers: Layers of cells.
+            partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
         """
-        if layers <= self.halo.layers or self.grid.comm.size == 1:
+        if self.grid.comm.size == 1:
             return self
-        if layers not in self._grown:
+        if partition is self.partition and layers <= self.halo.layers:
+            return self
+        # bases of a partition that is no more are not asked for again
+        for old in [k for k in self._grown if k[0] is not None and k[0] is not partition]:
+            del self._grown[old]
+        key = partition, max(layers, 1 if self.averaged or self.degree > 1 else 0)
+        if key not in self._grown:
             wider = copy.copy(self)
-            wider._surround(layers)
-            self._grown[layers] = wider
-        return self._grown[layers]
+            wider.partition = partition
+            wider._surround(key[1])
+            self._grown[key] = wider
+        return self._grown[key]
 
     def node_coordinates(self) -> npt.NDArray[np.float64]:
         """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
@@ -346,7 +376,7 @@ class LatticeBasis:
                 "domains='volume' where the body flows, or basis='linear'"
             )
         raise_together(self.grid.comm, error)
-        own = self.lattice.cell_ijk[where.cell]
+        own = self.lattice.cells_at(where.x)
         layers = np.maximum(own - low, low + count - 1 - own).max(initial=0)
         # the cell below may be the one that they are seen from
         layers = max(layers, int(self._on_lines(where.x, low).any()))

@@ -12,6 +12,7 @@ from dolfinmpm._platform.compat import geometry_dofmap, make_index_map
 from dolfinmpm.basis.cells import BOX, SIMPLEX, pull_back
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.partition import Partition
 
 __all__ = ["LinearBasis", "kind_of"]
 
@@ -63,6 +64,9 @@ class LinearBasis:
     degree = 1
     continuity = 0
     averaged = False
+    partition = None
+    grid_nodes = None
+    grid_cells = None
 
     def __init__(self, grid: Mesh, node_map, dofs, node_x):
         self.grid = grid
@@ -78,8 +82,9 @@ class LinearBasis:
         """Positions of the nodes (m), shape (nodes, 3)."""
         return self._node_x
 
-    def grown(self, layers: int) -> LinearBasis:
-        """The basis itself: a point sees the nodes of its own cell only."""
+    def grown(self, layers: int, partition: Partition | None = None) -> LinearBasis:
+        """The basis itself: a point sees the nodes of its own cell only, which DOLFINx has."""
+        assert partition is None
         return self
 
     def knowing(self, indices, owners, x) -> LinearBasis:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,15 +89,20 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
         E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
         both are the same.
     """
-    if basis.degree == 1 or not isinstance(basis, LatticeBasis):
+    if not isinstance(basis, LatticeBasis) or (basis.degree == 1 and basis.partition is None):
         return None
-    kept = space.__dict__.setdefault("_extractions", {})
+    kept = space.__dict__.setdefault("_extractions", weakref.WeakKeyDictionary())
     if basis not in kept:
         kept[basis] = _extract(space, basis)
     return kept[basis]
 
 
 def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
+    if basis.degree == 1:
+        columns = basis.grid_nodes
+        assert columns is not None
+        shape = columns.size, basis.nodes.size
+        return sparse.csr_matrix((np.ones(columns.size), columns, np.arange(shape[0] + 1)), shape)
     V = space.function_space
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
     cells = V.dofmap.list

@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     UnsupportedGridError,
 )
-from dolfinmpm.body.location import bounds, outside_cells
+from dolfinmpm.body.location import bounds, destinations, outside_cells
 
 __all__ = ["astray", "checked", "checked_rows", "checked_tag", "fault", "require_grid"]
 
@@ -174,8 +174,12 @@ def fault(points) -> DolfinMPMError | None:
 
 def astray(points) -> PointsOutsideGridError | None:
     """An error if points of this rank are not in the cells that they are said to be in."""
-    fields = points.fields
-    astray = outside_cells(points.grid, fields["x"], fields["cell"])
+    fields, partition = points.fields, points.partition
+    if partition is None:
+        astray = outside_cells(points.grid, fields["x"], fields["cell"])
+    else:
+        to = destinations(points.grid, fields["x"], None, partition)
+        astray = np.flatnonzero(to.rank != points.comm.rank)
     if astray.size:
         p = astray[0]
         return PointsOutsideGridError(

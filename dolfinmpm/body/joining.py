@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.body.balance import beside
 from dolfinmpm.grid.positions import choose
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ def _change(points: MaterialPoints, rows: Any) -> PointChange:
 
 def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
     """A body of the points of both; see `MaterialPoints.__add__`. Collective."""
+    if isinstance(b, type(a)):
+        a, b = beside(a, None), beside(b, None)
     rows = _rows_of_both(a, b)
     names = ("x", "cell", "V", "l", "density", "tag", "id")
     points = type(a)(a.grid, *(rows[name] for name in names))
@@ -72,6 +75,8 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
 
 def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
     """Take the points of another body in; see `MaterialPoints.add`. Collective."""
+    if isinstance(other, type(points)):
+        other = beside(other, points.partition)
     rows = _rows_of_both(points, other)
     change = _change(other, slice(None))
     for name, field in other._ufl.items():

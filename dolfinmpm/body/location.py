@@ -14,8 +14,9 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis.cells import contained
 from dolfinmpm.basis.linear import kind_of
 from dolfinmpm.grid.lattice import Lattice, lattice_of, once_per_grid
+from dolfinmpm.grid.partition import Partition
 
-__all__ = ["Destinations", "bounds", "destinations", "outside_cells"]
+__all__ = ["Destinations", "bounds", "cells_here", "destinations", "outside_cells"]
 
 # A point on a facet belongs to either cell; rounding must not put it outside both.
 _TOLERANCE = 1e-10
@@ -33,20 +34,9 @@ class _LatticeLocator:
         self._table[tuple((ijk - self._origin).T)] = np.arange(len(ijk), dtype=np.int32)
 
     def find(self, x, guess) -> npt.NDArray[np.int32]:
-        inside = np.ones(len(x), bool)
-        index = np.empty(x.shape, np.int64)
-        for d, line in enumerate(self._lattice.lines):
-            slack = _TOLERANCE * (line[-1] - line[0]) / (line.size - 1)
-            inside &= (x[:, d] >= line[0] - slack) & (x[:, d] <= line[-1] + slack)
-            if self._lattice.uniform:
-                scale = (line.size - 1) / (line[-1] - line[0])
-                with np.errstate(invalid="ignore"):
-                    cell = np.floor((x[:, d] - line[0]) * scale)
-                cell = np.where(inside, cell, 0).astype(np.int64)
-            else:
-                cell = np.searchsorted(line, x[:, d], side="right") - 1
-            index[:, d] = np.clip(cell, 0, line.size - 2) - self._origin[d]
-            inside &= (index[:, d] >= 0) & (index[:, d] < self._table.shape[d])
+        inside = self._lattice.holds(x, _TOLERANCE)
+        index = self._lattice.cells_at(x) - self._origin
+        inside &= np.all((index >= 0) & (index < self._table.shape), axis=1)
         cells = np.full(len(x), -1, np.int32)
         cells[inside] = self._table[tuple(index[inside].T)]
         return cells
@@ -126,13 +116,19 @@ def outside_cells(
     return np.flatnonzero(~_locator(grid).holds(x, cells))
 
 
+def cells_here(grid: Mesh, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
+    """Local cells of DOLFINx's mesh at positions (m), shape (n, gdim); -1 if not known here."""
+    return _locator(grid).find(np.ascontiguousarray(x), np.full(len(x), -1, np.int32))
+
+
 @dataclass(frozen=True)
 class Destinations:
     """Where positions belong.
 
     Attributes:
         rank: Owning rank, -1 where the position is outside the grid; shape (n,).
-        cell: Global index of the cell, -1 likewise; shape (n,).
+        cell: Global index of the cell, -1 likewise, and wherever a partition tells the
+            ranks; shape (n,).
     """
 
     rank: npt.NDArray[np.int32]
@@ -140,7 +136,10 @@ class Destinations:
 
 
 def destinations(
-    grid: Mesh, x: npt.NDArray[np.float64], guess: npt.NDArray[np.int32] | None = None
+    grid: Mesh,
+    x: npt.NDArray[np.float64],
+    guess: npt.NDArray[np.int32] | None = None,
+    partition: Partition | None = None,
 ) -> Destinations:
     """Owner and cell of each position. Collective.
 
@@ -151,7 +150,13 @@ def destinations(
         grid: Background grid.
         x: Positions (m), shape (n, gdim).
         guess: Local cells to look in first, shape (n,), -1 for none.
+        partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
     """
+    if partition is not None:
+        lattice = lattice_of(grid)
+        assert lattice is not None
+        to = np.where(lattice.holds(x, _TOLERANCE), partition.rank_of(lattice.cells_at(x)), -1)
+        return Destinations(to.astype(np.int32), np.full(len(x), -1, np.int64))
     comm = grid.comm
     cell_map = grid.topology.index_map(grid.topology.dim)
     first = cell_map.local_range[0]

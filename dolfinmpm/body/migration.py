@@ -7,13 +7,13 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError
 from dolfinmpm.body.exchange import exchange
-from dolfinmpm.body.location import Destinations
+from dolfinmpm.body.location import Destinations, cells_here
 
 __all__ = ["migrate", "settle"]
 
 
 def migrate(points, to: Destinations) -> int:
-    """Move points to the ranks that own their cells. Collective.
+    """Move points to the ranks that compute their cells. Collective.
 
     Reads and changes every field of the points. The number of points and their
     mass are compared before and after, over all ranks.
@@ -31,12 +31,19 @@ def migrate(points, to: Destinations) -> int:
     comm, fields = points.comm, points.fields
     first = points.grid.topology.index_map(points.grid.topology.dim).local_range[0]
     moved = comm.allreduce(int(np.count_nonzero(to.rank != comm.rank)), op=MPI.SUM)
-    if moved == 0:
-        fields["cell"][:] = to.cell - first
+    before = _totals(points) if moved else None
+    if moved:
+        fields.update(exchange(comm, {**fields, "cell": to.cell}, to.rank))
+        to_cell = fields["cell"]
+    else:
+        to_cell = to.cell
+    if points.partition is None:
+        fields["cell"] = (to_cell - first).astype(np.int32)
+    else:
+        x = points.placement(points.configuration).x
+        fields["cell"] = cells_here(points.grid, x)
+    if before is None:
         return 0
-    before = _totals(points)
-    fields.update(exchange(comm, {**fields, "cell": to.cell}, to.rank))
-    fields["cell"] = (fields["cell"] - first).astype(np.int32)
     after = _totals(points)
     if after[0] != before[0] or abs(after[1] - before[1]) > 1e-12 * abs(before[1]):
         raise MigrationError(

@@ -28,6 +28,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
+from dolfinmpm.grid.partition import Partition
 
 __all__ = ["MaterialPoints", "PointChange", "PointField"]
 
@@ -100,6 +101,8 @@ class MaterialPoints:
     Attributes:
         total: Number of points on all ranks; needs no communication.
         revision: How many times the rows of the arrays have changed.
+        partition: Which rank computes the points in a cell; None for the one that has it in
+            DOLFINx's mesh.
         shape_volume: Volume (m^d) of the shape that `fill` put the points into, None if unknown.
         volume_error: Relative error of the points' first volume, or None likewise.
 
@@ -138,6 +141,7 @@ class MaterialPoints:
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.revision = 0
+        self.partition: Partition | None = None
         bounds(grid)  # all ranks ask for them together, once
 
         values = call_together(
@@ -471,12 +475,12 @@ class MaterialPoints:
             PointsOutsideGridError: Points are outside the grid.
         """
         x = self.placement(self.configuration).x
-        to = destinations(self.grid, x, self["cell"])
+        to = destinations(self.grid, x, self["cell"], self.partition)
         raise_together(self.comm, sources.outside(x, self["id"], to))
         return self.migrate(to)
 
     def migrate(self, to: Destinations) -> int:
-        """Hand points to the ranks that own their cells; returns how many moved. Collective."""
+        """Hand points to the ranks that compute their cells; returns how many moved. Collective."""
         moved = migrate(self, to)
         # where points stay in the cells of their first positions nobody asks for those of now
         self._located = self.fields["x"].sum()

@@ -32,8 +32,17 @@ from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.grid.partition import Partition
 
-__all__ = ["Activation", "ActiveField", "ActiveRegion", "Field", "Kept", "activate"]
+__all__ = [
+    "Activation",
+    "ActiveField",
+    "ActiveRegion",
+    "Field",
+    "Kept",
+    "activate",
+    "active_on_grid",
+]
 
 Basis = LatticeBasis | LinearBasis
 Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
@@ -319,7 +328,7 @@ def activate(
     if total and old is not None and _unmoved(points, where, old):
         return _renewed(points, held, terms, share, old)
     averages = any(region.averages for region in terms.regions)
-    bases = _bases(fields, where, averages)
+    bases = _bases(fields, where, averages, points.partition)
     seen = _shared(bases, lambda basis: basis.stencils(where))
     nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
     bases, nodes, roots = _with_roots(fields, bases, where, seen, nodes)
@@ -349,6 +358,16 @@ def activate(
         where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
         later,
     )  # fmt: skip
+
+
+def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
+    """Active nodes that this rank owns, as the field's space numbers them."""
+    basis, base = field.basis, field.space.basis
+    if basis.grid_nodes is None:
+        return field.active[field.active < basis.nodes.owned]
+    flags = np.zeros(basis.nodes.size, bool)
+    flags[field.active] = True
+    return np.flatnonzero(flags[basis.grid_nodes[: base.nodes.owned]]).astype(np.int32)
 
 
 def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
@@ -430,7 +449,9 @@ def _shared(bases: Sequence[Basis], make: Callable[[Basis], Any]) -> list[Any]:
     return [made[id(basis)] for basis in bases]
 
 
-def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Basis]:
+def _bases(
+    fields: Sequence[Field], where: Placement, averages: bool, partition: Partition | None
+) -> list[Basis]:
     """The bases with the overlap that domains, roots and cell means need. Collective."""
     reach = _shared([f.space.basis for f in fields], lambda basis: basis.reach(where))
     layers: dict[int, int] = {}
@@ -444,7 +465,7 @@ def _bases(fields: Sequence[Field], where: Placement, averages: bool) -> list[Ba
         if field.ties_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
-    return [f.space.basis.grown(layers[id(f.space.basis)]) for f in fields]
+    return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]
 
 
 def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, seen, nodes):
@@ -471,11 +492,14 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
         if not moving:
             return {}
         cells = active_cells(seen[bases.index(basis)], basis.cells)
+        if basis.grid_cells is not None:
+            cells = cells[basis.grid_cells]
         entities: Entities = {}
         if tables is not None:
-            entities[GHOST_FACETS] = tables.select(cells, basis.cells)
+            entities[GHOST_FACETS] = tables.select(cells)
         if ACTIVE_CELLS in moving:
-            owned = np.flatnonzero(cells[: basis.cells.owned])
+            topology = points.grid.topology
+            owned = np.flatnonzero(cells[: topology.index_map(topology.dim).size_local])
             entities[ACTIVE_CELLS] = owned.astype(np.int32)
         return entities
 

@@ -82,7 +82,7 @@ class GhostFacets:
         topology.create_connectivity(tdim, tdim - 1)
         topology.create_connectivity(tdim - 1, tdim)
         self._owned_facets = topology.index_map(tdim - 1).size_local
-        self._owned_cells = topology.index_map(tdim).size_local
+        self._cells = Numbering(grid.comm, topology.index_map(tdim))
         to_cells = topology.connectivity(tdim - 1, tdim)
         of_cells = topology.connectivity(tdim, tdim - 1)
         ghosts = grid.comm.allreduce(topology.index_map(tdim).num_ghosts, op=MPI.SUM)
@@ -106,16 +106,16 @@ class GhostFacets:
         per_cell = int(of_cells.offsets[1]) if of_cells.num_nodes else 1
         self._cell_facets = of_cells.array.reshape(-1, per_cell)
 
-    def select(self, active: npt.NDArray[np.bool_], numbering: Numbering) -> npt.NDArray[np.int32]:
+    def select(self, active: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
         """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
 
         Args:
-            active: Whether each local cell is active.
-            numbering: Numbering of the cells.
+            active: Whether each local cell of DOLFINx's mesh is active.
         """
-        boundary = np.zeros(numbering.size, bool)
-        _mark_boundary(active, self._owned_cells, self._cell_facets, self._facet_cells, boundary)
-        boundary = numbering.share_flags(boundary)
+        cells = self._cells
+        boundary = np.zeros(cells.size, bool)
+        _mark_boundary(active, cells.owned, self._cell_facets, self._facet_cells, boundary)
+        boundary = cells.share_flags(boundary)
         rows = np.empty((0, 4), np.int32)
         for _ in range(2):  # first count, then fill
             arguments = self._owned_facets, self._cell_facets, self._facet_cells

@@ -113,7 +113,7 @@ def _lower(basis: LatticeBasis | LinearBasis) -> LatticeBasis:
     """Splines one degree lower, with the same overlap of ranks. Collective."""
     assert isinstance(basis, LatticeBasis)
     lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged)
-    return lower.grown(basis.halo.layers)
+    return lower.grown(basis.halo.layers, basis.partition)
 
 
 def shares_of(where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis) -> Shares:

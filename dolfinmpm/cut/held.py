@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.la import InsertMode
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ConflictingConditionsError, raise_together
@@ -13,11 +15,43 @@ from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 
-__all__ = ["Held"]
+__all__ = ["Held", "handed_on"]
 
 Basis = LatticeBasis | LinearBasis
 Flags = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
+
+# Bases, with what their overlap and partition were, for which flags are kept
+_KEPT = 8
+
+
+def handed_on(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
+    """Values of the nodes that a basis of a space owns, in all numberings of it. Collective.
+
+    Args:
+        values: Values of the nodes of the basis as its space has it, shape (nodes, n) or (nodes,);
+            those of nodes owned by other ranks do not count.
+        base: That basis.
+        basis: The same, with the overlap and the partition that are meant.
+
+    Returns:
+        Those at all nodes known there.
+    """
+    shape = basis.nodes.size, *values.shape[1:]
+    own, result = base.nodes.owned, np.zeros(shape, values.dtype)
+    at = slice(own) if basis.grid_nodes is None else basis.grid_nodes[:own]
+    if basis.nodes.comm.size == 1:
+        result[at] = values[:own]
+        return result
+    width = int(np.prod(shape[1:], dtype=int))
+    shared = basis.nodes.vector(width)
+    shared.array[:] = 0.0
+    shared.array.reshape(len(result), width)[at] = values[:own].reshape(own, width)
+    if basis.grid_nodes is not None:
+        shared.scatter_reverse(InsertMode.add)
+    shared.scatter_forward()
+    result[...] = shared.array.reshape(shape)
+    return result
 
 
 class Held:
@@ -68,26 +102,24 @@ class Held:
         fixed, values = [], []
         error: Exception | None = None
         for space, basis in zip(self._spaces, bases):
-            shape = (basis.nodes.size, space.components)
+            shape = (space.basis.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
-            error = self._apply(space, basis, share, flags, numbers) or error
-            if basis.nodes.comm.size > 1:
-                shared = basis.nodes.vector(space.components)
-                for each in (flags, numbers):
-                    shared.array[:] = each.ravel()
-                    shared.scatter_forward()
-                    each[:] = shared.array.reshape(shape)
-            fixed.append(flags)
-            values.append(numbers)
+            error = self._apply(space, share, flags, numbers) or error
+            fixed.append(handed_on(flags, space.basis, basis))
+            values.append(handed_on(numbers, space.basis, basis))
         raise_together(self._spaces[0].grid.comm, error)
+        while len(self._fixed) > _KEPT:
+            del self._fixed[next(iter(self._fixed))]
         # values may change from step to step, which components they are of does not
         fixed = self._fixed.setdefault(key, fixed)
         if not self.changing:
+            self._still = {key: values for key, values in self._still.items() if key in self._fixed}
             self._still[key] = values
         return fixed, values
 
-    def _apply(self, space, basis, share: float, flags, values) -> Exception | None:
+    def _apply(self, space: Space, share: float, flags, values) -> Exception | None:
         """Mark and set what is prescribed at this rank's own nodes; a contradiction if any."""
+        basis = space.basis
         owner = np.full(flags.shape, -1, np.int32)
         error = None
         for number, condition in enumerate(self.conditions):

@@ -191,7 +191,7 @@ class Pattern:
             still[at : at + f.nodes.size, : f.components] = f.still
             at += f.nodes.size
         # a ghost's row of a prescribed component is its owner's alone
-        still[still >= unknowns.owned] = -1
+        still[still >= unknowns.mine] = -1
         indptr = np.zeros(unknowns.local + 1, np.int32)
         _expand(start, neighbours, rows, still, indptr, np.empty(0, np.int32))
         indices = np.empty(indptr[-1], np.int32)

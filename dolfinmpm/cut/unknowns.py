@@ -11,6 +11,7 @@ import numpy.typing as npt
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
+from dolfinmpm.cut.rows import EvenRows
 from dolfinmpm.grid.halo import Numbering
 
 __all__ = ["FieldUnknowns", "Nodal", "Unknowns"]
@@ -104,8 +105,9 @@ class Nodal:
 class Unknowns:
     """Numbering of the unknowns of all fields. Collective.
 
-    The rows of a rank are those of the nodes that it owns, one field after the other.
-    Everything but this class sees nodes only, so that who owns a row is decided here.
+    Rows are numbered rank by rank as the ranks own nodes, one field after the other, and owned in
+    equal shares of that order. Everything but this class sees nodes only, so that who owns a row
+    is decided here.
 
     In blocks every active node has a row for each component, so that multigrid knows which
     belong together; those of prescribed components stand for x = 0.
@@ -118,7 +120,8 @@ class Unknowns:
 
     Attributes:
         fields: One entry a field.
-        owned, local, rows: Number of rows here, with those of ghosts, on all ranks.
+        owned, rows: Number of rows that this rank owns, and on all ranks.
+        local, mine: Number of rows of nodes known here, and of nodes owned here.
         total: Number of unknowns on all ranks.
         block: Components that stand together, 1 if they do not.
         to_global: Global row of every local row.
@@ -133,7 +136,7 @@ class Unknowns:
     ):
         assert not blocks or len(numberings) == 1
         self.comm: MPI.Intracomm = numberings[0].comm
-        made, self.local, self.owned, offset = [], 0, 0, 0
+        made, self.local, self.mine, offset = [], 0, 0, 0
         free_of = []
         for numbering, active, held in zip(numberings, nodes, fixed):
             free = ~held[active]
@@ -148,21 +151,23 @@ class Unknowns:
             components = held.shape[1]
             made.append(FieldUnknowns(numbering, components, active, held, row_of, offset, blocks))
             self.local += count
-            self.owned += made[-1].size
+            self.mine += made[-1].size
             offset += numbering.size
             free_of.append(numbered)
         self.fields = tuple(made)
         self.block = made[0].components if blocks else 1
         free_here = sum(f.places[0].size for f in made)
         self.rows, self.total = (
-            int(n) for n in self.comm.allreduce(np.array([self.owned, free_here]), op=MPI.SUM)
+            int(n) for n in self.comm.allreduce(np.array([self.mine, free_here]), op=MPI.SUM)
         )
+        self._even = EvenRows(self.comm, self.mine, self.block)
+        self.owned = self._even.owned
         self.to_global: npt.NDArray[np.int32] = np.arange(self.local, dtype=np.int32)
         if self.comm.size > 1:
             self.to_global = self._number(free_of)
 
     def _number(self, numbered) -> npt.NDArray[np.int32]:
-        first = self.comm.exscan(self.owned) or 0
+        first = self.comm.exscan(self.mine) or 0
         pieces = []
         for field, free in zip(self.fields, numbered):
             shared = field.numbering.vector(field.components, np.int64)
@@ -191,6 +196,11 @@ class Unknowns:
         )
         return self.comm.allreduce(here, op=MPI.LAND)
 
+    @property
+    def imbalance(self) -> float:
+        """Largest number of rows on a rank over the mean."""
+        return self._even.imbalance
+
     def nodal(self) -> Nodal:
         """Zeros at the nodes of all fields. Collective."""
         return Nodal([f.numbering for f in self.fields], [f.components for f in self.fields])
@@ -203,7 +213,7 @@ class Unknowns:
             prescribed: Values of prescribed components, (nodes, components) for each field.
             out: Written at active nodes.
         """
-        at = 0
+        x, at = self._even.given_back(x), 0
         for field, values, u in zip(self.fields, prescribed, out.arrays):
             free, held = field.places
             u.reshape(-1)[free] = x[at : at + field.size][field.rows]
@@ -212,13 +222,28 @@ class Unknowns:
         out.spread()
 
     def restrict(self, nodal: Sequence[Array]) -> Array:
-        """The owned unknowns' entries of nodal values, 0 in rows of others, shape (owned,)."""
+        """The owned unknowns' entries of nodal values, 0 in rows of others. Collective.
+
+        Args:
+            nodal: Values, (nodes, components) for each field, at the nodes' owners.
+
+        Returns:
+            Shape (owned,).
+        """
+        return self.shared_out(self.entries(nodal))
+
+    def entries(self, nodal: Sequence[Array]) -> Array:
+        """Entries of nodal values in rows of nodes owned here, shape (mine,); see `restrict`."""
         pieces = [r.reshape(-1)[f.places[0]] for f, r in zip(self.fields, nodal)]
         if self.block == 1:
             return _joined(pieces)
-        result = np.zeros(self.owned)
+        result = np.zeros(self.mine)
         result[self.fields[0].rows] = pieces[0]
         return result
+
+    def shared_out(self, entries: Array) -> Array:
+        """What ranks have in rows of nodes they own, shape (mine,), as (owned,). Collective."""
+        return self._even.shared_out(entries)
 
     def reactions(self, nodal: Sequence[Array]) -> Array:
         """Entries of nodal values where components of owned nodes are prescribed."""

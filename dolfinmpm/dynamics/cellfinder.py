@@ -7,6 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.body.balance import balance
 from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["CellFinder"]
@@ -56,6 +57,7 @@ class CellFinder:
         self._scale = np.array([(x.size - 1) / (x[-1] - x[0]) for x in lines])
         self._table = halo.cell_table.ravel()
         self._shape = np.array(halo.cell_table.shape, np.int64)
+        self._owned = basis.cells.owned
 
     def sort(self, points: MaterialPoints) -> None:
         """Put the points in the order of the cells, if it is time to. Collective."""
@@ -83,10 +85,12 @@ class CellFinder:
         if points.comm.size == 1:
             points._located = points["x"].sum()
             return 0
-        owned = points.grid.topology.index_map(points.gdim).size_local
-        away = lost > 0 or bool(np.any(points["cell"] >= owned))
+        away = lost > 0 or bool(np.any(points["cell"] >= self._owned))
+        if points.partition is not None:
+            # these were numbers in the overlap of ranks
+            points["cell"] = -1
         if not points.comm.allreduce(away, op=MPI.LOR):
             points._located = points["x"].sum()
             return 0
         points["cell"][points["cell"] < 0] = 0
-        return points.locate()
+        return points.locate() + balance(points)

@@ -20,6 +20,7 @@ from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import Time
 from dolfinmpm.dynamics.critical import critical_step, exact_step
@@ -235,6 +236,7 @@ class Explicit(Problem):
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         whole = target - self.time
         raise_together(self.comm, self.points.fault())
+        record.migrated += balance(self.points)
         self._loop.start(1.0 / whole)
         self._kept_state.time = math.nan
         while self.time < target:
@@ -257,6 +259,7 @@ class Explicit(Problem):
         self._check_energy(record.dt)
         record.time = self.time
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
+        record.imbalance = imbalance(self.points)
         record.seconds = clock.perf_counter() - started
         self.history.append(record)
         if isinstance(t, Time):

@@ -15,6 +15,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
+from dolfinmpm.cut.held import handed_on
 from dolfinmpm.grid.lattice import require_lattice
 
 __all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
@@ -137,11 +138,10 @@ class Faces:
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
         for face in faces:
-            marks = basis.nodes.vector()
-            marks.array[:] = 0.0
-            marks.array[face.nodes[face.nodes < basis.nodes.owned]] = 1.0
-            marks.scatter_forward()
-            nodes = np.flatnonzero(marks.array)
+            base = face.space.basis
+            marks = np.zeros(base.nodes.size)
+            marks[face.nodes] = 1.0
+            nodes = np.flatnonzero(handed_on(marks, base, basis))
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))

@@ -74,7 +74,7 @@ class Fused:
         self._prescribed = Prescribed(held)
         # and the cells that the fastest point has crossed in a step
         self.done = np.zeros(3)
-        self._live, self._travelled = False, 0.0
+        self._live, self._travelled, self._rate = False, 0.0, 0.0
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
 
@@ -93,13 +93,18 @@ class Fused:
         Args:
             rate: Prescribed velocities over prescribed increments (1/s).
         """
-        if self._window is None:
-            self._window = Window(self._points, self._basis, self._sides)
+        self._rate, self._live = rate, False
+        self._surround()
+
+    def _surround(self) -> None:
+        """Take a window around the cells that this rank computes. Collective."""
+        points = self._points
+        if self._window is None or self._window.basis.partition is not points.partition:
+            self._window = Window(points, self._basis, self._sides)
             if self._laws.fbar:
                 self._means = Means(self._window)
-        self._window.cells.sort(self._points)
-        self._prescribed.start(self._window, rate)
-        self._live = False
+        self._window.cells.sort(points)
+        self._prescribed.start(self._window, self._rate)
 
     def run(
         self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
@@ -124,6 +129,9 @@ class Fused:
             self._prescribed.drive(begin(taken).t - dt, dt)
             fresh = not self._live
             if fresh:
+                if self._window.basis.partition is not self._points.partition:
+                    self._surround()
+                    self._prescribed.drive(begin(taken).t - dt, dt)
                 self._window.box(self._points)
                 self._prepare()
                 self._live, self._travelled = True, 0.0

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.body.balance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.unknowns import Nodal
@@ -106,6 +107,7 @@ class General:
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         raise_together(points.comm, points.fault())
+        balance(points)
         here = problem.activate(step)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()

@@ -50,7 +50,7 @@ class Window:
 
     def __init__(self, points: MaterialPoints, basis: LatticeBasis, sides: Sides):
         layers, _ = basis.reach(points.placement())
-        basis = basis.grown(max(layers, 1) + MARGIN)
+        basis = basis.grown(max(layers, 1) + MARGIN, points.partition)
         halo, lattice = basis.halo, basis.lattice
         self.basis = basis
         self._shape = np.array(halo.node_table.shape, np.int64)

@@ -3,7 +3,8 @@
 DOLFINx's ghost layer holds the neighbours across facets only. The domain of a
 material point also reaches across corners, so that a lattice gets index maps of
 its own: the same owned indices, the same ghosts first, and behind them every
-node and cell within a given number of layers of the owned cells.
+node and cell within a given number of layers of the owned cells. Where a partition tells which
+rank computes a cell, what is owned follows it, and the cells of DOLFINx's mesh are known too.
 """
 
 from __future__ import annotations
@@ -14,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import la
 from dolfinx.common import IndexMap
-from dolfinx.mesh import Mesh
 from mpi4py import MPI
 from scipy import ndimage
 
 from dolfinmpm._platform.compat import make_index_map
-from dolfinmpm.grid.lattice import Lattice
 
 __all__ = ["LatticeHalo", "Numbering"]
 
@@ -114,46 +113,50 @@ def _extend(comm, index_map, ijk, shape, needed):
 
 
 def build_halo(
-    grid: Mesh,
-    lattice: Lattice,
+    comm: MPI.Intracomm,
+    shape: tuple[int, ...],
     degree: int,
+    cell_map: IndexMap,
+    cell_ijk: npt.NDArray[np.int32],
     node_map: IndexMap,
     node_ijk: npt.NDArray[np.int32],
     layers: int,
+    also: npt.NDArray[np.int32],
 ) -> LatticeHalo:
     """Numberings and tables for points that reach `layers` cells beyond their own. Collective.
 
     Args:
-        grid: Background grid.
-        lattice: Its lattice.
+        comm: Communicator.
+        shape: Number of cells of the lattice in each direction.
         degree: Degree of the functions: a cell has degree + 1 nodes a direction.
+        cell_map: Index map of the cells.
+        cell_ijk: Lattice position of every cell of that map, shape (cells, gdim).
         node_map: Index map of the nodes.
         node_ijk: Lattice position of every node of that map, shape (nodes, gdim).
         layers: Layers of cells that are to be known around the owned cells.
+        also: Lattice positions of further cells that are to be known, shape (n, gdim).
     """
-    comm = grid.comm
-    shape = np.array(lattice.shape)
-    cell_map = grid.topology.index_map(grid.topology.dim)
-    cell_ijk = lattice.cell_ijk
-    gdim = shape.size
+    gdim = len(shape)
     if comm.size == 1:
         nodes, cells = Numbering(comm, node_map), Numbering(comm, cell_map)
         origin = np.zeros(gdim, np.int32)
-        stop = shape
+        stop = np.array(shape)
     else:
         own = cell_ijk[: cell_map.size_local]
-        known = cell_ijk if len(cell_ijk) else np.zeros((1, gdim), np.int32)
+        known = np.vstack([cell_ijk, also])
+        known = known if len(known) else np.zeros((1, gdim), np.int32)
         origin = np.maximum(known.min(axis=0) - layers, 0).astype(np.int32)
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
         mask = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
         mask = ndimage.maximum_filter(mask, size=2 * layers + 1, mode="constant")
+        mask[tuple((also - origin).T)] = True
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):
             node_mask[tuple(slice(c, c + n) for c, n in zip(corner, mask.shape))] |= mask
         cells, cell_ijk = _extend(comm, cell_map, cell_ijk, shape, np.argwhere(mask) + origin)
         nodes, node_ijk = _extend(
-            comm, node_map, node_ijk, shape + degree, np.argwhere(node_mask) + origin
+            comm, node_map, node_ijk, np.array(shape) + degree, np.argwhere(node_mask) + origin
         )
     node_table = np.full(stop - origin + degree, -1, np.int32)
     cell_table = np.full(stop - origin, -1, np.int32)

@@ -64,6 +64,27 @@ class Lattice:
         """Mean size of the cells in each direction (m), shape (gdim,)."""
         return np.array([(line[-1] - line[0]) / (line.size - 1) for line in self.lines])
 
+    def cells_at(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
+        """Lattice position of the cell at each position, or the nearest one, shape (n, gdim)."""
+        columns = []
+        for d, line in enumerate(self.lines):
+            if self.uniform:
+                scale = (line.size - 1) / (line[-1] - line[0])
+                with np.errstate(invalid="ignore"):
+                    cell = np.nan_to_num(np.floor((x[:, d] - line[0]) * scale))
+            else:
+                cell = np.searchsorted(line, x[:, d], side="right") - 1
+            columns.append(np.clip(cell, 0, line.size - 2))
+        return np.column_stack(columns).astype(np.int32)
+
+    def holds(self, x: npt.NDArray[np.float64], slack: float) -> npt.NDArray[np.bool_]:
+        """Whether positions are inside, but for so large a share of a cell, shape (n,)."""
+        inside = np.ones(len(x), bool)
+        for d, line in enumerate(self.lines):
+            beyond = slack * (line[-1] - line[0]) / (line.size - 1)
+            inside &= (x[:, d] >= line[0] - beyond) & (x[:, d] <= line[-1] + beyond)
+        return inside
+
     def index(self, coordinates: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
         """Nearest lattice node of each coordinate, shape (n, gdim)."""
         columns = []

@@ -13,6 +13,7 @@ Every array has HDF5's checksums.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.fingerprint import differs, fingerprint, owned_corners, partition
+from dolfinmpm.grid.partition import Partition
 from dolfinmpm.io.rowfile import RowReader, RowWriter
 
 __all__ = ["VERSION", "Checkpoint", "read", "write"]
@@ -50,6 +52,7 @@ class Checkpoint:
         local: Likewise; None if ranks or the partition of the grid are others.
         cells: Rows of this rank's own cells, in their order.
         history: Records of the steps.
+        computed: Which rank computes the points in a cell, None if nobody but DOLFINx says so.
     """
 
     fields: Arrays
@@ -57,11 +60,13 @@ class Checkpoint:
     local: Arrays | None
     cells: Arrays
     history: list[dict[str, Any]]
+    computed: Partition | None = None
 
     def put(self, points: MaterialPoints) -> None:
         """Give the points what was read for them. Collective."""
         for name in points.fields:
             points.fields[name] = self.fields[name]
+        points.partition = self.computed
         points.recount()
 
 
@@ -99,6 +104,7 @@ def write(
         "fields": _shapes(points),
         "laws": sorted(laws),
         "configuration": points.configuration,
+        "computed": None if points.partition is None else dataclasses.asdict(points.partition),
         "state": {name: _plain(value) for name, value in state.items()},
         "history": [{k: _plain(v) for k, v in record.items()} for record in history],
     }
@@ -158,8 +164,11 @@ def read(
                     error = CheckpointError(f"{file.path} has not one row for each cell")
                 raise_together(comm, error)
     cells.pop("middle", None)
+    computed = header.get("computed") if kept else None
     state = {name: _value(value) for name, value in header["state"].items()}
-    return Checkpoint(fields, state, local, cells, header["history"])
+    if computed is not None:
+        computed = Partition.restored(computed)
+    return Checkpoint(fields, state, local, cells, header["history"], computed)
 
 
 def _even(total: int, parts: int) -> list[int]:

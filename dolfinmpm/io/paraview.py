@@ -15,6 +15,7 @@ from dolfinx import fem, plot
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.balance import beside
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.vtkfiles import (
     Arrays,
@@ -192,7 +193,7 @@ class ParaView:
         point_data, cell_data = self._mesh.data(self._increments)
         if self._grid_each_time:
             active = np.zeros(self._mesh.cells, np.uint8)
-            active[self.points["cell"]] = 1
+            active[beside(self.points, None)["cell"]] = 1
             cell_data["active"] = active[:, None]
         self._write(stem, "vtu", self._mesh.vtk(), point_data, cell_data, {})
 

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.body.balance import balance
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints
@@ -85,7 +86,7 @@ def advance(
         return "a material point's state is not finite or its volume not positive"
     if not moves or operator.here.total:
         return NewState(new, None)
-    to = destinations(points.grid, new["x"], points["cell"])
+    to = destinations(points.grid, new["x"], points["cell"], points.partition)
     lost = np.flatnonzero(to.rank < 0)
     far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
     if comm.allreduce(bool(far), op=MPI.LOR):
@@ -103,7 +104,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     """
     for name, values in state.fields.items():
         points.fields[name][...] = values
-    return 0 if state.to is None else points.migrate(state.to)
+    return 0 if state.to is None else points.migrate(state.to) + balance(points)
 
 
 def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:

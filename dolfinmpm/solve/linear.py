@@ -188,7 +188,7 @@ class LinearSolver:
         if self._tangent.symmetric and self._tangent.definite and self._doubt.left == 0:
             A.setOption(PETSc.Mat.Option.SPD, True)
         if here.unknowns.block > 1:
-            A.setNearNullSpace(near_kernel(here))
+            A.setNearNullSpace(near_kernel(here, A))
         self._use_mumps()
         if self.reuse is not None:
             self.reuse.renew()

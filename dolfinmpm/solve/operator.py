@@ -289,12 +289,12 @@ class Operator:
         unknowns = self.here.unknowns
         self.move(x)
         internal = self._internal().arrays
-        external = unknowns.restrict(self.external)
-        values = unknowns.restrict(internal) + external
+        external = unknowns.entries(self.external)
+        values = unknowns.entries(internal) + external
         reactions = unknowns.reactions(internal)
         sums = np.array([values @ values, external @ external + reactions @ reactions])
         norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
-        return Residual(values, float(norm), float(reference))
+        return Residual(unknowns.shared_out(values), float(norm), float(reference))
 
     def vector(self, x: Array) -> Array:
         """All forces on the owned unknowns (N), shape (owned,). Collective."""
@@ -311,7 +311,7 @@ class Operator:
         internal = self._internal().arrays
         self._lift.add_up()
         parts = internal, self.external, self._lift.arrays
-        return np.sum([unknowns.restrict(part) for part in parts], axis=0)
+        return unknowns.shared_out(np.sum([unknowns.entries(part) for part in parts], axis=0))
 
     # -- tangent --------------------------------------------------------------
 

@@ -19,7 +19,14 @@ from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation, Field, Kept, Prolongate, activate
+from dolfinmpm.cut.activation import (
+    Activation,
+    Field,
+    Kept,
+    Prolongate,
+    activate,
+    active_on_grid,
+)
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
@@ -248,7 +255,7 @@ class Problem:
         )  # fmt: skip
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
-            active = [f.active[f.active < f.basis.nodes.owned] for f in self.here.fields]
+            active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
 

@@ -17,8 +17,9 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Prolongate
+from dolfinmpm.cut.activation import Prolongate, active_on_grid
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance, commit
 from dolfinmpm.solve.arguments import (
@@ -213,6 +214,7 @@ class QuasiStatic(Problem):
         """Solve and commit a step; returns why not, the state being untouched."""
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
+        record.migrated += balance(points)
         operator = self._operator(step)
         outcome = self.solver.solve(operator)
         record.iterations += outcome.iterations
@@ -224,6 +226,7 @@ class QuasiStatic(Problem):
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
         record.migrated += commit(points, state)
+        record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         operator.fill_functions()
         return None
 
@@ -272,7 +275,7 @@ class QuasiStatic(Problem):
         assert here is not None
         first = here.fields[0]
         named = any(field.remedy.kind != "none" for field in self.fields)
-        active = first.active[first.active < first.basis.nodes.owned]
+        active = active_on_grid(first)
         return advice(named or here.ghost_facets > 0, self.bcs, first.space, active)
 
 

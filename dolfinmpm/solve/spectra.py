@@ -184,15 +184,19 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
     return 2 / math.sqrt(largest) if largest > 0 else math.inf
 
 
-def _rigid(unknowns: Unknowns, x: Array) -> PETSc.NullSpace:
-    """PETSc's rigid modes at nodes. Collective."""
+def _rigid(unknowns: Unknowns, x: Array) -> list[Array]:
+    """Orthonormal rigid modes in the owned rows, of nodes that have all components. Collective."""
     # about the middle, so that rotations do not drown in translations
     x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
     coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=x.shape[1], comm=unknowns.comm)
-    return PETSc.NullSpace().createRigidBody(coordinates)
+    kernel = PETSc.NullSpace().createRigidBody(coordinates)
+    modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
+    if kernel.hasConstant():  # a line's only mode
+        modes.append(np.full(unknowns.mine, 1 / math.sqrt(unknowns.rows)))
+    return [unknowns.shared_out(mode) for mode in modes]
 
 
-def near_kernel(here: Activation) -> PETSc.NullSpace:
+def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
     """Rigid modes of unknowns in blocks, held ones too, for multigrid. Collective.
 
     They are those of the nodes that remain behind C, which continues them: it reproduces linear
@@ -200,7 +204,11 @@ def near_kernel(here: Activation) -> PETSc.NullSpace:
     """
     unknowns, basis = here.unknowns, here.fields[0].basis
     nodes = unknowns.fields[0].owned_nodes
-    return _rigid(unknowns, basis.node_coordinates()[nodes, : basis.grid.geometry.dim])
+    vectors = []
+    for mode in _rigid(unknowns, basis.node_coordinates()[nodes, : basis.grid.geometry.dim]):
+        vectors.append(matrix.createVecRight())
+        vectors[-1].getArray()[:] = mode
+    return PETSc.NullSpace().create(vectors=vectors, comm=unknowns.comm)
 
 
 def rigid_modes(here: Activation) -> Array:
@@ -215,8 +223,4 @@ def rigid_modes(here: Activation) -> Array:
     held = bool(np.any(field.fixed[nodes])) or field.components != d or len(unknowns.fields) > 1
     if unknowns.comm.allreduce(held, op=MPI.LOR):
         return np.empty((unknowns.owned, 0))
-    kernel = _rigid(unknowns, basis.node_coordinates()[nodes, :d])
-    modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
-    if kernel.hasConstant():  # a line's only mode
-        modes.append(np.full(unknowns.owned, 1 / math.sqrt(unknowns.total)))
-    return np.stack(modes, axis=1)
+    return np.stack(_rigid(unknowns, basis.node_coordinates()[nodes, :d]), axis=1)

@@ -48,6 +48,8 @@ class StepRecord:
         halvings: How often it was halved.
         unknowns: Unknowns in the last part.
         migrated: Points that changed rank.
+        imbalance: Largest number of points on a rank over the mean, as the next step has them, or
+            of unknowns, as this one had them, if that is more.
         seconds: Wall time (s).
     """
 
@@ -57,4 +59,5 @@ class StepRecord:
     halvings: int = 0
     unknowns: int = 0
     migrated: int = 0
+    imbalance: float = 1.0
     seconds: float = 0.0

@@ -86,6 +86,7 @@ def fbar_tangent():
         free = ~field.fixed[nodes]
         start = np.stack([np.sin(x @ (1.0, 0.7)), np.cos(x @ (0.4, 1.1))], axis=1)[free] * 0.02
         direction = np.stack([np.cos(x @ (2.0, 1.7)), np.sin(x @ (1.4, 2.1))], axis=1)[free]
+        start, direction = (here.unknowns.shared_out(a) for a in (start, direction))
         residual, t = linearised.residual, 1e-6
         numerical = (residual(start + t * direction) - residual(start - t * direction)) / (2 * t)
         linearised.tangent(start)
