@@ -142,6 +142,14 @@ class LinearSolver:
             self.reuse.watch(ksp)
 
     @property
+    def iterations(self) -> list[int]:
+        """Iterations of each solution since last asked, none with factors."""
+        if self.reuse is None:
+            return []
+        found, self.reuse.iterations = self.reuse.iterations, []
+        return found
+
+    @property
     def failed(self) -> bool:
         """Whether it failed since the last `attach`."""
         return self.matrix is None

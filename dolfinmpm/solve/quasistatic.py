@@ -219,6 +219,7 @@ class QuasiStatic(Problem):
         outcome = self.solver.solve(operator)
         record.iterations += outcome.iterations
         record.residuals = outcome.residuals
+        record.linear_iterations += self.newton.linear.iterations
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:

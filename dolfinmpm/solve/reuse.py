@@ -21,6 +21,9 @@ class Reuse:
 
     Args:
         comm: Communicator of the problem.
+
+    Attributes:
+        iterations: Those that each solution took.
     """
 
     def __init__(self, comm: MPI.Intracomm):
@@ -30,6 +33,7 @@ class Reuse:
         self._digits = 0.0
         self._old = False
         self._count = [0, 0]
+        self.iterations: list[int] = []
 
     @property
     def old(self) -> bool:
@@ -87,6 +91,7 @@ class Reuse:
         self._digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
         self._last = self._slowest(seconds) / self._digits
         self._count[0] += 1
+        self.iterations.append(ksp.getIterationNumber())
         if not self._old:
             self._fresh = self._last
 

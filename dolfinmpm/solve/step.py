@@ -44,6 +44,8 @@ class StepRecord:
         iterations: Newton iterations, those of failed attempts included.
         residuals: Relative out-of-balance force before and after each iteration
             of the last part of the step.
+        linear_iterations: Iterations of each solution of a linear system, none where factors
+            solve it.
         parts: Converged parts that the step was made of.
         halvings: How often it was halved.
         unknowns: Unknowns in the last part.
@@ -55,6 +57,7 @@ class StepRecord:
 
     iterations: int = 0
     residuals: list[float] = field(default_factory=list)
+    linear_iterations: list[int] = field(default_factory=list)
     parts: int = 0
     halvings: int = 0
     unknowns: int = 0

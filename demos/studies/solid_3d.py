@@ -1,0 +1,173 @@
+# %% [markdown]
+# # Three dimensions: what a step takes, and how many iterations
+#
+# In three dimensions nine tenths of the time are the linear solver's, so that this study counts its
+# iterations. Two bodies:
+#
+# - `block`: an elastic cube of side 1 m that compacts under its weight, on rollers, in two steps.
+#   Its upper and outer faces cut the cells where `--cuts` says (shares of a cell);
+# - `slope`: a slope of Mohr–Coulomb soil at 45°, as high as wide, between smooth walls, under its
+#   weight in steps until it yields at its toe, where its strength gives way at one end.
+#
+# Conjugate gradients with algebraic multigrid know the blocks of three components and the six rigid
+# modes of the unknowns that remain; a plastic tangent that is not symmetric takes GMRES.
+
+# %%
+from __future__ import annotations
+
+import resource
+import time
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import finish, numbers, parser, say
+
+import dolfinmpm as mpm
+
+GRAVITY = 10.0
+
+options = parser("A block or a slope in three dimensions: iterations, seconds and memory.")
+options.add_argument("--scene", choices=("block", "slope"), default="block")
+options.add_argument("--cells", type=numbers(int), default=[8, 12], help="along the body's edge")
+options.add_argument("--cuts", type=numbers(float), default=[0.3], help="shares of a cell")
+options.add_argument(
+    "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
+)
+options.add_argument("--stabilisation", default="ghost", help="a remedy against small cuts")
+options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
+args = options.parse_args()
+
+
+# %%
+def block(n, cut):
+    """The elastic block; returns grid, points, law and weight (N/kg)."""
+    h = 1.0 / n
+    side = (n + 4) * h
+    grid = mesh.create_box(
+        MPI.COMM_WORLD, [(0, 0, 0), (side,) * 3], (n + 4,) * 3, mesh.CellType.hexahedron
+    )
+    body = mpm.Box((0, 0, 0), (1 + cut * h,) * 3)
+    points = mpm.fill(grid, body, args.points_per_cell, 1000.0)
+    return grid, points, mpm.materials.Hencky(E=1e6, nu=0.3)
+
+
+def slope(n, cut):
+    """A slope, weaker at one end of it, 10 m high."""
+    h = 10.0 / n
+    cells = 2 * n + 2, n, n + 1
+    grid = mesh.create_box(
+        MPI.COMM_WORLD,
+        [(0, 0, 0), tuple(h * k for k in cells)],
+        cells,
+        mesh.CellType.hexahedron,
+    )
+    high, foot = 10.0 + cut * h, 2.0
+    points = mpm.fill(
+        grid,
+        mpm.Where(
+            lambda x: (x[2] <= high) & ((x[2] <= foot) | (x[0] + x[2] <= 10 + foot + cut * h))
+        ),
+        args.points_per_cell,
+        2000.0,
+    )
+    soil = mpm.materials.MohrCoulomb(
+        E=20e6, nu=0.3, cohesion=lambda x: np.where(x[1] < 5, 11e3, 20e3),
+        friction_angle=20.0, dilation_angle=0.0,
+    )  # fmt: skip
+    return grid, points, soil
+
+
+def run(n, cut):
+    """Load a body with its weight; returns figures and points."""
+    grid, points, law = (block if args.scene == "block" else slope)(n, cut)
+    V = mpm.Space(grid, args.basis)
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, 0.0, 0.0))
+    F = mpm.momentum(law, points, u, v)
+    F -= ufl.inner(points.density * gravity, v) * points.dX
+    sides = ("left", "front") if args.scene == "block" else ("left", "front", "back")
+    bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, tolerance=1e-8, stabilisation=args.stabilisation)
+    steps = args.steps or (2 if args.scene == "block" else 10)
+    started = time.perf_counter()
+    for k in range(steps):
+        gravity.value[2] = -GRAVITY * (k + 1) / steps
+        record = problem.step()
+        say(
+            f"  step {k + 1}: {record.seconds:.2f} s, {record.iterations} Newton iterations, "
+            f"linear {record.linear_iterations}"
+        )
+    seconds = time.perf_counter() - started
+    history, comm = problem.history, points.comm
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    linear = [its for r in history for its in r.linear_iterations]
+    yielding = 0
+    if args.scene == "slope":
+        yielding = comm.allreduce(int(np.count_nonzero(points["plastic_strain"] > 1e-6)))
+    figures = {
+        "cells": n,
+        "cut": cut,
+        "points": points.total,
+        "unknowns": history[-1].unknowns,
+        "seconds_a_step": seconds / steps,
+        "newton_iterations": [r.iterations for r in history],
+        "linear_iterations": linear,
+        "halvings": sum(r.halvings for r in history),
+        "yielding": yielding,
+        "settlement": comm.allreduce(float((points["x0"] - points["x"])[:, 2].max()), op=MPI.MAX),
+        "megabytes": comm.allreduce(megabytes),
+        "method": str(problem.newton.linear.method),
+    }
+    say(
+        f"{n:4d} cells, cut {cut:<8g} {figures['points']:8d} points {figures['unknowns']:8d} "
+        f"unknowns {figures['seconds_a_step']:8.2f} s a step, at most "
+        f"{max(linear, default=0)} iterations, {figures['megabytes']:.0f} MB"
+    )
+    return figures, points
+
+
+# %%
+runs, last = [], None
+for n in args.cells:
+    for cut in args.cuts:
+        figures, last = run(n, cut)
+        runs.append(figures)
+finish(args, {"runs": runs, "ranks": MPI.COMM_WORLD.size})
+
+# %% [markdown]
+# ## Picture
+# Iterations over unknowns, and of the slope a section through the weak end with the plastic strain.
+
+# %%
+if not args.no_plot:
+    fields = last.gather("x", "plastic_strain") if args.scene == "slope" else None
+    if MPI.COMM_WORLD.rank == 0:
+        import matplotlib.pyplot as plt
+
+        iterated = [r for r in runs if r["linear_iterations"]]
+        count = bool(iterated) + (fields is not None) or 1
+        figure, axes = plt.subplots(1, count, figsize=(4.8 * count, 3.6), squeeze=False)
+        if iterated or fields is None:
+            ax = axes[0, 0]
+            for cut in args.cuts:
+                mine = [r for r in iterated if r["cut"] == cut]
+                unknowns = [r["unknowns"] for r in mine]
+                most = [max(r["linear_iterations"]) for r in mine]
+                ax.plot(unknowns, most, "o-", label=f"cut at {cut:g} of a cell")
+            ax.set(xlabel="unknowns", ylabel="most iterations of a solution")
+            ax.set(xscale="log", ylim=(0, None))
+            ax.legend(frameon=False)
+        if fields is not None:
+            x, strain = fields
+            section = x[:, 1] < 10.0 / args.cells[-1]
+            drawn = axes[0, -1].scatter(
+                x[section, 0], x[section, 2], c=100 * strain[section], s=6, cmap="viridis"
+            )
+            axes[0, -1].set(xlabel="$x$ (m)", ylabel="$z$ (m)", aspect="equal")
+            figure.colorbar(drawn, ax=axes[0, -1], label="plastic strain (%)")
+        figure.tight_layout()
+        args.output.mkdir(parents=True, exist_ok=True)
+        figure.savefig(args.output / f"solid_3d_{args.scene}.png", dpi=150)
