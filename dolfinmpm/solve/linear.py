@@ -36,6 +36,9 @@ _NEAR = 1e-4
 # Share to which iterations reduce the residual: of a solution that nothing corrects, and at most
 # in an iteration of Newton's method
 _DIGITS, _FIRST = 1e-10, 1e-3
+# With factors of a former tangent digits are cheap, and iterations of Newton's method dear; more
+# than so many iterations are not worth the wait for new ones
+_FIRST_OF_FACTORS, _MOST_OF_FACTORS = 1e-6, 30
 
 
 @dataclass
@@ -71,7 +74,7 @@ class LinearSolver:
         mumps: Settings of MUMPS by their numbers.
         method: What solves, or None before the first matrix.
         stuck: Whether the last `solve` found nothing.
-        reuse: When a preconditioner is kept for the next tangent; None of factors.
+        reuse: When a preconditioner is kept for the next tangent; None of factors that never are.
     """
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
@@ -104,7 +107,9 @@ class LinearSolver:
         if method.package == "cholmod":
             # that a tangent is not definite is no news for the terminal
             own["mat_cholmod_print"] = 0
-        if not method.factors:
+        keeps = not method.factors or (method.keeps and not self._tangent.softened)
+        keeps = keeps and options.get("ksp_type") != "preonly"
+        if keeps:
             # but for the first SNES is not to make any preconditioner, see `Reuse`
             own["snes_lag_preconditioner"] = -2
         pc, package = options.get("pc_type"), options.get("pc_factor_mat_solver_type")
@@ -113,7 +118,7 @@ class LinearSolver:
         if pc is None and package not in (None, "cholmod"):
             # not every package has a Cholesky factorisation
             own["pc_type"] = "lu"
-        if self._tangent.softened:
+        if self._tangent.softened or method.keeps:
             # Newton's method corrects what is left
             own["ksp_converged_maxits"] = True
         options.suggest(own)
@@ -122,7 +127,7 @@ class LinearSolver:
         snes.setType("newtonls")
         ksp = snes.getKSP()
         ksp.setType(method.ksp)
-        if not method.factors:
+        if keeps:
             ksp.setTolerances(rtol=_DIGITS, max_it=500)
             # the residual itself, as Newton's method measures it
             ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
@@ -137,7 +142,7 @@ class LinearSolver:
             ksp.getPC().setFactorSolverType(method.package)
         snes.setFromOptions()
         self.snes, self.reuse = snes, None
-        if not method.factors and ksp.getType() != "preonly":
+        if keeps:
             self.reuse = Reuse(self._comm)
             self.reuse.watch(ksp)
 
@@ -148,6 +153,10 @@ class LinearSolver:
             return []
         found, self.reuse.iterations = self.reuse.iterations, []
         return found
+
+    @property
+    def _keeps_factors(self) -> bool:
+        return self.reuse is not None and self.method is not None and self.method.keeps
 
     @property
     def failed(self) -> bool:
@@ -255,12 +264,14 @@ class LinearSolver:
         assert self.matrix is not None
         ksp = self.snes.getKSP()
         if not self._options.has("ksp_rtol"):
-            share = _FIRST
+            share = _FIRST_OF_FACTORS if self._keeps_factors else _FIRST
             if self._former is not None and self._former > 0.0:
                 share = min(share, 0.9 * (norm / self._former) ** (0.5 * (1 + math.sqrt(5.0))))
             ksp.setTolerances(rtol=max(share, _DIGITS))
         self._former = norm
         ksp.setTolerances(atol=max(enough, 1e-300))
+        if self._keeps_factors:
+            ksp.setTolerances(max_it=_MOST_OF_FACTORS)
         ksp.setOperators(self.true, self.matrix.petsc)
         self.reuse.prepare(ksp)
 
@@ -282,6 +293,9 @@ class LinearSolver:
         ksp.setOperators(self.true, self.matrix.petsc)
         if self.reuse is not None:
             ksp.setTolerances(rtol=_DIGITS, atol=1e-300)
+            if self._keeps_factors:
+                # the next right-hand side is of the same matrix, and asks for all digits
+                self.reuse.renew()
             self.reuse.prepare(ksp)
         ksp.solve(b, y)
         self.stuck = ksp.getConvergedReason() < 0

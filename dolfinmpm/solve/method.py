@@ -11,7 +11,11 @@ __all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetr
 
 # From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
 # measured on blocks of elastic soil (docs/benchmarks.md).
-_CROSSOVER = {1: 10**9, 2: 400_000, 3: 9_000}
+_CROSSOVER = {1: 10**9, 2: 250_000, 3: 9_000}
+
+# From so many unknowns on it is looked at whether factors are worth keeping for the next tangent,
+# as preconditioners: below they cost less than the looking.
+_KEPT = {1: 10**9, 2: 4_000, 3: 2_000}
 
 # Smoothed aggregation (Vaněk, Mandel & Brezina 1996, doi 10.1007/BF02238511) on blocks with
 # rigid modes. Squaring the graph once makes coarse levels small, and couplings below the
@@ -61,6 +65,11 @@ class Method:
     def factors(self) -> bool:
         """Whether it factorises."""
         return self.pc in ("lu", "cholesky")
+
+    @property
+    def keeps(self) -> bool:
+        """Whether factors may be those of a former tangent, as preconditioners."""
+        return self.factors and self.ksp != "preonly"
 
     def like(self, other: Method) -> bool:
         """Whether it is the same but for what was known."""
@@ -128,6 +137,9 @@ def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = F
         return Method(krylov, "gamg", "", why, _MULTIGRID)
     why = f"{count} unknowns, {kind}"
     ksp = "gmres" if tangent.softened else "preonly"
+    if count >= _KEPT[gdim] and not tangent.softened:
+        # Krylov's methods need one iteration with the factors of the very matrix
+        ksp = "cg" if tangent.symmetric and tangent.definite else "gmres"
     if not tangent.symmetric:
         return Method(ksp, "lu", "mumps", why)
     if tangent.definite and ranks == 1:

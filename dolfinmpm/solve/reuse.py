@@ -16,8 +16,11 @@ class Reuse:
     """Keeps a preconditioner while that is cheaper than a new one.
 
     An old one costs more iterations, a new one its set-up. Both are measured: as soon as the
-    last solution took longer than one with a fresh preconditioner by more than a set-up, a new
-    one is made. Seconds go by digits gained, since solutions are not all asked to be as good.
+    last solution cost more than solutions with this preconditioner did on average, its set-up
+    included, a new one is made. Costs are what a solution takes beyond one with a fresh
+    preconditioner, which goes by digits gained, since solutions are not all asked to be as good.
+    Where already the first solution with an old one did so, none is kept for a while, longer
+    each time.
 
     Args:
         comm: Communicator of the problem.
@@ -29,10 +32,13 @@ class Reuse:
     def __init__(self, comm: MPI.Intracomm):
         self._comm = comm
         self._setup = math.nan
+        # seconds a digit of a fresh one; what the last solution cost, and all with the present one
         self._fresh = self._last = math.nan
-        self._digits = 0.0
+        self._spent = 0.0
         self._old = False
         self._count = [0, 0]
+        # solutions with the present one; set-ups until one is kept again, and then the next time
+        self._age, self._wait, self._next = 0, 0, 1
         self.iterations: list[int] = []
 
     @property
@@ -51,8 +57,14 @@ class Reuse:
 
     def prepare(self, ksp: PETSc.KSP) -> None:
         """Keep or renew the preconditioner of a solver whose matrix is new. Collective."""
-        pays = (self._last - self._fresh) * self._digits < self._setup
-        keep = self._comm.bcast(bool(pays))
+        pays = self._last * self._age < self._setup + self._spent
+        if not pays and self._age == 2:
+            self._wait, self._next = self._next, min(2 * self._next, 32)
+        elif not pays and self._age > 2:
+            self._next = 1
+        keep = self._comm.bcast(bool(pays and self._wait == 0))
+        if not keep:
+            self._age, self._wait, self._spent = 0, max(self._wait - 1, 0), 0.0
         ksp.getPC().setReusePreconditioner(keep)
         self._old = keep
         started = time.perf_counter()
@@ -88,12 +100,15 @@ class Reuse:
             before: Norm of the right-hand side.
         """
         after = ksp.getResidualNorm()
-        self._digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
-        self._last = self._slowest(seconds) / self._digits
-        self._count[0] += 1
-        self.iterations.append(ksp.getIterationNumber())
+        digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
+        seconds = self._slowest(seconds)
         if not self._old:
-            self._fresh = self._last
+            self._fresh = seconds / digits
+        self._last = max(seconds - digits * self._fresh, 0.0)
+        self._spent += self._last
+        self._count[0] += 1
+        self._age += 1
+        self.iterations.append(ksp.getIterationNumber())
 
     def _slowest(self, seconds: float) -> float:
         return self._comm.allreduce(seconds, op=MPI.MAX)

@@ -166,20 +166,36 @@ class Clock:
     def getResidualNorm(self):
         return self.after
 
+    def getIterationNumber(self):
+        return 1
 
-def test_a_preconditioner_is_kept_while_it_pays():
+
+def keeps(seconds, setup):
+    """Whether each of several solutions is with a preconditioner that was kept."""
     import mpi4py.MPI as MPI
 
     reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
     kept = []
-    # a set-up takes next to no time here: what matters is that slow solutions end it
-    for seconds in (1.0, 1.0, 5.0, 1.0):
+    for each in seconds:
         reuse.prepare(ksp)
         kept.append(ksp.pc.kept)
-        reuse._setup = 2.0
-        reuse.note(ksp, seconds, 1.0)
-    assert kept == [False, True, True, False]
-    assert reuse.counts == (4, 2)
+        # a set-up takes next to no time here
+        reuse._setup = setup
+        reuse.note(ksp, each, 1.0)
+    assert reuse.counts == (len(kept), kept.count(False))
+    return kept
+
+
+def test_a_preconditioner_is_kept_while_it_pays():
+    # beyond the second of a fresh one: 0, 1, 2, 3 s. After that one costs 3 s more, and these
+    # four were (8 + 6)/4 = 3.5 s each with their set-up; after 4 s it would be (8 + 10)/5
+    assert keeps((1.0, 2.0, 3.0, 4.0, 5.0, 1.0), 8.0) == [False, True, True, True, True, False]
+    assert keeps((1.0, 1.0, 5.0, 1.0), 2.0) == [False, True, True, False]
+
+
+def test_what_did_not_pay_is_tried_more_rarely():
+    bad = [1.0, 9.0, 1.0, 9.0, 1.0, 1.0, 9.0, 1.0]
+    assert keeps(bad, 2.0) == [False, True, False, True, False, False, True, False]
 
 
 def test_info_tells_what_solves_and_how_work_is_spread():
