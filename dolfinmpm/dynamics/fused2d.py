@@ -14,6 +14,7 @@ import math
 import numba
 import numpy as np
 
+from dolfinmpm._platform.pruned import pruned
 from dolfinmpm.basis.lattice import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.lanes import (
@@ -83,6 +84,7 @@ def kernel(
     usual = middle_count(degree, averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+    @pruned
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
         line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]

@@ -13,6 +13,7 @@ import math
 import numba
 import numpy as np
 
+from dolfinmpm._platform.pruned import pruned
 from dolfinmpm.basis.lattice import line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
@@ -62,6 +63,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
     cut = general and averaged
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+    @pruned
     def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
         line0, line1, line2, node0, node1, node2, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
