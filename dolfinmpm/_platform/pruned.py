@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import copy
 import functools
 import inspect
 import textwrap
@@ -99,29 +100,42 @@ def pruned(function: Callable) -> Callable:
     known = {name: value for name, value in known.items() if isinstance(value, _CONSTANTS)}
 
     lines, first = inspect.getsourcelines(function)
-    tree = ast.parse(textwrap.dedent("".join(lines)))
-    definition = tree.body[0]
+    definition = ast.parse(textwrap.dedent("".join(lines))).body[0]
     assert isinstance(definition, ast.FunctionDef)
     definition.decorator_list = []
+    again = _compiled(definition, code, first)
+    if any(
+        getattr(again, of) != getattr(code, of) for of in ("co_names", "co_consts", "co_varnames")
+    ):
+        # the file has changed since it was imported
+        return function
     _Pruner(known).visit(definition)
     # a test that is never true keeps all names closed over
     names: list[ast.stmt] = [ast.Expr(ast.Name(name, ast.Load())) for name in code.co_freevars]
     if names:
         definition.body.insert(0, ast.If(ast.Constant(False), names, []))
+    less = types.FunctionType(
+        _compiled(definition, code, first), function.__globals__, function.__name__,
+        function.__defaults__, function.__closure__,
+    )  # fmt: skip
+    return functools.wraps(function)(less)
+
+
+def _compiled(definition: ast.FunctionDef, code: types.CodeType, first: int) -> types.CodeType:
+    """A function's code from its definition, at the lines and with the free names of its old one.
+
+    Args:
+        definition: The definition.
+        code: The old one.
+        first: The line from which the definition's are counted.
+    """
     arguments = [ast.arg(name) for name in code.co_freevars]
     outer = ast.FunctionDef(
         "closed_over", ast.arguments([], arguments, None, [], [], None, []),
-        [definition, ast.Return(ast.Name(function.__name__, ast.Load()))], [],
+        [copy.deepcopy(definition), ast.Return(ast.Name(code.co_name, ast.Load()))], [],
     )  # fmt: skip
     tree = ast.fix_missing_locations(ast.Module([outer], []))
     ast.increment_lineno(tree, first - 1)
     space: dict[str, Any] = {}
-    exec(compile(tree, code.co_filename, "exec"), function.__globals__, space)
-    made = space["closed_over"](*[None] * len(cells)).__code__
-    assert made.co_freevars == code.co_freevars
-    return functools.wraps(function)(
-        types.FunctionType(
-            made, function.__globals__, function.__name__, function.__defaults__,
-            function.__closure__,
-        )
-    )  # fmt: skip
+    exec(compile(tree, code.co_filename, "exec", dont_inherit=True), space)
+    return space["closed_over"](*[None] * len(arguments)).__code__

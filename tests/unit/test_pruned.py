@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from dolfinmpm._platform.pruned import pruned
+from dolfinmpm.dynamics import fused2d, fused3d
+from dolfinmpm.dynamics.passes import LAW, PASSES
 
 LIMIT = 2
 
@@ -85,3 +87,22 @@ def test_lines_are_those_of_the_file():
     with pytest.raises(ZeroDivisionError) as caught:
         pruned(run)(0)
     assert caught.traceback[-1].lineno == run.__code__.co_firstlineno
+
+
+def test_of_a_file_that_has_changed_nothing_is_taken(tmp_path):
+    path = tmp_path / "loops.py"
+    path.write_text(
+        "def of(fine):\n    def run(x):\n        return x if fine else 2 * x\n    return run\n"
+    )
+    space = {"__name__": "loops"}
+    exec(compile(path.read_text(), str(path), "exec"), space)
+    run = space["of"](False)
+    path.write_text(path.read_text().replace("2 * x", "3 * x"))
+    assert pruned(run) is run
+    assert run(1.0) == 2.0
+
+
+@pytest.mark.parametrize("kernel", [fused2d.kernel, fused3d.kernel], ids=["2D", "3D"])
+def test_fused_loops_are_pruned(kernel):
+    loop = kernel(2, 0, LAW, 0, PASSES["usl"][0], False).py_func
+    assert len(loop.__code__.co_code) < 0.7 * len(loop.__wrapped__.__code__.co_code)
