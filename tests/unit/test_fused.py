@@ -127,7 +127,7 @@ PAIRS = [
     (3, "large", "linear", "usl", "flip",
      {"body": mpm.Box((-1, -1, -1), (0.6, 0.4, 0.2)), "courant": 0.03} | PUSHED),
     (3, "small", "linear", "usf", "pic", {"law": LIGHT}),
-    (3, "large", "gimp", "musl", "pic", {"power": 1.3, "law": VARYING}),
+    (3, "large", "gimp", "musl", "pic", {"power": 1.3}),
     (3, "neo", "gimp", "usf", "apic", {"body": mpm.Box((-1, -1, -1), (1, 0.3, 0.6))}),
     (3, "small", "bspline2 averaged", "musl", "apic", {"law": LIGHT, "domains": "fixed"}),
     (3, "jaumann", "bspline2 averaged", "usf", "pic", {"domains": "volume"}),
