@@ -21,7 +21,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.nodes import divide, move_nodes
-from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, PASSES, Pass
+from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import PointArrays
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.window import MARGIN, Means, Prescribed, Window
@@ -122,9 +122,7 @@ class Fused:
             Steps taken, points that changed rank, and why it ended before the last, or None.
         """
         migrated, reason, taken = 0, None, 0
-        scheme = self._settings.scheme
-        *others, main = PASSES[scheme]
-        first = Pass(new=2 if scheme != "usf" else 1)
+        *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
             self._prescribed.drive(begin(taken).t - dt, dt)
             fresh = not self._live
@@ -141,13 +139,13 @@ class Fused:
                 self._loads.evaluate()
                 fresh = fresh or not self._loads.uniform
             if fresh:
-                reason = self._scatter(first, dt)
+                reason = self._scatter(main, dt)
             taken += 1
             last = taken == count
             # what scatters in the last step of all would only be scattered again
             ending = last and not more
             if reason is None:
-                reason = self._step(others, main._replace(new=0) if ending else main, dt, last)
+                reason = self._step(others, main, dt, last, not ending)
             self._travelled += self._reach()
             if reason is None and last:
                 self._laws.scatter()
@@ -175,34 +173,36 @@ class Fused:
 
     # -- passes -----------------------------------------------------------------
 
-    def _pass(self, parts: Pass, dt: float, record: bool = False) -> str | None:
+    def _pass(self, parts: Pass, dt: float, switches: Switches) -> str | None:
         """One pass over the points; why it ended early, or None. Collective."""
         if self._means is None or not parts.strain:
-            return self._once(parts, dt, record)
+            return self._once(parts, dt, switches)
         taken, used = MEANS[self._laws.fbar]
-        self._means.sums[:] = 0.0
-        reason = self._once(Pass(strain=True), dt, False, taken)
-        self._means.take(self._window.rows())
-        return reason or self._once(parts, dt, record, used)
+        reason = None
+        if switches.advance:
+            self._means.sums[:] = 0.0
+            reason = self._once(Pass(strain=True), dt, Switches(), taken)
+            self._means.take(self._window.rows())
+        return reason or self._once(parts, dt, switches, used)
 
-    def _once(self, parts: Pass, dt: float, record: bool, means: int = 0) -> str | None:
+    def _once(self, parts: Pass, dt: float, switches: Switches, means: int = 0) -> str | None:
         general = not self._window.basis.lattice.uniform
         bad, left = -1, len(self._points)
         if left:
             rows, skipped = self._arrays.rows, self._arrays.skipped
             if not general:
-                bad, left, behind = self._loop(parts, dt, record, rows, False, means)
+                bad, left, behind = self._loop(parts, dt, switches, rows, False, means)
                 if bad < 0 and behind:
-                    bad, *_ = self._loop(
-                        Pass(new=parts.new), dt, record, skipped[1, :behind].copy(), True
-                    )
+                    only = switches._replace(advance=False)
+                    late = skipped[1, :behind].copy()
+                    bad, *_ = self._loop(parts, dt, only, late, True, means)
                 rows = skipped[0]
             if bad < 0 and left:
-                bad, *_ = self._loop(parts, dt, record, rows[:left].copy(), True, means)
+                bad, *_ = self._loop(parts, dt, switches, rows[:left].copy(), True, means)
         return self._together(bad)
 
     def _loop(
-        self, parts: Pass, dt: float, record: bool, rows, general: bool, means: int = 0
+        self, parts: Pass, dt: float, switches: Switches, rows, general: bool, means: int = 0
     ) -> tuple[int, int, int]:
         laws, arrays, window, mapping = (
             self._laws, self._arrays, self._window, self._settings.mapping
@@ -216,7 +216,7 @@ class Fused:
             kind, data = (*kind, means), (*data, self._means.sums, arrays.J_bar)
         loop = laws.kernel(self._points.gdim)(*kind)
         return loop(
-            window.grid, window.nodes, window.out, data, laws.table, dt, share, record, rows,
+            window.grid, window.nodes, window.out, data, laws.table, dt, share, *switches, rows,
             arrays.skipped, self.done,
         )  # fmt: skip
 
@@ -235,12 +235,13 @@ class Fused:
 
     def _scatter(self, parts: Pass, dt: float) -> str | None:
         self._window.out[:] = 0.0
-        reason = self._pass(parts, dt)
+        reason = self._pass(parts, dt, Switches(advance=False))
         self._window.add_up()
         return reason
 
-    def _step(self, others, main: Pass, dt: float, record: bool) -> str | None:
+    def _step(self, others, main: Pass, dt: float, record: bool, scatter: bool) -> str | None:
         """One step from what has been scattered. Collective."""
+        switches = Switches(record, scatter=scatter)
         window, prescribed, settings = self._window, self._prescribed, self._settings
         d = self._points.gdim
         columns, box = COLUMNS[d], window.rows()
@@ -251,7 +252,7 @@ class Fused:
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
             divide(box, columns, out, 0, nodes, fixed, before, False)
-            reason = self._pass(others[0], dt, record)
+            reason = self._pass(others[0], dt, switches)
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
                 return reason
@@ -262,13 +263,13 @@ class Fused:
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):
-            reason = self._pass(others[0], dt, record)
+            reason = self._pass(others[0], dt, switches)
             window.add_up(columns.second, columns.second + d)
             if reason is not None:
                 return reason
             divide(box, columns, out, columns.second, nodes, fixed, prescribed.after, True)
-        reason = self._pass(main, dt, record)
-        if main.new:
+        reason = self._pass(main, dt, switches)
+        if scatter:
             window.add_up()
         if changes is not None:
             self._points["acceleration"][:] = changes / dt

@@ -14,6 +14,7 @@ import math
 import numba
 import numpy as np
 
+from dolfinmpm._platform.pruned import pruned
 from dolfinmpm.basis.lattice import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.lanes import (
@@ -60,11 +61,13 @@ def kernel(
 ):
     """The loop for a basis, a measure of strain, an affine part and the parts of a pass.
 
-    `kernel(grid, nodes, out, points, law, dt, share, record, rows, skipped, done)` returns the
-    first bad point or -1, and the numbers of points skipped and not scattered; see `Window`,
-    `PointArrays` and `Laws` for what the tuples hold. A general one takes the points of `rows`,
-    wherever they are; the others take all points, and skip what `middle_weights` does not know.
-    `record` tells whether what only others read is written: accelerations, volumes, stresses.
+    `kernel(grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped,
+    done)` returns the first bad point or -1, and the numbers of points skipped and not scattered;
+    see `Window`, `PointArrays` and `Laws` for what the tuples hold. A general one takes the points
+    of `rows`, wherever they are; the others take all points, and skip what `middle_weights` does
+    not know. `record` tells whether what only others read is written: accelerations, volumes,
+    stresses. Without `advance` points only scatter where they are, as `new` tells, and without
+    `scatter` they do not: the first pass of all and the last one need no loops of their own.
     Growth of domains (0: points have none) and `means` of F-bar are told in
     `dolfinmpm.dynamics.passes`.
     """
@@ -83,7 +86,10 @@ def kernel(
     usual = middle_count(degree, averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
+    @pruned
+    def run(
+        grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
+    ):  # fmt: skip
         line0, line1, node0, node1, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
         tau_old, e_out, body = points[13:16]
@@ -128,7 +134,7 @@ def kernel(
             mp, vp = m[p], V0[p]
             if not alike:
                 g0, g1 = body[p, 0], body[p, 1]
-            if velocity or strain or move or same:
+            if advance and (velocity or strain or move or same):
                 n0 = n1 = usual
                 if general:
                     i0, n0 = overlapped(line0, uniform, x0, l0)
@@ -405,7 +411,7 @@ def kernel(
                     x0, x1 = x0 + dt * v0, x1 + dt * v1
                     x[p, 0], x[p, 1] = x0, x1
                     # the others ask where they scatter
-                    asks = general or not new
+                    asks = general or not (new and scatter)
                     if asks and not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
                         return np.intp(p), left, behind
                     way = max(abs(v0) * fine0, abs(v1) * fine1) * dt
@@ -427,7 +433,7 @@ def kernel(
                         l0, l1 = k00, k11
                         half[p, 0], half[p, 1] = l0, l1
                     fastest = max(fastest, way)
-            if new:
+            if new and scatter:
                 n0 = n1 = usual
                 if general:
                     i0, n0 = overlapped(line0, uniform, x0, l0)
@@ -447,7 +453,7 @@ def kernel(
                 if i0 < low0 or i1 < low1 or i0 + n0 > top0 or i1 + n1 > top1:
                     return np.intp(p), left, behind
                 base = i0 * row + i1 * STRIDE
-                if new == 2 and not strain:
+                if new == 2 and not (strain and advance):
                     t00, t11, t01 = tau_old[p, 0], tau_old[p, 1], tau_old[p, 2]
                 if new == 1:
                     P = four(mp * v[p, 0], mp * v[p, 1], 0.0, 0.0)

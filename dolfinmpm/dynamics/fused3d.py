@@ -13,6 +13,7 @@ import math
 import numba
 import numpy as np
 
+from dolfinmpm._platform.pruned import pruned
 from dolfinmpm.basis.lattice import line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
@@ -62,7 +63,10 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
     cut = general and averaged
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    def run(grid, nodes, out, points, law, dt, share, record, rows, skipped, done):
+    @pruned
+    def run(
+        grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
+    ):  # fmt: skip
         line0, line1, line2, node0, node1, node2, uniform, origin, shape, first, last, fine = grid
         x, half, half0, v, C, F, V, V0, m, state, internal, stress, acceleration = points[:13]
         tau_old, _, body = points[13:]
@@ -103,7 +107,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
             mp, vp = m[p], V0[p]
             if not alike:
                 g0, g1, g2 = body[p, 0], body[p, 1], body[p, 2]
-            if velocity or strain or move or same:
+            if advance and (velocity or strain or move or same):
                 n0 = n1 = n2 = usual
                 if general:
                     i0, n0 = overlapped(line0, uniform, x0, l0)
@@ -395,7 +399,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                     x0, x1, x2 = x0 + dt * v0, x1 + dt * v1, x2 + dt * v2
                     x[p, 0], x[p, 1], x[p, 2] = x0, x1, x2
                     # the others ask where they scatter
-                    if (general or not new) and not (
+                    if (general or not (new and scatter)) and not (
                         start0 <= x0 <= end0 and start1 <= x1 <= end1 and start2 <= x2 <= end2
                     ):
                         return np.intp(p), left, behind
@@ -433,7 +437,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                         l0, l1, l2 = k00, k11, k22
                         half[p, 0], half[p, 1], half[p, 2] = l0, l1, l2
                     fastest = max(fastest, way)
-            if new:
+            if new and scatter:
                 n0 = n1 = n2 = usual
                 if general:
                     i0, n0 = overlapped(line0, uniform, x0, l0)
@@ -460,7 +464,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                 if i0 + n0 > top0 or i1 + n1 > top1 or i2 + n2 > top2:
                     return np.intp(p), left, behind
                 base = i0 * layer + i1 * row + i2 * STRIDE
-                if new == 2 and not strain:
+                if new == 2 and not (strain and advance):
                     t00, t11, t22 = tau_old[p, 0], tau_old[p, 1], tau_old[p, 2]
                     t01, t12, t02 = tau_old[p, 3], tau_old[p, 4], tau_old[p, 5]
                 P = four(mp * v[p, 0], mp * v[p, 1], mp * v[p, 2], mp)

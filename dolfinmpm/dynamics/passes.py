@@ -15,6 +15,7 @@ __all__ = [
     "PASSES",
     "SMALL",
     "Pass",
+    "Switches",
 ]
 
 # What compiled sums may do with floating-point numbers: reorder and contract them, nothing else.
@@ -48,6 +49,20 @@ class Pass(NamedTuple):
     move: bool = False
     same: int = 0
     new: int = 0
+
+
+class Switches(NamedTuple):
+    """What is chosen when a pass runs, and compiles nothing anew.
+
+    Attributes:
+        record: Whether it writes what only others read: accelerations, volumes, stresses.
+        advance: Whether points take part in all of it; if not, they only scatter as `Pass.new`.
+        scatter: Whether they do that.
+    """
+
+    record: bool = False
+    advance: bool = True
+    scatter: bool = True
 
 
 class Columns(NamedTuple):

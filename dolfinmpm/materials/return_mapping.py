@@ -48,6 +48,13 @@ def _evaluate(function, z, out):
 
 
 @numba.njit(error_model="numpy")
+def _copy(values, to):
+    # an assignment of slices compiles sentences about shapes that differ, which takes seconds
+    for i in range(values.shape[0]):
+        to[i] = values[i]
+
+
+@numba.njit(error_model="numpy")
 def _solve(A, b):
     """Solve A X = B in place by elimination with pivots; whether A is regular."""
     n, m = b.shape
@@ -140,9 +147,10 @@ def _equalise(trial, strain, stress):
 @numba.njit(error_model="numpy")
 def _correction(J, r, work, step):
     """Write J⁻¹ r; returns its largest part, which does not depend on how r is scaled."""
-    work[:] = J
     for i in range(5):
         step[i, 0] = r[i]
+        for j in range(5):
+            work[i, j] = J[i, j]
     if not _solve(work, step):
         return math.inf
     worst = 0.0
@@ -189,7 +197,7 @@ def _newton(
             share *= 0.5
         else:
             return False
-        x[:] = new
+        _copy(new, x)
     return False
 
 
@@ -254,10 +262,10 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
             work, step, next_step, move,
         ):  # fmt: skip
             done = min(done + part, 1.0)
-            kept[:] = x
+            _copy(x, kept)
             part *= 2.0
         else:
-            x[:] = kept
+            _copy(kept, x)
             part *= 0.25
             if part < 1e-6:
                 return 2
