@@ -62,6 +62,7 @@ def solver_figures(problem: Any) -> dict[str, Any]:
         "active_cells": problem.here.active_cells if problem.here is not None else None,
         "unknowns": history[-1].unknowns if history else 0,
         "migrated": sum(record.migrated for record in history),
+        "imbalance": max((record.imbalance for record in history), default=1.0),
         "ranks": problem.comm.size,
     }
 

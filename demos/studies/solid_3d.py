@@ -38,6 +38,7 @@ options.add_argument(
 options.add_argument("--stabilisation", default="ghost", help="a remedy against small cuts")
 options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
 options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
+options.add_argument("--rtol", type=float, help="of linear systems; what Newton can use by default")
 args = options.parse_args()
 
 
@@ -90,7 +91,10 @@ def run(n, cut):
     F -= ufl.inner(points.density * gravity, v) * points.dX
     sides = ("left", "front") if args.scene == "block" else ("left", "front", "back")
     bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, tolerance=1e-8, stabilisation=args.stabilisation)
+    given = {} if args.rtol is None else {"ksp_rtol": args.rtol}
+    problem = mpm.QuasiStatic(
+        F, u, points, bcs, tolerance=1e-8, stabilisation=args.stabilisation, petsc_options=given
+    )
     steps = args.steps or (2 if args.scene == "block" else 10)
     started = time.perf_counter()
     for k in range(steps):
