@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     raise_together,
@@ -146,7 +147,7 @@ class QuasiStatic(Problem):
         After an error the state, and the load, are those of the last converged
         part of the step.
         """
-        started = time.perf_counter()
+        started, watch = time.perf_counter(), stages.Watch()
         self._record = record = self._of_step()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         self._loads.aim()
@@ -173,7 +174,7 @@ class QuasiStatic(Problem):
         finally:
             self._loads.release()
         self._share = share
-        record.seconds = time.perf_counter() - started
+        record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
 
@@ -214,7 +215,8 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
         operator = self._operator(step)
-        outcome = self.solver.solve(operator)
+        with stages.solve:
+            outcome = self.solver.solve(operator)
         record.iterations += outcome.iterations
         record.residuals = outcome.residuals
         record.unknowns = operator.here.unknowns.total
@@ -224,7 +226,8 @@ class QuasiStatic(Problem):
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
         record.migrated += commit(points, state)
-        operator.fill_functions()
+        with stages.commit:
+            operator.fill_functions()
         return None
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from dolfinmpm._platform.stages import NAMES
+
 __all__ = ["Failed", "Step", "StepRecord"]
 
 
@@ -49,6 +51,10 @@ class StepRecord:
         unknowns: Unknowns in the last part.
         migrated: Points that changed rank.
         seconds: Wall time (s).
+        stages: Wall time of its parts (s), and of what was written before the next step
+            ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
+            are all of it but what looks at loads and chooses the length of steps. Of this
+            process, as `seconds` are.
     """
 
     iterations: int = 0
@@ -58,3 +64,4 @@ class StepRecord:
     unknowns: int = 0
     migrated: int = 0
     seconds: float = 0.0
+    stages: dict[str, float] = field(default_factory=lambda: dict.fromkeys(NAMES, 0.0))
