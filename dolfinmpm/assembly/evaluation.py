@@ -296,7 +296,8 @@ class _Region:
         # a law that fails on the way leaves the rest as it was
         self._known -= set(asked)
         for first, last in self._chunks():
-            with stages.evaluate:
+            stages.evaluate.enter()
+            try:
                 rows = s.order[s.groups[first] : s.groups[last]]
                 data = self._taken(plain, rows)
                 for k in asked:
@@ -317,6 +318,8 @@ class _Region:
                 out: list[Array] = [np.empty((rows.size, program.size)) for program in programs]
                 for program, values in zip(programs, out):
                     program.run(data, values)
+            finally:
+                stages.evaluate.leave()
             yield first, last, out
         self._known |= {k for k in asked if k in self._kept}
 

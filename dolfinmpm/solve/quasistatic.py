@@ -215,8 +215,7 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
         operator = self._operator(step)
-        with stages.solve:
-            outcome = self.solver.solve(operator)
+        outcome = self.solver.solve(operator)
         record.iterations += outcome.iterations
         record.residuals = outcome.residuals
         record.unknowns = operator.here.unknowns.total

@@ -87,7 +87,7 @@ def test_a_stage_ends_with_an_error(ticks):
     with stages.solve:
         pass
     assert watch.stop()["evaluate"] == 1.0
-    assert not stages._clock.entered
+    assert not stages._entered
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_stages_are_all_of_a_step_but_what_looks_at_loads(kind, monkeypatch):
     inside, clock = [0], Ticks()
 
     def reading():
-        inside[0] += bool(stages._clock.entered)
+        inside[0] += bool(stages._entered)
         return clock()
 
     monkeypatch.setattr(stages, "perf_counter", reading)
@@ -147,6 +147,20 @@ def test_a_history_takes_them_as_columns():
         history.record(load=k, **record.stages)
     assert history.names == ("load", *stages.NAMES)
     assert np.all(history["evaluate"] > 0)
+
+
+def test_what_is_switched_off_measures_nothing(ticks):
+    problem, g = block()
+    stages.measure(False)
+    try:
+        record = take(problem, g)
+    finally:
+        stages.measure(True)
+    assert ticks.now == 0
+    assert record.stages == dict.fromkeys(stages.NAMES, 0.0)
+    with stages.solve, pytest.raises(RuntimeError, match="between steps"):
+        stages.measure(False)
+    assert sum(take(problem, g, 2).stages.values()) > 0
 
 
 LOGGED = """
