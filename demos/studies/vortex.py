@@ -53,7 +53,7 @@ BASES = ("linear", "gimp", "bspline2", "bspline3")
 
 
 # %%
-def arguments():
+def arguments(words=None):
     """The command line."""
     options = parser("A ring turns within itself: observed orders in space and time.")
     options.add_argument("--basis", choices=(*BASES, "all"), default="bspline2")
@@ -83,7 +83,7 @@ def arguments():
         help="of implicit runs for the order in time, by commas; explicit ones take 8 times that",
     )  # fmt: skip
     options.add_argument("--time-cells", type=int, default=8, help="cells for the order in time")
-    given = options.parse_args()
+    given = options.parse_args(words)
     if min(given.cells) < 4 or given.points_per_cell < 1 or min(given.steps) < 1:
         options.error("there must be at least 4 cells a unit, a point a cell, and a step")
     return given
@@ -262,54 +262,12 @@ def position_by_id(points):
     return None if rows is None else rows[1][np.argsort(rows[0])]
 
 
-# %%
-args = arguments()
-bases = BASES if args.basis == "all" else (args.basis,)
-integrators = ("implicit", "explicit") if args.integrator == "both" else (args.integrator,)
-space, times, runs, overall, last = {}, {}, [], {}, None
-for integrator in integrators:
-    space[integrator] = {}
-    for basis in bases:
-        rows = []
-        for cells in args.cells:
-            figures, last = ring(args, integrator, basis, cells)
-            rows.append(figures)
-        for key in ("displacement", "velocity"):
-            values = [r[key] for r in rows]
-            orders = study.observed_orders([r["h"] for r in rows], values)
-            for row, order in zip(rows, [np.nan, *orders]):
-                row[f"{key}_order"] = float(order) if np.isfinite(order) else None
-            fitted = study.overall_order([r["h"] for r in rows], values)
-            overall.setdefault(f"{integrator}, {basis}", {})[key] = (
-                fitted if np.isfinite(fitted) else None
-            )
-            say(
-                f"{integrator}, {basis:9s} {key:13s}",
-                *(
-                    ("stopped" if r[key] is None else format(r[key], ".2e"))
-                    + (f" ({r[key + '_order']:.2f})" if r[key + "_order"] is not None else "")
-                    for r in rows
-                ),
-                f" overall {fitted:.2f}",
-            )
-        space[integrator][basis] = rows
-        runs += [{"integrator": integrator, "basis": basis, **r} for r in rows]
-    chosen = "bspline2" if "bspline2" in bases else bases[0]
-    times[integrator] = rows = in_time(args, integrator, chosen)
-    say(
-        f"{integrator}, {chosen}, order in time:",
-        *(
-            f"{r['difference']:.2e}" + ("" if r["order"] is None else f" ({r['order']:.2f})")
-            for r in rows
-        ),
-    )
-
 # %% [markdown]
-# ## Picture and table
+# ## Picture
 
 
 # %%
-def picture(path, state):
+def picture(path, args, space, times, state):
     """Draw the ring with the lines that were radii, and the errors over cells and steps."""
     with mpm.figure(path, 7.2, 2.7, ncols=3, width_ratios=(1.1, 1, 1)) as (_, axes):
         x, x0, l0 = state
@@ -353,13 +311,59 @@ def picture(path, state):
         axes[2].legend()
 
 
-if not args.no_plot:
-    study.write_table(runs, args.output / "vortex.csv")
-    state = last.gather("x", "x0", "l0")
-    if state is not None:
-        picture(args.output / "vortex.png", state)
+# %% [markdown]
+# ## Runs
 
-finish(
-    args,
-    {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
-)
+# %%
+if __name__ == "__main__":
+    args = arguments()
+    bases = BASES if args.basis == "all" else (args.basis,)
+    integrators = ("implicit", "explicit") if args.integrator == "both" else (args.integrator,)
+    space, times, runs, overall, last = {}, {}, [], {}, None
+    for integrator in integrators:
+        space[integrator] = {}
+        for basis in bases:
+            rows = []
+            for cells in args.cells:
+                figures, last = ring(args, integrator, basis, cells)
+                rows.append(figures)
+            for key in ("displacement", "velocity"):
+                values = [r[key] for r in rows]
+                orders = study.observed_orders([r["h"] for r in rows], values)
+                for row, order in zip(rows, [np.nan, *orders]):
+                    row[f"{key}_order"] = float(order) if np.isfinite(order) else None
+                fitted = study.overall_order([r["h"] for r in rows], values)
+                overall.setdefault(f"{integrator}, {basis}", {})[key] = (
+                    fitted if np.isfinite(fitted) else None
+                )
+                say(
+                    f"{integrator}, {basis:9s} {key:13s}",
+                    *(
+                        ("stopped" if r[key] is None else format(r[key], ".2e"))
+                        + (f" ({r[key + '_order']:.2f})" if r[key + "_order"] is not None else "")
+                        for r in rows
+                    ),
+                    f" overall {fitted:.2f}",
+                )
+            space[integrator][basis] = rows
+            runs += [{"integrator": integrator, "basis": basis, **r} for r in rows]
+        chosen = "bspline2" if "bspline2" in bases else bases[0]
+        times[integrator] = rows = in_time(args, integrator, chosen)
+        say(
+            f"{integrator}, {chosen}, order in time:",
+            *(
+                f"{r['difference']:.2e}" + ("" if r["order"] is None else f" ({r['order']:.2f})")
+                for r in rows
+            ),
+        )
+
+    if not args.no_plot:
+        study.write_table(runs, args.output / "vortex.csv")
+        state = last.gather("x", "x0", "l0")
+        if state is not None:
+            picture(args.output / "vortex.png", args, space, times, state)
+
+    finish(
+        args,
+        {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
+    )
