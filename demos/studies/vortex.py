@@ -40,7 +40,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from scene import draw_points, finish, numbers, parser, say, stage_seconds
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -202,7 +202,7 @@ def ring(args, integrator, basis, cells, steps=None):
         points["velocity"] = exact(args, points["x0"], -0.5 * end / steps)[1]
     figures = {"h": 1 / cells, "cells": cells, "steps": steps, "points": points.total}
     figures |= dict.fromkeys(("displacement", "velocity"))
-    started = time.perf_counter()
+    started, processor = time.perf_counter(), time.process_time()
     try:
         for now in mpm.times(end, end / steps, label=f"{integrator}, {basis}, {cells} cells"):
             problem.step(now)
@@ -222,6 +222,8 @@ def ring(args, integrator, basis, cells, steps=None):
             figures[key] = float(np.sqrt(square / sums[0]) / scale)
     figures["substeps"] = sum(record.parts for record in problem.history)
     figures["seconds"] = time.perf_counter() - started
+    figures["seconds_processor"] = time.process_time() - processor
+    figures["stages"] = stage_seconds(problem)
     return figures, points
 
 
@@ -358,7 +360,8 @@ if __name__ == "__main__":
         )
 
     if not args.no_plot:
-        study.write_table(runs, args.output / "vortex.csv")
+        rows = [{k: v for k, v in run.items() if k != "stages"} for run in runs]
+        study.write_table(rows, args.output / "vortex.csv")
         state = last.gather("x", "x0", "l0")
         if state is not None:
             picture(args.output / "vortex.png", args, space, times, state)
