@@ -2,12 +2,12 @@
 # # Time against error, and how both grow
 #
 # - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
-#   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within itself —
-#   in all bases, refinements, points a cell and remedies: processor time of the steps against the
+#   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
+#   itself — in all bases, refinements, points a cell and remedies: processor time of the steps against the
 #   error, and what a step's time consists of.
 # - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
-#   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or DOLFINx
-#   send by MPI themselves is not counted.
+#   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
+#   DOLFINx send by MPI themselves is not counted.
 # - **Other codes** (`--peers`): Kratos on the column, in turn with ours, medians of five. Where pip
 #   put it in a folder of its own, the variable `PEERS` names it. For explicit steps see
 #   `explicit_speed.py --peers`.

@@ -95,7 +95,7 @@ def time_cases(args):
 
 
 def time_remedies(args):
-    """What remedies cost: runs of all take turns, so that what else the machine does meets all alike."""
+    """What remedies cost; runs of all take turns, so that what else goes on meets all."""
     remedies = REMEDIES if args.remedies == "all" else (args.remedies or "").split(",")
     costs: dict[str, dict] = {}
     for basis in args.bases.split(",") if args.remedies else ():
@@ -135,10 +135,16 @@ def time_laws(args):
         for name, law, shift in (
             ("von Mises", materials.VonMises(**elastic, yield_stress=1e3), 0.0),
             ("Tresca", materials.Tresca(**elastic, cohesion=1e3), 0.0),
-            ("Mohr–Coulomb", materials.MohrCoulomb(**elastic, cohesion=1e3, friction_angle=30), -0.02),
+            (
+                "Mohr–Coulomb",
+                materials.MohrCoulomb(**elastic, cohesion=1e3, friction_angle=30),
+                -0.02,
+            ),
             (
                 "Drucker–Prager",
-                materials.DruckerPrager(**elastic, cohesion=1e3, friction_angle=30, dilation_angle=0),
+                materials.DruckerPrager(
+                    **elastic, cohesion=1e3, friction_angle=30, dilation_angle=0
+                ),
                 -0.02,
             ),
             (
@@ -158,9 +164,7 @@ def time_laws(args):
                 seconds.append(time.perf_counter() - started)
             yielding = np.mean(np.any(response.strain != strains + shift, axis=1))
             laws[name] = 1e-6 * len(strains) / statistics.median(seconds)
-            say(
-                f"{name:14s} {laws[name]:6.2f} million points a second, {yielding:.0%} of them yield"
-            )
+            say(f"{name:14s} {laws[name]:6.2f} million points a second, {yielding:.0%} yield")
     return laws
 
 

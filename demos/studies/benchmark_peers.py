@@ -1,4 +1,4 @@
-"""Other codes on scenes of the benchmark, in turn with ours, so that the machine meets all alike."""
+"""Other codes on scenes of the benchmark, in turn with ours, for the machine's sake."""
 
 from __future__ import annotations
 
