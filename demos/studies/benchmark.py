@@ -3,8 +3,8 @@
 #
 # - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
 #   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
-#   itself — in all bases, refinements, points a cell and remedies: processor time of the steps against the
-#   error, and what a step's time consists of.
+#   itself — in all bases, refinements, points a cell and remedies: processor time of the steps
+#   against the error, and what a step's time consists of.
 # - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
 #   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
 #   DOLFINx send by MPI themselves is not counted.

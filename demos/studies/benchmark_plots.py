@@ -59,12 +59,14 @@ def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any
             ax.set_title(name)
             ax.set(xlabel="processor time (s)", ylabel=f"error: {SCENES[name].error}")
             for axis in (ax.xaxis, ax.yaxis):
-                axis.set_minor_formatter(NullFormatter())
                 low, high = axis.get_view_interval()
-                if np.log10(high / low) < 1.3:
-                    # within one decade whole powers are too few to read
+                # at least a decade: fewer have no whole powers to read
+                more = max(1.0, (10.0 * low / high) ** 0.5)
+                axis.set_view_interval(low / more, high * more, ignore=True)
+                if high / low < 20:
                     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
                     axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(NullFormatter())
         bases = [basis for basis in BASES if any(run.basis == basis for run in runs)]
         remedies = [r for r in MARKERS if any(run.remedy == r for run in runs)]
         handles = [Line2D([], [], color=COLOURS[b], lw=2, label=NAMES[b]) for b in bases]
@@ -73,7 +75,12 @@ def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any
             Line2D([], [], ls="", marker=MARKERS[r], color="0.3", label=words.get(r, r))
             for r in remedies
         ]
-        if len({run.per_cell for run in runs if run.basis != "bspline3"}) > 1:
+        if any(
+            len(SCENES[name].per_cell) > 1
+            and len({run.per_cell for run in runs if run.scene == name and run.basis != "bspline3"})
+            > 1
+            for name in names
+        ):
             handles.append(
                 Line2D([], [], ls=":", marker="o", mfc="white", color="0.3",
                        label="more points a cell")
@@ -111,6 +118,8 @@ def stages(path: Any, runs: Sequence[Run]) -> None:
 
 def growth(path: Any, found: dict[str, Any]) -> None:
     """Processor seconds a step against points, cells and ranks."""
+    from matplotlib.ticker import NullLocator
+
     kinds = list(dict.fromkeys(name.partition(",")[0] for name in found))
     with mpm.figure(path, 2.6 * len(kinds), 2.5, ncols=len(kinds), squeeze=False) as (_, axes):
         for kind, ax in zip(kinds, axes[0]):
@@ -131,9 +140,9 @@ def growth(path: Any, found: dict[str, Any]) -> None:
             ax.set(xlabel=f"{kind}", ylabel="processor time of a step (s)")
             low, high = ax.get_ylim()
             # room for the legend
-            ax.set_ylim(low, high * (high / low) ** 0.35)
+            ax.set_ylim(low, high * (high / low) ** 0.5)
             ax.legend(title="fitted exponents", title_fontsize=7, loc="upper left")
             if kind == "ranks":
                 known = sorted({row["ranks"] for s in own.values() for row in s["rows"]})
                 ax.set_xticks(known, [str(k) for k in known])
-                ax.xaxis.set_minor_locator(__import__("matplotlib").ticker.NullLocator())
+                ax.xaxis.set_minor_locator(NullLocator())

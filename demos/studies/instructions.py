@@ -37,11 +37,15 @@ def can_count() -> bool:
     return bool(shutil.which("valgrind") and shutil.which("cc"))
 
 
-def count(script: str | Path, *arguments: str) -> dict[str, Any]:
+def count(script: str | Path, *arguments: str, alone: bool = False) -> dict[str, Any]:
     """Run a script whose last line is JSON, and count what it asks for; returns the JSON.
 
     The script runs twice where instructions are counted: first alone, to compile all that it
     needs, since compiling takes valgrind minutes.
+
+    Args:
+        script, arguments: What to run.
+        alone: Whether it is to run without valgrind in any case.
     """
     with tempfile.TemporaryDirectory() as folder:
         # valgrind's processor is none that exists; what is compiled for both must be the same
@@ -52,7 +56,7 @@ def count(script: str | Path, *arguments: str) -> dict[str, Any]:
         }  # fmt: skip
         command = [sys.executable, str(script), *arguments]
         first = _run(command, own)
-        if not can_count():
+        if alone or not can_count():
             return first
         source = Path(folder, "requests.c")
         source.write_text(REQUESTS)
