@@ -130,7 +130,8 @@ CUTS, PLASTIC, FOOTING = "Small cuts", "Plasticity", "Footings"
 SPEED, MOTION = "Time and memory", "Motion"
 SIZES = tuple(f"--elements {n}" for n in (4, 16, 64, 256))
 TWO_D = "--dimension 2 --offsets 200"
-TIMES = each("benchmark", "--scenes= --growth=")
+ALONE = "--scenes= --growth="
+TIMES = each("benchmark", ALONE)
 
 ROWS = (
     Row("column-gimp", COLUMN, "error of the stress, GIMP, 2² points, 4, 16, 64, 256 elements",
@@ -212,7 +213,7 @@ ROWS = (
         kappa_of("ghost", "aggregation", "derivative jumps"), "{:.2g}, {:.2g}, {:.3g}",
         "without: singular"),
     Row("cuts-cost", CUTS, "calls of the remedies' code a step, no remedy",
-        each("benchmark", "--repeat 1 --cases 1x64 --bases gimp --remedies none --scenes= --growth="),
+        each("benchmark", f"--repeat 1 --cases 1x64 --bases gimp --remedies none {ALONE}"),
         lambda a: [a["remedies"]["gimp 1x64 none"]["remedy_calls_per_step"]], "{:.0f}",
         quick=True),
     Row("collapse", PLASTIC, "collapse of a block, 9216 points, 40 steps: Newton iterations a "
@@ -278,11 +279,11 @@ ROWS = (
         lambda a: [1e-3 * a["cases"]["gimp 16x256"]["bytes_per_point"]], "{:.1f}"),
     Row("time-laws", SPEED, "laws with their tangents, million points a second, all yielding: "
         "von Mises, Tresca, Mohr–Coulomb, Drucker–Prager, Cam-Clay",
-        each("benchmark", "--cases= --scenes= --growth= --laws"), lambda a: a["laws"].values(),
+        each("benchmark", f"--cases= {ALONE} --laws"), lambda a: a["laws"].values(),
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
     Row("time-facets", SPEED, "ghost penalty, assembly of a facet in 2D: linear functions, GIMP, "
         "quadratic, cubic splines (µs)",
-        each("benchmark", "--cases= --scenes= --growth= --facets --bases linear,gimp,bspline2,bspline3"),
+        each("benchmark", f"--cases= {ALONE} --facets --bases linear,gimp,bspline2,bspline3"),
         lambda a: a["facets"].values(), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
     Row("precision", SPEED, "least errors within 2 s: column, cantilever, footing, collapse, "
         "vortex (%)", each("benchmark", "--cases= --growth="), least_error,

@@ -112,7 +112,8 @@ def test_benchmark_of_work_and_precision(tmp_path):
 
 
 def test_skip_table():
-    found = run("skip_table", *"--cells 6 --steps 2 --calls --only F-bar,yielding,tangent".split())
+    options = "--cells 6 --steps 2 --calls --only F-bar,yielding,tangent"
+    found = run("skip_table", *options.split())
     rows = {row["feature"]: row for row in found["rows"]}
     assert found["unit"] == "calls"
     for row in rows.values():
