@@ -172,7 +172,7 @@ class _Output(Stage):
 def measure(on: bool) -> None:
     """Switch all measurement on, as it is at first, or off: records of steps then say 0 s.
 
-    On it takes 0.5 % of a step of 256 points, and less of larger ones; off, less than 0.1 %.
+    What it takes on and off `demos/studies/skip_table.py --only stages` counts.
 
     Raises:
         RuntimeError: A step is being taken.
