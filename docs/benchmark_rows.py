@@ -105,12 +105,33 @@ def cases(key: str, *names: str) -> Callable[[Answer], list[float]]:
     return lambda answer: [answer["cases"][name][key] for name in names]
 
 
+def exponents(*names: str) -> Callable[[Answer], list[float]]:
+    """Reads fitted exponents of series of `benchmark.py`."""
+    return lambda answer: [answer["growth"][name]["exponent"] for name in names]
+
+
+def least_error(answer: Answer) -> list[float]:
+    """Least error of each scene of `benchmark.py` among runs of no more than 2 s."""
+    errors: dict[str, list[float]] = {}
+    for run in answer["runs"]:
+        if run["error"] is not None and run["seconds"] <= 2.0:
+            errors.setdefault(run["scene"], []).append(run["error"])
+    return [100 * min(values) for values in errors.values()]
+
+
+def skipped(answer: Answer) -> list[float]:
+    """Largest cost of what is off, and calls of its functions."""
+    rows = [row for row in answer["rows"] if row["off"] is not None and row["stubbed"]]
+    return [100 * max(abs(row["off"]) for row in rows), sum(row["off_calls"] for row in rows)]
+
+
 COLUMN, BEAM, ORDER = "The compacting column", "Elasticity", "A manufactured solution"
 CUTS, PLASTIC, FOOTING = "Small cuts", "Plasticity", "Footings"
 SPEED, MOTION = "Time and memory", "Motion"
 SIZES = tuple(f"--elements {n}" for n in (4, 16, 64, 256))
 TWO_D = "--dimension 2 --offsets 200"
-TIMES = each("benchmark", "")
+ALONE = "--scenes= --growth="
+TIMES = each("benchmark", ALONE)
 
 ROWS = (
     Row("column-gimp", COLUMN, "error of the stress, GIMP, 2² points, 4, 16, 64, 256 elements",
@@ -192,7 +213,7 @@ ROWS = (
         kappa_of("ghost", "aggregation", "derivative jumps"), "{:.2g}, {:.2g}, {:.3g}",
         "without: singular"),
     Row("cuts-cost", CUTS, "calls of the remedies' code a step, no remedy",
-        each("benchmark", "--repeat 1 --cases 1x64 --bases gimp --remedies none"),
+        each("benchmark", f"--repeat 1 --cases 1x64 --bases gimp --remedies none {ALONE}"),
         lambda a: [a["remedies"]["gimp 1x64 none"]["remedy_calls_per_step"]], "{:.0f}",
         quick=True),
     Row("collapse", PLASTIC, "collapse of a block, 9216 points, 40 steps: Newton iterations a "
@@ -258,12 +279,22 @@ ROWS = (
         lambda a: [1e-3 * a["cases"]["gimp 16x256"]["bytes_per_point"]], "{:.1f}"),
     Row("time-laws", SPEED, "laws with their tangents, million points a second, all yielding: "
         "von Mises, Tresca, Mohr–Coulomb, Drucker–Prager, Cam-Clay",
-        each("benchmark", "--cases= --laws"), lambda a: a["laws"].values(),
+        each("benchmark", f"--cases= {ALONE} --laws"), lambda a: a["laws"].values(),
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
     Row("time-facets", SPEED, "ghost penalty, assembly of a facet in 2D: linear functions, GIMP, "
         "quadratic, cubic splines (µs)",
-        each("benchmark", "--cases= --facets --bases linear,gimp,bspline2,bspline3"),
+        each("benchmark", f"--cases= {ALONE} --facets --bases linear,gimp,bspline2,bspline3"),
         lambda a: a["facets"].values(), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("precision", SPEED, "least errors within 2 s: column, cantilever, footing, collapse, "
+        "vortex (%)", each("benchmark", "--cases= --growth="), least_error,
+        "{:.2g}, {:.2g}, {:.2g}, {:.2g}, {:.2g}"),
+    Row("growth", SPEED, "exponents of processor time a step: points, explicit and implicit; cells "
+        "around a body, explicit and implicit", each("benchmark", "--cases= --scenes="),
+        exponents("points, explicit", "points, implicit", "cells, explicit", "cells, implicit"),
+        "{:.2f}, {:.2f}; {:.2f}, {:.2f}", "1, 1; 0, 0"),
+    Row("skip", SPEED, "instructions of a step that optional features take when they are off, at "
+        "most (%); calls of their functions", each("skip_table", ""), skipped, "{:.3f}, {:.0f}",
+        "0.1, 0"),
     Row("time-start", SPEED, "start to first step, all compiled before (s)",
         each("column_compaction", ""), keys("seconds_setup"), "{:.1f}"),
     Row("time-first", SPEED, "the whole first run ever (s)",

@@ -59,7 +59,7 @@ def digest(problem):
     found = hashlib.sha256()
     for name in sorted(problem.points.fields):
         found.update(np.ascontiguousarray(problem.points.fields[name]).tobytes())
-    records = [vars(record) | {"seconds": None} for record in problem.history]
+    records = [vars(record) | {"seconds": None, "stages": None} for record in problem.history]
     found.update(json.dumps(records).encode())
     return found.hexdigest()
 

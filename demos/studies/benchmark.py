@@ -1,228 +1,125 @@
 # %% [markdown]
-# # How long it takes, and how much memory
+# # Time against error, and how both grow
 #
-# The elastic column of `column_compaction.py` in 40 steps, one element wide and 64 high,
-# and 16 wide and 256 high, each solved several times after a first time that
-# loads all compiled kernels. Time is that of the steps; memory is the largest that
-# the process ever held less what it held after a small run, for each point.
+# - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
+#   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
+#   itself — in all bases, refinements, points a cell and remedies: processor time of the steps
+#   against the error, and what a step's time consists of.
+# - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
+#   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
+#   DOLFINx send by MPI themselves is not counted.
+# - **Other codes** (`--peers`): Kratos on the column, in turn with ours, medians of five. Where pip
+#   put it in a folder of its own, the variable `PEERS` names it. For explicit steps see
+#   `explicit_speed.py --peers`.
+# - **Cases** (`--cases`): the column in 40 steps, one element wide and 64 high, and 16 wide and
+#   256 high. Memory is the largest that the process ever held less what it held after a small
+#   run, for each point. `--remedies all` solves each case with every remedy against small cuts as
+#   well, and counts how often a step calls the code of the remedies: an unused one costs a scene
+#   one question a step, whether any nodes follow others. `--laws` and `--facets` time parts.
 #
-# `--remedies all` solves each case with every remedy against small cuts as well, and counts
-# how often a step calls the code of the remedies: an unused one costs a scene one
-# question a step, whether any nodes follow others.
+# `--quick` takes the smallest sizes of all, within a minute or two. Empty lists, as in `--scenes=`,
+# leave parts out.
 
 # %%
 from __future__ import annotations
 
-import contextlib
-import cProfile
-import gc
-import pstats
-import statistics
-import time
-from pathlib import Path
-
-import numpy as np
-import ufl
-from dolfinx import fem, mesh
+import benchmark_costs as costs
+import benchmark_growth
+import benchmark_peers
+import benchmark_plots
+import benchmark_scenes as scenes
 from mpi4py import MPI
 from scene import finish, parser, say
 
-import dolfinmpm as mpm
+
+def words(text):
+    """Words on the command line, by commas."""
+    return text.split(",") if text else []
 
 
-# %%
-def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profile=None):
-    """Solve the column; returns seconds, Newton iterations and points."""
-    h, E = 50.0 / elements, 10e3
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (columns * h, 50)],
-        (columns, elements),
-        mesh.CellType.quadrilateral,
-    )
-    points = mpm.fill(grid, mpm.Box((0, 0), (columns * h, 50)), per_cell=2, density=80.0)
-    V = mpm.Space(grid, basis)
-    u, v = V.increment, V.test
-    gravity = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.0), points, u, v)
-    F -= ufl.inner(points.density * gravity, v) * points.dX
-    if ghost:
-        F += mpm.ghost(points, u, v, gamma=E / 30, scaling=ghost)
-    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
-    started = time.perf_counter()
-    with profile or contextlib.nullcontext():
-        for k in range(steps):
-            gravity.value[1] = -10.0 * (k + 1) / steps
-            problem.step()
-    seconds = time.perf_counter() - started
-    return seconds, sum(record.iterations for record in problem.history), points.total
+def whole(text):
+    """Whole numbers on the command line, by commas; 1e6 is one."""
+    return [int(float(word)) for word in words(text)]
 
 
-REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
-# where all of their own work is done
-MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py"}
-
-
-def remedy_calls(columns, elements, basis, remedy, steps=40):
-    """Python-level calls a step: of the remedies' code, and of everything."""
-    profile = cProfile.Profile()
-    column(columns, elements, basis, steps=steps, remedy=remedy, profile=profile)
-    stats = pstats.Stats(profile)
-    package = Path(mpm.__file__).parent
-    own = 0
-    for (path, _, name), (_, calls, *_) in stats.stats.items():
-        path = Path(path)
-        facets = path.name == "active.py" and name in ("select", "active_cells")
-        if path.parent.parent == package and (path.name in MODULES or facets):
-            own += calls
-    return own / steps, stats.total_calls / steps
-
-
-def memory(kind):
-    """Resident memory of this process (kB), now ("VmRSS") or at its most ("VmHWM")."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(kind))
-
-
-# %%
-options = parser(__doc__ or "Times and memory of the elastic column.")
-options.add_argument("--repeat", type=int, default=5, help="counted runs of each case")
+options = parser("Time against error, growth, other codes, and times and memory of parts.")
+options.add_argument("--quick", action="store_true", help="small sizes, one run of each")
+options.add_argument("--repeat", type=int, help="counted runs of each case; 5, and 3 of scenes")
 options.add_argument("--cases", default="1x64,16x256", help="columns x elements, by commas")
-options.add_argument("--bases", default="gimp,linear")
+options.add_argument(
+    "--bases", help="of cases gimp,linear by default; of scenes all that they have"
+)
 options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
 options.add_argument(
     "--remedies", help='remedies to time against each other, by commas, or "all"; none by default'
 )
 options.add_argument("--laws", action="store_true", help="million points a second of each law")
 options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
+options.add_argument("--scenes", type=words, default=list(scenes.SCENES), help="by commas")
+options.add_argument(
+    "--growth", type=words, default=["points", "cells", "ranks"], help="with which, by commas"
+)
+options.add_argument("--explicit-points", type=whole, default=[10**k for k in range(3, 8)])
+options.add_argument(
+    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB a point and "
+    "factors or multigrid: 6 GB for the last"
+)  # fmt: skip
+options.add_argument("--fixed-points", type=int, default=40_000, help="of growth with cells, ranks")
+options.add_argument("--ranks", type=whole, default=[1, 2, 4, 8], help="more than processors too")
+options.add_argument("--peers", action="store_true", help="Kratos on the column")
 args = options.parse_args()
-ghost = None if args.ghost == "none" else args.ghost
-
-figures: dict[str, dict] = {}
-for basis in args.bases.split(",") if args.cases else ():
-    column(1, 16, basis, ghost)  # compiles, or loads what was compiled before
-    for case in args.cases.split(","):
-        columns, elements = (int(n) for n in case.split("x"))
-        gc.collect()
-        before = memory("VmRSS")
-        # from here on the peak is counted anew
-        Path("/proc/self/clear_refs").write_text("5")
-        runs = [column(columns, elements, basis, ghost)]
-        most = memory("VmHWM")
-        for _ in range(args.repeat - 1):
-            gc.collect()
-            runs.append(column(columns, elements, basis, ghost))
-        seconds = statistics.median(run[0] for run in runs)
-        _, iterations, points = runs[0]
-        figures[f"{basis} {case}"] = {
-            "seconds": seconds,
-            "seconds_least": min(run[0] for run in runs),
-            "seconds_most": max(run[0] for run in runs),
-            "newton_iterations": iterations,
-            "points": points,
-            "microseconds_per_point_and_iteration": 1e6 * seconds / points / iterations,
-            "bytes_per_point": 1024 * (most - before) / points,
-        }
-        f = figures[f"{basis} {case}"]
-        say(
-            f"{basis:7s} {case:>7s}: {seconds:7.3f} s ({f['seconds_least']:.3f} to "
-            f"{f['seconds_most']:.3f}), {iterations} iterations, "
-            f"{f['microseconds_per_point_and_iteration']:.2f} µs a point and iteration, "
-            f"{f['bytes_per_point']:.0f} bytes a point"
-        )
+unknown = {*args.scenes} - {*scenes.SCENES} | {*args.growth} - {"points", "cells", "ranks"}
+if unknown:
+    options.error(f"not known: {', '.join(sorted(unknown))}")
+if MPI.COMM_WORLD.size > 1:
+    options.error("it starts processes of its own: run it on one rank")
+bases = args.bases.split(",") if args.bases else None
+given, args.bases = args.repeat, args.bases or "gimp,linear"
+args.repeat = given or (1 if args.quick else 5)
+if args.quick:
+    args.explicit_points, args.implicit_points = [1_000, 10_000], [1_000, 4_000]
+    args.fixed_points, args.ranks = 2_000, [1, 2]
+    if args.cases == options.get_default("cases"):
+        args.cases = "1x16"
 
 # %% [markdown]
-# ## What remedies cost
-# Runs of all remedies take turns, so that what else the machine does meets all of them alike.
+# ## Cases, and parts
 
 # %%
-remedies = REMEDIES if args.remedies == "all" else (args.remedies or "").split(",")
-costs: dict[str, dict] = {}
-for basis in args.bases.split(",") if args.remedies else ():
-    for case in args.cases.split(","):
-        columns, elements = (int(n) for n in case.split("x"))
-        calls = {r: remedy_calls(columns, elements, basis, r) for r in remedies}  # compiles
-        timed: dict[str, list] = {remedy: [] for remedy in remedies}
-        for _ in range(args.repeat):
-            for remedy in remedies:
-                timed[remedy].append(column(columns, elements, basis, remedy=remedy))
-        for remedy in remedies:
-            iterations = timed[remedy][0][1]
-            each = [1e3 * seconds / iterations for seconds, *_ in timed[remedy]]
-            own, every = calls[remedy]
-            costs[f"{basis} {case} {remedy}"] = {
-                "milliseconds_per_iteration": statistics.median(each),
-                "milliseconds_per_iteration_least": min(each),
-                "newton_iterations": iterations,
-                "remedy_calls_per_step": own,
-                "calls_per_step": every,
-            }
-            say(
-                f"{basis:7s} {case:>7s} {remedy:17s} {statistics.median(each):7.3f} ms an "
-                f"iteration (least {min(each):.3f}), {iterations} iterations, {own:g} calls of "
-                f"remedies a step of {every:.0f}"
-            )
+figures = {
+    "cases": costs.time_cases(args),
+    "remedies": costs.time_remedies(args),
+    "laws": costs.time_laws(args),
+    "facets": costs.time_facets(args),
+}
 
 # %% [markdown]
-# ## Laws, and facets
-# Points that all yield, by each law's kernel with its tangent; and the ghost penalty of a
-# chequered body, which has more ghost facets than any real one, assembled and reduced to the
-# solver's unknowns.
+# ## Work and precision
+# The first of several runs of a kind compiles or loads what is compiled; the median leaves it out.
 
 # %%
-laws: dict[str, float] = {}
-if args.laws:
-    strains = np.random.default_rng(1).uniform(-0.05, 0.05, (1_000_000, 3))
-    materials = mpm.materials
-    elastic = {"E": 1e6, "nu": 0.3}
-    for name, law, shift in (
-        ("von Mises", materials.VonMises(**elastic, yield_stress=1e3), 0.0),
-        ("Tresca", materials.Tresca(**elastic, cohesion=1e3), 0.0),
-        ("Mohr–Coulomb", materials.MohrCoulomb(**elastic, cohesion=1e3, friction_angle=30), -0.02),
-        (
-            "Drucker–Prager",
-            materials.DruckerPrager(**elastic, cohesion=1e3, friction_angle=30, dilation_angle=0),
-            -0.02,
-        ),
-        (
-            "Cam-Clay",
-            materials.CamClay(
-                swelling=0.018, compression=0.13, M=1.05, mu0=5.4e6, alpha=0.0,
-                reference_pressure=20e3, preconsolidation=20e3,
-            ),
-            -0.02,
-        ),
-    ):  # fmt: skip
-        law.respond(strains[:10] + shift)
-        seconds = []
-        for _ in range(args.repeat):
-            started = time.perf_counter()
-            response = law.respond(strains + shift)
-            seconds.append(time.perf_counter() - started)
-        yielding = np.mean(np.any(response.strain != strains + shift, axis=1))
-        laws[name] = 1e-6 * len(strains) / statistics.median(seconds)
-        say(f"{name:14s} {laws[name]:6.2f} million points a second, {yielding:.0%} of them yield")
+runs = scenes.runs_of(args.scenes, args.quick, bases)
+scenes.measure(runs, 1 if args.quick else given or 3)
+peers = []
+if args.peers:
+    levels = (8, 16) if args.quick else (16, 32, 64, 128)
+    peers = benchmark_peers.compare(levels, 1 if args.quick else max(5, args.repeat))
+figures |= {"runs": [run.figures() for run in runs], "peers": peers}
 
-facets: dict[str, float] = {}
-for basis in args.bases.split(",") if args.facets else ():
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (200, 200)], (200, 200), mesh.CellType.quadrilateral
-    )
-    body = mpm.Where(lambda x: ((x[0] // 4 + x[1] // 4) % 2 == 0) & (x.max(axis=0) < 199))
-    points = mpm.fill(grid, body, 2, 1.0)
-    V = mpm.Space(grid, basis)
-    F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.3), points, V.increment, V.test)
-    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
-    number, seconds = 0, []
-    here = problem.activate()
-    number = here.ghost_facets
-    for _ in range(args.repeat):
-        started = time.perf_counter()
-        problem.form.grid.tangent(here.fields)
-        seconds.append(time.perf_counter() - started)
-    facets[basis] = 1e6 * statistics.median(seconds) / number
-    say(f"{basis:9s} ghost penalty {facets[basis]:.2f} µs a facet ({number} facets)")
+# %% [markdown]
+# ## Growth
+# Exponents are those of the last decade of sizes.
 
-figures = {"cases": figures, "remedies": costs, "laws": laws, "facets": facets}
+# %%
+figures["growth"] = benchmark_growth.growth(args)
+
+if not args.no_plot:
+    done = [run for run in runs if run.error is not None]
+    if done:
+        benchmark_plots.work_precision(args.output / "benchmark_precision.png", runs, peers)
+        benchmark_plots.stages(args.output / "benchmark_stages.png", runs)
+    if figures["growth"]:
+        benchmark_plots.growth(args.output / "benchmark_growth.png", figures["growth"])
+    say(f"pictures in {args.output}")
+
 finish(args, {**figures, "ranks": MPI.COMM_WORLD.size})

@@ -71,7 +71,7 @@ def elastica_tip(alpha):
     return 1 - x[-1], y[-1]
 
 
-def arguments():
+def arguments(words=None):
     """The command line."""
     options = parser("A cantilever under a dead load at its tip.")
     options.add_argument("--h", type=float, default=0.25, help="size of the cells (m)")
@@ -82,7 +82,7 @@ def arguments():
     options.add_argument("--load", type=float, default=100e3, help="downwards (N/m)")
     options.add_argument("--length", type=float, default=10.0, help="m")
     options.add_argument("--depth", type=float, default=1.0, help="m")
-    options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
+    options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
     options.add_argument("--gamma", type=float, default=1.0, help="ghost penalty in units of E/30")
     options.add_argument(
@@ -92,57 +92,21 @@ def arguments():
         default=[1.0, 2.0, 4.0, 6.0, 8.0, 10.0],
         help="values of PL²/EI to report and draw",
     )
-    return options.parse_args()
+    return options.parse_args(words)
 
 
 # %% [markdown]
 # ## The scene
-# The beam's axis is $y = 0$, and nodes lie on it whatever the size of the cells. The
-# grid reaches as far as the elastica says that the beam will go, and a little further.
-
-# %%
-args = arguments()
-h, length, depth = args.h, args.length, args.depth
-full = abs(args.load) * length**2 / (args.modulus * depth**3 / 12)
-deflection = 1.05 * elastica_tip(full)[1] * length
-below = int(np.ceil((deflection + depth) / h)) + 1
-above = int(np.ceil(0.5 * depth / h)) + 2
-if args.load < 0:
-    below, above = above, below
-along = int(np.ceil(length / h)) + 2
-grid = mesh.create_rectangle(
-    MPI.COMM_WORLD,
-    [(0, -below * h), (along * h, above * h)],
-    (along, below + above),
-    mesh.CellType.quadrilateral,
-)
-comm = grid.comm
-beam = mpm.Box((0, -0.5 * depth), (length, 0.5 * depth))
-points = mpm.fill(grid, beam, per_cell=args.points_per_cell, density=1.0)
-
-V = mpm.Space(grid, basis=args.basis)
-u, v = V.increment, V.test
-
-# %% [markdown]
-# ## A load that follows its points
+# The beam's axis is $y = 0$, and nodes, or the centres of splines, lie on it whatever the size
+# of the cells. The grid reaches as far as the elastica says that the beam will go, and a little
+# further.
+#
 # The load is shared by the two points at the free end that are nearest to the axis (by
 # one, if a point lies on the axis). A field of the points says how: its integral over
 # the body is one. It moves with the points, and so does the load.
-
-# %%
-x0 = points["x0"]
-slack = 1e-6 * h
-end = comm.allreduce(x0[:, 0].max(initial=-np.inf), op=MPI.MAX)
-at_end = x0[:, 0] > end - slack
-nearest = comm.allreduce(np.abs(x0[at_end, 1]).min(initial=np.inf), op=MPI.MIN)
-loaded = at_end & (np.abs(x0[:, 1]) < nearest + slack)
-tip = points.add_field("tip", unit="1/m^2")
-points["tip"] = loaded / (comm.allreduce(int(loaded.sum())) * points["V0"])
-
-# %% [markdown]
-# ## The weak form
-# Internal forces minus the load, both summed over the material points in their initial
-# volume $\mathrm dX$, and if asked for the ghost penalty. Without it luck decides whether
+#
+# The weak form has internal forces minus the load, both summed over the material points in their
+# initial volume $\mathrm dX$, and if asked for the ghost penalty. Without it luck decides whether
 # a run comes to its end: with `--points-per-cell 4 --steps 25` the domain of a point reaches
 # into a new cell by a sliver, next to nothing holds that cell's nodes, and no step however
 # small converges. With `--ghost scaled` as well, 112 Newton iterations do.
@@ -150,80 +114,76 @@ points["tip"] = loaded / (comm.allreduce(int(loaded.sum())) * points["V0"])
 # Rollers hold the whole left side, so that the support can shrink and swell; the node
 # on the axis alone keeps it from falling.
 
-# %%
-rubber = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
-P = fem.Constant(grid, (0.0, 0.0))
-F = mpm.momentum(rubber, points, u, v) - tip * ufl.inner(P, v) * points.dX
-if args.ghost != "none":
-    F += mpm.ghost(points, u, v, gamma=args.gamma * args.modulus / 30, scaling=args.ghost)
-
-
-def support(x):
-    """The node where the beam's axis meets the left side."""
-    return (np.abs(x[0]) < slack) & (np.abs(x[1]) < slack)
-
-
-bcs = mpm.rollers(V, "left") + mpm.prescribed(V, support, 1)
-problem = mpm.QuasiStatic(F, u, points, bcs=bcs)
-
-# %% [markdown]
-# ## Fifty steps
-# After each, the mean displacement of the loaded points is a point of the
-# load–displacement curve: it is the displacement through which the load does its work.
-# The chosen stages go to ParaView and into the picture.
-
 
 # %%
-def tip_displacement():
-    """Mean displacement of the loaded points (m), shape (2,)."""
-    share = points["tip"] * points["V0"]
-    return comm.allreduce(share @ (points["x"] - points["x0"]))
+class Beam:
+    """The beam with its load, step by step.
 
+    Args:
+        args: The command line, or a variation of it.
+        remedy: One of the remedies besides the penalty that `args.ghost` writes into the form.
 
-ready = time.perf_counter()
-wanted = {min(max(round(stage / full * args.steps), 1), args.steps) for stage in args.stages}
-curve, shapes = [(0.0, 0.0, 0.0)], {}
-file = None if args.no_plot else mpm.ParaView(args.output / "cantilever.pvd", points)
-for share in mpm.steps(args.steps, label="tip load"):
-    P.value[1] = -args.load * share
-    problem.step()
-    du, dv = tip_displacement()
-    curve.append((share * full, -du / length, -np.sign(args.load) * dv / length))
-    if file is not None and len(problem.history) in wanted:
-        file.write(share)
-        shapes[curve[-1][0]] = points.gather("x0", "x", "F", "l0", "stress")
-curve = np.array(curve)
+    Attributes:
+        full: PL²/EI at the end.
+    """
 
-# %% [markdown]
-# ## Against the elastica
+    def __init__(self, args, remedy="none"):
+        h, self.length, depth = args.h, args.length, args.depth
+        self.full = abs(args.load) * self.length**2 / (args.modulus * depth**3 / 12)
+        self.args = args
+        deflection = 1.05 * elastica_tip(self.full)[1] * self.length
+        below = int(np.ceil((deflection + depth) / h)) + 1
+        above = int(np.ceil(0.5 * depth / h)) + 2
+        if args.load < 0:
+            below, above = above, below
+        along = int(np.ceil(self.length / h)) + 2
+        # quadratic splines have their centres in the middle of cells
+        shift = 0.5 * h if args.basis == "bspline2" else 0.0
+        self.grid = grid = mesh.create_rectangle(
+            MPI.COMM_WORLD,
+            [(0, -below * h + shift), (along * h, above * h + shift)],
+            (along, below + above),
+            mesh.CellType.quadrilateral,
+        )
+        beam = mpm.Box((0, -0.5 * depth), (self.length, 0.5 * depth))
+        self.points = points = mpm.fill(grid, beam, per_cell=args.points_per_cell, density=1.0)
+        V = mpm.Space(grid, basis=args.basis)
+        u, v = V.increment, V.test
 
-# %%
-stages = curve[sorted(wanted)]
-exact = np.array([elastica_tip(alpha) for alpha in stages[:, 0]])
-difference = stages[:, 1:] - exact
-iterations = [record.iterations for record in problem.history]
-figures = {
-    "PL2_EI": stages[:, 0].tolist(),
-    "u_L": stages[:, 1].tolist(),
-    "v_L": stages[:, 2].tolist(),
-    "u_L_elastica": exact[:, 0].tolist(),
-    "v_L_elastica": exact[:, 1].tolist(),
-    "u_L_difference": difference[:, 0].tolist(),
-    "v_L_difference": difference[:, 1].tolist(),
-    "max_u_L_difference": float(np.abs(difference[:, 0]).max()),
-    "max_v_L_difference": float(np.abs(difference[:, 1]).max()),
-    **solver_figures(problem),
-    "seconds_setup": ready - started,
-    "seconds_solve": sum(record.seconds for record in problem.history),
-}
-say(" PL²/EI     u/L  elastica      v/L  elastica")
-for (alpha, uL, vL), (uE, vE) in zip(stages, exact):
-    say(f"{alpha:7.2f} {uL:8.5f}  {uE:8.5f} {vL:8.5f}  {vE:8.5f}")
-say(
-    f"{args.basis}, h = {h:g} m, {figures['points']} points, {comm.size} rank(s): "
-    f"{sum(iterations)} Newton iterations in {args.steps} steps (at most {max(iterations)}), "
-    f"{figures['seconds_solve']:.2f} s after {figures['seconds_setup']:.2f} s of set-up"
-)
+        x0, comm, slack = points["x0"], grid.comm, 1e-6 * h
+        end = comm.allreduce(x0[:, 0].max(initial=-np.inf), op=MPI.MAX)
+        at_end = x0[:, 0] > end - slack
+        nearest = comm.allreduce(np.abs(x0[at_end, 1]).min(initial=np.inf), op=MPI.MIN)
+        loaded = at_end & (np.abs(x0[:, 1]) < nearest + slack)
+        tip = points.add_field("tip", unit="1/m^2")
+        points["tip"] = loaded / (comm.allreduce(int(loaded.sum())) * points["V0"])
+
+        rubber = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
+        self.load = fem.Constant(grid, (0.0, 0.0))
+        F = mpm.momentum(rubber, points, u, v) - tip * ufl.inner(self.load, v) * points.dX
+        if args.ghost != "none":
+            gamma = args.gamma * args.modulus / 30
+            F += mpm.ghost(points, u, v, gamma=gamma, scaling=args.ghost)
+
+        def support(x):
+            """The node where the beam's axis meets the left side."""
+            return (np.abs(x[0]) < 0.6 * h) & (np.abs(x[1]) < slack)
+
+        bcs = mpm.rollers(V, "left") + mpm.prescribed(V, support, 1)
+        self.problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=remedy)
+
+    def step(self, share):
+        """Bring the load to a share of the whole; returns u/L and v/L of the tip. Collective.
+
+        That is the mean displacement of the loaded points, through which the load does its work.
+        """
+        self.load.value[1] = -self.args.load * share
+        self.problem.step()
+        points = self.points
+        weight = points["tip"] * points["V0"]
+        du, dv = self.grid.comm.allreduce(weight @ (points["x"] - points["x0"]))
+        return -du / self.length, -np.sign(self.args.load) * dv / self.length
+
 
 # %% [markdown]
 # ## Picture
@@ -279,8 +239,66 @@ def picture(path, shapes, curve, stages, length, depth, downwards):
         right.legend(loc="lower right")
 
 
-if not args.no_plot and comm.rank == 0:
-    path = args.output / "cantilever.png"
-    picture(path, shapes, curve, stages, length, depth, np.sign(args.load))
+# %% [markdown]
+# ## Runs
 
-finish(args, figures)
+# %%
+if __name__ == "__main__":
+    args = arguments()
+    length, depth = args.length, args.depth
+    scene = Beam(args)
+    problem, points, comm, full = scene.problem, scene.points, scene.grid.comm, scene.full
+
+    # %% [markdown]
+    # ## Fifty steps
+    # The displacement of the tip after each is a point of the load–displacement curve. The chosen
+    # stages go to ParaView and into the picture.
+
+    # %%
+    ready = time.perf_counter()
+    wanted = {min(max(round(stage / full * args.steps), 1), args.steps) for stage in args.stages}
+    curve, shapes = [(0.0, 0.0, 0.0)], {}
+    file = None if args.no_plot else mpm.ParaView(args.output / "cantilever.pvd", points)
+    for share in mpm.steps(args.steps, label="tip load"):
+        curve.append((share * full, *scene.step(share)))
+        if file is not None and len(problem.history) in wanted:
+            file.write(share)
+            shapes[curve[-1][0]] = points.gather("x0", "x", "F", "l0", "stress")
+    curve = np.array(curve)
+
+    # %% [markdown]
+    # ## Against the elastica
+
+    # %%
+    stages = curve[sorted(wanted)]
+    exact = np.array([elastica_tip(alpha) for alpha in stages[:, 0]])
+    difference = stages[:, 1:] - exact
+    iterations = [record.iterations for record in problem.history]
+    figures = {
+        "PL2_EI": stages[:, 0].tolist(),
+        "u_L": stages[:, 1].tolist(),
+        "v_L": stages[:, 2].tolist(),
+        "u_L_elastica": exact[:, 0].tolist(),
+        "v_L_elastica": exact[:, 1].tolist(),
+        "u_L_difference": difference[:, 0].tolist(),
+        "v_L_difference": difference[:, 1].tolist(),
+        "max_u_L_difference": float(np.abs(difference[:, 0]).max()),
+        "max_v_L_difference": float(np.abs(difference[:, 1]).max()),
+        **solver_figures(problem),
+        "seconds_setup": ready - started,
+        "seconds_solve": sum(record.seconds for record in problem.history),
+    }
+    say(" PL²/EI     u/L  elastica      v/L  elastica")
+    for (alpha, uL, vL), (uE, vE) in zip(stages, exact):
+        say(f"{alpha:7.2f} {uL:8.5f}  {uE:8.5f} {vL:8.5f}  {vE:8.5f}")
+    say(
+        f"{args.basis}, h = {args.h:g} m, {figures['points']} points, {comm.size} rank(s): "
+        f"{sum(iterations)} Newton iterations in {args.steps} steps (at most {max(iterations)}), "
+        f"{figures['seconds_solve']:.2f} s after {figures['seconds_setup']:.2f} s of set-up"
+    )
+
+    if not args.no_plot and comm.rank == 0:
+        path = args.output / "cantilever.png"
+        picture(path, shapes, curve, stages, length, depth, np.sign(args.load))
+
+    finish(args, figures)

@@ -65,7 +65,7 @@ def words(*allowed):
     return read
 
 
-def arguments():
+def arguments(words_given=None):
     """The command line."""
     options = parser("A column of sand collapses under its weight.")
     options.add_argument("--width", type=float, default=0.2, help="(m)")
@@ -114,7 +114,7 @@ def arguments():
     options.add_argument(
         "--strains", type=words("large", "small", "jaumann"), default=["large", "small", "jaumann"]
     )
-    given = options.parse_args()
+    given = options.parse_args(words_given)
     if given.full:
         given.modulus, given.h, given.points_per_cell = 5.84e6, 0.0025, 6
     if min(given.width, given.height, given.h, given.duration, given.dt) <= 0:
@@ -450,23 +450,24 @@ def trends(results):
 # ## Runs
 
 # %%
-args = arguments()
-if args.variants:
-    results = []
-    for integrator, basis, strain, fbar in itertools.product(
-        args.integrators, args.bases, args.strains, args.fbars
-    ):
-        figures, _, profile = run(args, integrator, basis, fbar == "on", strain)
-        chosen = {"integrator": integrator, "basis": basis, "fbar": fbar, "strain": strain}
-        results.append(({**chosen, **figures}, profile))
-    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
-        variants_picture(args.output / "column_collapse_variants.png", args, results)
-    finish(args, {"runs": [one for one, _ in results], "trends": trends(results)})
-else:
-    shown = [t for t in args.times if t in (0.1, 0.2, 0.3)] + [args.times[-1]]
-    figures, states, profile = run(
-        args, args.integrator, args.basis, args.fbar == "on", args.strain, shown
-    )
-    if not args.no_plot and MPI.COMM_WORLD.rank == 0 and states:
-        picture(args.output / "column_collapse.png", args, figures, states, profile)
-    finish(args, figures)
+if __name__ == "__main__":
+    args = arguments()
+    if args.variants:
+        results = []
+        for integrator, basis, strain, fbar in itertools.product(
+            args.integrators, args.bases, args.strains, args.fbars
+        ):
+            figures, _, profile = run(args, integrator, basis, fbar == "on", strain)
+            chosen = {"integrator": integrator, "basis": basis, "fbar": fbar, "strain": strain}
+            results.append(({**chosen, **figures}, profile))
+        if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+            variants_picture(args.output / "column_collapse_variants.png", args, results)
+        finish(args, {"runs": [one for one, _ in results], "trends": trends(results)})
+    else:
+        shown = [t for t in args.times if t in (0.1, 0.2, 0.3)] + [args.times[-1]]
+        figures, states, profile = run(
+            args, args.integrator, args.basis, args.fbar == "on", args.strain, shown
+        )
+        if not args.no_plot and MPI.COMM_WORLD.rank == 0 and states:
+            picture(args.output / "column_collapse.png", args, figures, states, profile)
+        finish(args, figures)

@@ -77,7 +77,7 @@ DEFAULTS = {  # by the law
 }  # fmt: skip
 
 
-def arguments():
+def arguments(words=None):
     """The command line; what is not given takes the law's value in DEFAULTS."""
     options = parser("A strip footing on a layer of clay.")
     bases = "linear", "gimp", "bspline2", "bspline3"
@@ -111,7 +111,7 @@ def arguments():
         "--compare", action="store_true", help="cam-clay: measures of strain; tresca: bases with "
         "and without F-bar; tresca-perfect: F-bar on finer and finer cells"
     )  # fmt: skip
-    given = options.parse_args()
+    given = options.parse_args(words)
     for name, value in DEFAULTS[given.law].items():
         if getattr(given, name) is None:
             setattr(given, name, value)
@@ -403,24 +403,25 @@ def variations(args):
     ]
 
 
-args = arguments()
-if not args.compare:
-    figures, history, scene = run(args)
-    history.write(args.output / "footing.csv")
-    if not args.no_plot:
-        state = scene.look()
-        if state is not None:
-            picture = args.output / f"footing_{args.law}.png"
-            draw_run(picture, args, figures, state, scene.internal, (WIDTH, DEPTH, ROOM), LIMIT)
-    finish(args, figures)
-else:
-    results = []
-    for label, options in variations(args):
-        one = type(args)(**{**vars(args), **options})
-        results.append({"label": label, **run(one)[0]})
-    short = ("curve", "last_ratios", "last_residuals")
-    rows = [{k: v for k, v in r.items() if k not in short} for r in results]
-    mpm.study.write_table(rows, args.output / f"footing_{args.law}_compared.csv")
-    if not args.no_plot:
-        draw_compared(args.output / f"footing_{args.law}_compared.png", args, results, LIMIT)
-    finish(args, {"runs": results})
+if __name__ == "__main__":
+    args = arguments()
+    if not args.compare:
+        figures, history, scene = run(args)
+        history.write(args.output / "footing.csv")
+        if not args.no_plot:
+            state = scene.look()
+            if state is not None:
+                picture = args.output / f"footing_{args.law}.png"
+                draw_run(picture, args, figures, state, scene.internal, (WIDTH, DEPTH, ROOM), LIMIT)
+        finish(args, figures)
+    else:
+        results = []
+        for label, options in variations(args):
+            one = type(args)(**{**vars(args), **options})
+            results.append({"label": label, **run(one)[0]})
+        short = ("curve", "last_ratios", "last_residuals")
+        rows = [{k: v for k, v in r.items() if k not in short} for r in results]
+        mpm.study.write_table(rows, args.output / f"footing_{args.law}_compared.csv")
+        if not args.no_plot:
+            draw_compared(args.output / f"footing_{args.law}_compared.png", args, results, LIMIT)
+        finish(args, {"runs": results})

@@ -64,7 +64,15 @@ def solver_figures(problem: Any) -> dict[str, Any]:
         "migrated": sum(record.migrated for record in history),
         "imbalance": max((record.imbalance for record in history), default=1.0),
         "ranks": problem.comm.size,
+        "stages": stage_seconds(problem),
     }
+
+
+def stage_seconds(*problems: Any) -> dict[str, float]:
+    """Seconds of each stage of all steps of some problems, of this rank."""
+    records = [record for problem in problems for record in problem.history]
+    names = records[0].stages if records else ()
+    return {name: sum(record.stages[name] for record in records) for name in names}
 
 
 def say(*words: Any) -> None:

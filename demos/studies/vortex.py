@@ -40,7 +40,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from scene import draw_points, finish, numbers, parser, say, stage_seconds
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -53,7 +53,7 @@ BASES = ("linear", "gimp", "bspline2", "bspline3")
 
 
 # %%
-def arguments():
+def arguments(words=None):
     """The command line."""
     options = parser("A ring turns within itself: observed orders in space and time.")
     options.add_argument("--basis", choices=(*BASES, "all"), default="bspline2")
@@ -83,7 +83,7 @@ def arguments():
         help="of implicit runs for the order in time, by commas; explicit ones take 8 times that",
     )  # fmt: skip
     options.add_argument("--time-cells", type=int, default=8, help="cells for the order in time")
-    given = options.parse_args()
+    given = options.parse_args(words)
     if min(given.cells) < 4 or given.points_per_cell < 1 or min(given.steps) < 1:
         options.error("there must be at least 4 cells a unit, a point a cell, and a step")
     return given
@@ -202,7 +202,7 @@ def ring(args, integrator, basis, cells, steps=None):
         points["velocity"] = exact(args, points["x0"], -0.5 * end / steps)[1]
     figures = {"h": 1 / cells, "cells": cells, "steps": steps, "points": points.total}
     figures |= dict.fromkeys(("displacement", "velocity"))
-    started = time.perf_counter()
+    started, processor = time.perf_counter(), time.process_time()
     try:
         for now in mpm.times(end, end / steps, label=f"{integrator}, {basis}, {cells} cells"):
             problem.step(now)
@@ -222,6 +222,8 @@ def ring(args, integrator, basis, cells, steps=None):
             figures[key] = float(np.sqrt(square / sums[0]) / scale)
     figures["substeps"] = sum(record.parts for record in problem.history)
     figures["seconds"] = time.perf_counter() - started
+    figures["seconds_processor"] = time.process_time() - processor
+    figures["stages"] = stage_seconds(problem)
     return figures, points
 
 
@@ -262,54 +264,12 @@ def position_by_id(points):
     return None if rows is None else rows[1][np.argsort(rows[0])]
 
 
-# %%
-args = arguments()
-bases = BASES if args.basis == "all" else (args.basis,)
-integrators = ("implicit", "explicit") if args.integrator == "both" else (args.integrator,)
-space, times, runs, overall, last = {}, {}, [], {}, None
-for integrator in integrators:
-    space[integrator] = {}
-    for basis in bases:
-        rows = []
-        for cells in args.cells:
-            figures, last = ring(args, integrator, basis, cells)
-            rows.append(figures)
-        for key in ("displacement", "velocity"):
-            values = [r[key] for r in rows]
-            orders = study.observed_orders([r["h"] for r in rows], values)
-            for row, order in zip(rows, [np.nan, *orders]):
-                row[f"{key}_order"] = float(order) if np.isfinite(order) else None
-            fitted = study.overall_order([r["h"] for r in rows], values)
-            overall.setdefault(f"{integrator}, {basis}", {})[key] = (
-                fitted if np.isfinite(fitted) else None
-            )
-            say(
-                f"{integrator}, {basis:9s} {key:13s}",
-                *(
-                    ("stopped" if r[key] is None else format(r[key], ".2e"))
-                    + (f" ({r[key + '_order']:.2f})" if r[key + "_order"] is not None else "")
-                    for r in rows
-                ),
-                f" overall {fitted:.2f}",
-            )
-        space[integrator][basis] = rows
-        runs += [{"integrator": integrator, "basis": basis, **r} for r in rows]
-    chosen = "bspline2" if "bspline2" in bases else bases[0]
-    times[integrator] = rows = in_time(args, integrator, chosen)
-    say(
-        f"{integrator}, {chosen}, order in time:",
-        *(
-            f"{r['difference']:.2e}" + ("" if r["order"] is None else f" ({r['order']:.2f})")
-            for r in rows
-        ),
-    )
-
 # %% [markdown]
-# ## Picture and table
+# ## Picture
 
 
 # %%
-def picture(path, state):
+def picture(path, args, space, times, state):
     """Draw the ring with the lines that were radii, and the errors over cells and steps."""
     with mpm.figure(path, 7.2, 2.7, ncols=3, width_ratios=(1.1, 1, 1)) as (_, axes):
         x, x0, l0 = state
@@ -353,13 +313,60 @@ def picture(path, state):
         axes[2].legend()
 
 
-if not args.no_plot:
-    study.write_table(runs, args.output / "vortex.csv")
-    state = last.gather("x", "x0", "l0")
-    if state is not None:
-        picture(args.output / "vortex.png", state)
+# %% [markdown]
+# ## Runs
 
-finish(
-    args,
-    {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
-)
+# %%
+if __name__ == "__main__":
+    args = arguments()
+    bases = BASES if args.basis == "all" else (args.basis,)
+    integrators = ("implicit", "explicit") if args.integrator == "both" else (args.integrator,)
+    space, times, runs, overall, last = {}, {}, [], {}, None
+    for integrator in integrators:
+        space[integrator] = {}
+        for basis in bases:
+            rows = []
+            for cells in args.cells:
+                figures, last = ring(args, integrator, basis, cells)
+                rows.append(figures)
+            for key in ("displacement", "velocity"):
+                values = [r[key] for r in rows]
+                orders = study.observed_orders([r["h"] for r in rows], values)
+                for row, order in zip(rows, [np.nan, *orders]):
+                    row[f"{key}_order"] = float(order) if np.isfinite(order) else None
+                fitted = study.overall_order([r["h"] for r in rows], values)
+                overall.setdefault(f"{integrator}, {basis}", {})[key] = (
+                    fitted if np.isfinite(fitted) else None
+                )
+                say(
+                    f"{integrator}, {basis:9s} {key:13s}",
+                    *(
+                        ("stopped" if r[key] is None else format(r[key], ".2e"))
+                        + (f" ({r[key + '_order']:.2f})" if r[key + "_order"] is not None else "")
+                        for r in rows
+                    ),
+                    f" overall {fitted:.2f}",
+                )
+            space[integrator][basis] = rows
+            runs += [{"integrator": integrator, "basis": basis, **r} for r in rows]
+        chosen = "bspline2" if "bspline2" in bases else bases[0]
+        times[integrator] = rows = in_time(args, integrator, chosen)
+        say(
+            f"{integrator}, {chosen}, order in time:",
+            *(
+                f"{r['difference']:.2e}" + ("" if r["order"] is None else f" ({r['order']:.2f})")
+                for r in rows
+            ),
+        )
+
+    if not args.no_plot:
+        rows = [{k: v for k, v in run.items() if k != "stages"} for run in runs]
+        study.write_table(rows, args.output / "vortex.csv")
+        state = last.gather("x", "x0", "l0")
+        if state is not None:
+            picture(args.output / "vortex.png", args, space, times, state)
+
+    finish(
+        args,
+        {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
+    )

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfinmpm._platform import stages
 from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.exchange import exchange
@@ -314,26 +315,30 @@ class _Region:
         # a law that fails on the way leaves the rest as it was
         self._known -= set(asked)
         for first, last in self._chunks():
-            rows = s.order[s.groups[first] : s.groups[last]]
-            data = self._taken(plain, rows)
-            for k in asked:
-                operator, operand = terms.operators[k], self.operand(k, rows)
-                value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
-                slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
-                by_mean = None
-                if slope is not None and k in terms.by_mean:
-                    data["operator by mean", k] = by_mean = np.empty_like(value)
-                kept = self._kept_in(k, first, last, k in known)
-                bad = self._ask(k, operand, value, slope, rows, by_mean, kept)
-                if bad >= 0:
-                    self._fail(operator, int(rows[bad]), operand[bad])
-                    return
-                data["operator", k] = value
-                if slope is not None:
-                    data["operator tangent", k] = slope
-            out: list[Array] = [np.empty((rows.size, program.size)) for program in programs]
-            for program, values in zip(programs, out):
-                program.run(data, values)
+            stages.evaluate.enter()
+            try:
+                rows = s.order[s.groups[first] : s.groups[last]]
+                data = self._taken(plain, rows)
+                for k in asked:
+                    operator, operand = terms.operators[k], self.operand(k, rows)
+                    value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
+                    slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
+                    by_mean = None
+                    if slope is not None and k in terms.by_mean:
+                        data["operator by mean", k] = by_mean = np.empty_like(value)
+                    kept = self._kept_in(k, first, last, k in known)
+                    bad = self._ask(k, operand, value, slope, rows, by_mean, kept)
+                    if bad >= 0:
+                        self._fail(operator, int(rows[bad]), operand[bad])
+                        return
+                    data["operator", k] = value
+                    if slope is not None:
+                        data["operator tangent", k] = slope
+                out: list[Array] = [np.empty((rows.size, program.size)) for program in programs]
+                for program, values in zip(programs, out):
+                    program.run(data, values)
+            finally:
+                stages.evaluate.leave()
             yield first, last, out
         self._known |= {k for k in asked if k in self._kept}
 

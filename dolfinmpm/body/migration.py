@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import Destinations, cells_here
@@ -12,6 +13,7 @@ from dolfinmpm.body.location import Destinations, cells_here
 __all__ = ["migrate", "settle"]
 
 
+@stages.migrate
 def migrate(points, to: Destinations) -> int:
     """Move points to the ranks that compute their cells. Collective.
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
@@ -226,7 +227,8 @@ class Explicit(Problem):
                 that of `time` again.
             PointsOutsideGridError: Points would leave the grid.
         """
-        started, single = clock.perf_counter(), isinstance(t, Time) and t.open
+        started, watch = clock.perf_counter(), stages.Watch()
+        single = isinstance(t, Time) and t.open
         target = t.end if isinstance(t, Time) else number("t", t, unit="s")
         if not target > self.time:
             raise ParameterError(
@@ -260,7 +262,7 @@ class Explicit(Problem):
         record.time = self.time
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
         record.imbalance = imbalance(self.points)
-        record.seconds = clock.perf_counter() - started
+        record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
         self.history.append(record)
         if isinstance(t, Time):
             t.reached = self.time

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import Held
@@ -87,6 +88,7 @@ class Fused:
         self.done[:2] = 0.0
         return float(internal), float(external)
 
+    @stages.activate
     def start(self, rate: float) -> None:
         """Take the points as they are now, before steps that follow each other. Collective.
 
@@ -106,10 +108,13 @@ class Fused:
         self._window.cells.sort(points)
         self._prescribed.start(self._window, self._rate)
 
+    @stages.evaluate
     def run(
         self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
     ) -> tuple[int, int, str | None]:
         """Take equal steps. Collective.
+
+        What a loop over the points does at once, from momenta to new state, counts as evaluation.
 
         Args:
             count: How many.
@@ -127,11 +132,12 @@ class Fused:
             self._prescribed.drive(begin(taken).t - dt, dt)
             fresh = not self._live
             if fresh:
-                if self._window.basis.partition is not self._points.partition:
-                    self._surround()
-                    self._prescribed.drive(begin(taken).t - dt, dt)
-                self._window.box(self._points)
-                self._prepare()
+                with stages.activate:
+                    if self._window.basis.partition is not self._points.partition:
+                        self._surround()
+                        self._prescribed.drive(begin(taken).t - dt, dt)
+                    self._window.box(self._points)
+                    self._prepare()
                 self._live, self._travelled = True, 0.0
             elif self._loads.changed():
                 # what has been scattered has the loads of before if they differ by points
@@ -153,7 +159,8 @@ class Fused:
                 if not last:
                     self._arrays.publish()
                 self._laws.scatter()
-                migrated += self._window.cells.settle(self._points)
+                with stages.migrate:
+                    migrated += self._window.cells.settle(self._points)
                 self._live = False
         self._live = self._live and reason is None
         self._window.cells.steps += taken

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.balance import balance
@@ -102,6 +103,7 @@ class General:
             migrated += found
         return count, migrated, None
 
+    @stages.commit
     def _take(self, step: Step) -> int | str:
         """One step; how many points changed rank, or why there is no state. Collective."""
         problem, settings = self._problem, self._settings
@@ -158,6 +160,7 @@ class General:
         """Number of the call of `step`, for messages."""
         return len(self._problem.history) + 1
 
+    @stages.assemble
     def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
         """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
         momenta = mass.nodal()
@@ -179,6 +182,7 @@ class General:
                 condition.value.value = value  # type: ignore[union-attr]
         return np.asarray(values, np.float64)
 
+    @stages.assemble
     def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
         """Forces on the nodes in the present state, or of the stresses after an increment.
 
@@ -208,6 +212,7 @@ class General:
         forces.arrays[0][:] -= operator.external[0]
         return forces
 
+    @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
         """Bulk viscosity, and what acts on light nodes: both change forces. Collective."""
         points, b = self._problem.points, self._settings.viscosity
@@ -220,6 +225,7 @@ class General:
         for one in self._settings.filters:
             one.act(V, forces.arrays[0], mass, s)
 
+    @stages.solve
     def _accelerations(self, forces: Nodal, mass: Mass, V: Array) -> Array:
         """Accelerations of the nodes, with local damping. Collective."""
         damping = self._settings.damping
@@ -228,6 +234,7 @@ class General:
             f -= damping * np.abs(f) * np.sign(V)
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
 
+    @stages.solve
     def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
         """Velocities at the end of a step, under faces of the grid and conditions. Collective."""
         faces = self._sides.on(here.fields[0].basis)

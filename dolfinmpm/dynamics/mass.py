@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import (
     ConvergenceError,
@@ -139,6 +140,7 @@ class Mass:
         iterations: CG iterations of the last solution.
     """
 
+    @stages.assemble
     def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0):
         self._terms, self._here = terms, here
         self._field = here.fields[0]
@@ -204,6 +206,7 @@ class Mass:
         out.add_up()
         return out
 
+    @stages.solve
     def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
         """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
 
@@ -243,6 +246,7 @@ class Mass:
                 warn(self.comm, text, SingularMassWarning)
         return V
 
+    @stages.solve
     def solve(self, right: Nodal, held: Array) -> Nodal:
         """Nodal values v with M v = right, those of held components being given. Collective.
 

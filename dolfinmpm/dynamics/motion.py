@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
@@ -119,6 +120,7 @@ class Motion:
         if self._clock is not None:
             self._clock.value = t
 
+    @stages.assemble
     def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Array) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
@@ -166,6 +168,7 @@ class Motion:
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
         return Blocks(0, 0, nodes, nodes, values), c * start
 
+    @stages.commit
     def to_points(
         self, operator: Operator, state: NewState, step: Step, x: Array, scale: float
     ) -> str | None:

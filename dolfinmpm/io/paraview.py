@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, plot
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_points
@@ -114,6 +115,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Nothing is left to do: the files are complete after every write."""
 
+    @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points, and of the grid. Collective.
 

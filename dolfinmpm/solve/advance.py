@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.balance import balance
@@ -35,6 +36,7 @@ class NewState:
     to: Destinations | None
 
 
+@stages.commit
 def advance(
     operator: Operator,
     updates: Sequence[PointUpdates],
@@ -96,6 +98,7 @@ def advance(
     return NewState(new, to)
 
 
+@stages.commit
 def commit(points: MaterialPoints, state: NewState) -> int:
     """Write a new state, and move the points to the ranks of their cells. Collective.
 

@@ -13,6 +13,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -199,7 +200,7 @@ class ArcLength(QuasiStatic):
 
         After an error state and load are those of the last step.
         """
-        started = time.perf_counter()
+        started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
         path = self.path
         wanted = path.length
@@ -228,7 +229,7 @@ class ArcLength(QuasiStatic):
         path.travelled += path.length if path.constraint.linear else 0.0
         record.displacement = path.travelled if path.constraint.linear else self._moved()
         path.length = self._pace.next(path.length, last)
-        record.seconds = time.perf_counter() - started
+        record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfinmpm._platform import stages
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.solve.linear import LinearSolver
 from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
@@ -132,6 +133,7 @@ class Newton:
         self._set: tuple[PETSc.SNES | None, str] = None, ""
         self.linear = LinearSolver(comm, gdim, tangent, options)
 
+    @stages.solve
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import ufl
 from petsc4py import PETSc
 
+from dolfinmpm._platform import stages
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
@@ -161,6 +162,7 @@ class Operator:
         points: The terms of the points.
     """
 
+    @stages.assemble
     def __init__(self, form: WeakForm, here: Activation):
         self.form, self.here = form, here
         # a second form on an activation that was made for another has its own parts of the body
@@ -177,6 +179,7 @@ class Operator:
 
     # -- vectors --------------------------------------------------------------
 
+    @stages.assemble
     def renew_external(self) -> None:
         """Take the DOLFINx constants and functions as they are now. Collective."""
         here, out = self.here, self._external
@@ -197,6 +200,7 @@ class Operator:
         """Nodal forces that do not depend on the increments (N), (nodes, components) each field."""
         return self._external.arrays
 
+    @stages.evaluate
     def move(self, x: Array, scale: float = 1.0) -> None:
         """Evaluate the increments at nodes and points. Collective.
 
@@ -215,6 +219,7 @@ class Operator:
         """The increments moved to, (nodes, components) each field."""
         return self._u.arrays
 
+    @stages.assemble
     def forces(self) -> list[Array]:
         """Internal and external forces at the increments moved to (N), each field's. Collective.
 
@@ -249,6 +254,7 @@ class Operator:
             work += float(force.reshape(-1)[held] @ u.reshape(-1)[held])
         return unknowns.comm.allreduce(work)
 
+    @stages.evaluate
     def place(self, u: Sequence[Array]) -> None:
         """Evaluate nodal increments at the points.
 
@@ -259,6 +265,7 @@ class Operator:
             mine[...] = given
         self.points.interpolate(self._u.arrays)
 
+    @stages.evaluate
     def rest(self) -> None:
         """Evaluate no increment at all, not even those prescribed. Collective."""
         self.here.unknowns.clear(self._u)
@@ -280,6 +287,7 @@ class Operator:
         out.add_up()
         return out
 
+    @stages.assemble
     def residual(self, x: Array) -> Residual:
         """Forces out of balance. Collective.
 
@@ -300,6 +308,7 @@ class Operator:
         """All forces on the owned unknowns (N), shape (owned,). Collective."""
         return self.residual(x).values
 
+    @stages.assemble
     def push(self) -> Array:
         """Residual of the linear step from rest under the prescribed increments. Collective.
 
@@ -323,6 +332,7 @@ class Operator:
         penalties = [f.penalty for f in here.fields if f.penalty is not None]
         return [*here.grid, *penalties] if self.form.parts.grid.linear else penalties
 
+    @stages.assemble
     def tangent(self, matrix: Matrix) -> None:
         """Assemble the tangent at the increments moved to. Collective.
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
@@ -148,6 +149,7 @@ class Problem:
         """Whether the points move with the first field."""
         return self.fields[0].space.increment.ufl_shape == (self.points.gdim,)
 
+    @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all that it takes to go on from here into one HDF5 file. Collective.
 
@@ -240,6 +242,7 @@ class Problem:
         set_loads(self._loads, state, cells)
         self.here = None
 
+    @stages.activate
     def activate(self, step: Step | None = None) -> Activation:
         """What takes part in a step from where the points are now. Collective.
 

@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     raise_together,
@@ -147,7 +148,7 @@ class QuasiStatic(Problem):
         After an error the state, and the load, are those of the last converged
         part of the step.
         """
-        started = time.perf_counter()
+        started, watch = time.perf_counter(), stages.Watch()
         self._record = record = self._of_step()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         self._loads.aim()
@@ -174,7 +175,7 @@ class QuasiStatic(Problem):
         finally:
             self._loads.release()
         self._share = share
-        record.seconds = time.perf_counter() - started
+        record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
 
@@ -228,7 +229,8 @@ class QuasiStatic(Problem):
             return Failed(state, self._worst(operator))
         record.migrated += commit(points, state)
         record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
-        operator.fill_functions()
+        with stages.commit:
+            operator.fill_functions()
         return None
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:

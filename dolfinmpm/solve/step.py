@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from dolfinmpm._platform.stages import NAMES
+
 __all__ = ["Failed", "Step", "StepRecord"]
 
 
@@ -53,6 +55,10 @@ class StepRecord:
         imbalance: Largest number of points on a rank over the mean, as the next step has them, or
             of unknowns, as this one had them, if that is more.
         seconds: Wall time (s).
+        stages: Wall time of its parts (s), and of what was written before the next step
+            ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
+            are all of it but what looks at loads and chooses the length of steps. Of this
+            process, as `seconds` are.
     """
 
     iterations: int = 0
@@ -64,3 +70,4 @@ class StepRecord:
     migrated: int = 0
     imbalance: float = 1.0
     seconds: float = 0.0
+    stages: dict[str, float] = field(default_factory=lambda: dict.fromkeys(NAMES, 0.0))

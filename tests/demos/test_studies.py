@@ -78,7 +78,7 @@ def test_compaction_compared():
 
 
 def test_benchmark():
-    figures = run("benchmark", "--repeat", "1", "--cases", "1x16")
+    figures = run("benchmark", "--repeat", "1", "--cases", "1x16", "--scenes=", "--growth=")
     case = figures["cases"]["gimp 1x16"]
     assert case["points"] == 64
     assert case["newton_iterations"] == 125
@@ -86,12 +86,40 @@ def test_benchmark():
 
 
 def test_benchmark_of_remedies():
-    options = "--repeat 1 --cases 1x16 --bases gimp --remedies none,ghost"
+    options = "--repeat 1 --cases 1x16 --bases gimp --remedies none,ghost --scenes= --growth="
     costs = run("benchmark", *options.split())["remedies"]
     # what is asked once, when the problem is made, counts little
     assert costs["gimp 1x16 none"]["remedy_calls_per_step"] < 1
     assert costs["gimp 1x16 ghost"]["remedy_calls_per_step"] > 1
     assert costs["gimp 1x16 none"]["milliseconds_per_iteration"] > 0
+
+
+def test_benchmark_of_work_and_precision(tmp_path):
+    options = "--quick --cases= --scenes column --growth cells --bases gimp,bspline2"
+    figures = run("benchmark", *options.split(), "--output", str(tmp_path))
+    errors = {(r["basis"], r["remedy"], r["level"]): r["error"] for r in figures["runs"]}
+    assert len(errors) == 12
+    # the same as the study of the column says
+    assert errors["gimp", "none", 16] == pytest.approx(3.65891e-3, rel=1e-4)
+    assert errors["bspline2", "ghost", 16] < errors["gimp", "ghost", 16]
+    for r in figures["runs"]:
+        assert r["stages"]["solve"] > 0
+    cells = figures["growth"]["cells, implicit"]["rows"]
+    assert [c["unknowns"] for c in cells] == [cells[0]["unknowns"]] * 3
+    assert cells[2]["cells"] > 15 * cells[0]["cells"]
+    for name in ("precision", "stages", "growth"):
+        assert (tmp_path / f"benchmark_{name}.png").stat().st_size > 0
+
+
+def test_skip_table():
+    options = "--cells 6 --steps 2 --calls --only F-bar,yielding,tangent"
+    found = run("skip_table", *options.split())
+    rows = {row["feature"]: row for row in found["rows"]}
+    assert found["unit"] == "calls"
+    for row in rows.values():
+        assert row["off_calls"] == 0
+    assert rows["F-bar"]["on"] > 0
+    assert rows["tangent"]["on"] > 0
 
 
 def test_manufactured_solution(tmp_path):

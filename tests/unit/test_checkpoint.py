@@ -69,7 +69,7 @@ def bits(problem):
     return {
         "fields": {name: values.tobytes() for name, values in problem.points.fields.items()},
         "loads": [value.tobytes() for _, value in problem._loads.converged()],
-        "history": [vars(record) | {"seconds": None} for record in problem.history],
+        "history": [vars(record) | {"seconds": None, "stages": None} for record in problem.history],
     }
 
 

@@ -358,7 +358,7 @@ def bits(problem):
     fields = {name: values.tobytes() for name, values in problem.points.fields.items()}
     energies, motion = problem.energies(), problem.motion
     return fields, energies, problem.time, motion.wanted, [
-        vars(record) | {"seconds": None} for record in problem.history
+        vars(record) | {"seconds": None, "stages": None} for record in problem.history
     ]  # fmt: skip
 
 

@@ -67,7 +67,7 @@ def _remove(folder):
 def _bits(problem):
     """All that the points of this rank have, and the records of the steps but their times."""
     fields = {name: values.tobytes() for name, values in problem.points.fields.items()}
-    return fields, [vars(record) | {"seconds": None} for record in problem.history]
+    return fields, [vars(record) | {"seconds": None, "stages": None} for record in problem.history]
 
 
 def goes_on(build, steps, moves=True):

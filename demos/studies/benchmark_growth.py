@@ -1,0 +1,216 @@
+"""How time, memory and communication grow with points, with the grid around a body, with ranks.
+
+Run alone it is one case, which the benchmark starts as often as it needs it, under `mpirun` too:
+every case has a process of its own, whose largest memory is that of this case alone.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from petsc4py import PETSc
+from scene import finish, parser, say, stage_seconds
+
+import dolfinmpm as mpm
+
+# of the processor seconds a step, over the last decade of points
+FITTED = 10.0
+
+
+# -- one case --------------------------------------------------------------------------------
+
+
+def block(kind: str, count: int, room: int):
+    """A square of about so many points on a grid `room` times as large as it needs; a stepper."""
+    comm = MPI.COMM_WORLD
+    cells = max(2, round(count**0.5 / 2))
+    h = 1.0 / cells
+    # the grid that it needs, in cells, and that it gets
+    needed = cells + 4
+    side = round(needed * room**0.5)
+    low, high = [-2 * h, -2 * h], [(side - 2) * h, (side - 2) * h]
+    grid = mesh.create_rectangle(comm, [low, high], [side, side], mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1000.0)
+    basis = "bspline2" if kind == "explicit" else "gimp"
+    V = mpm.Space(grid, basis)
+    gravity = fem.Constant(grid, (0.0, -10.0 if kind == "explicit" else 0.0))
+    law = mpm.materials.NeoHookean if kind == "explicit" else mpm.materials.Hencky
+    F = mpm.momentum(law(E=1e6, nu=0.3), points, V.increment, V.test)
+    F -= ufl.inner(points.density * gravity, V.test) * points.dX
+    bcs = mpm.fixed(V, lambda x: x[1] < 1e-6 * h)
+    if kind == "explicit":
+        explicit = mpm.Explicit(F, V.increment, points, bcs, scheme="usl", mapping="flip")
+        dt = 0.8 * explicit.critical_step()
+
+        def go(steps: int) -> int:
+            return explicit.step(explicit.time + (steps - 0.01) * dt).parts
+
+        return explicit, go
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+
+    def load(steps: int) -> int:
+        for _ in range(steps):
+            gravity.value[1] -= 0.2
+            problem.step()
+        return steps
+
+    return problem, load
+
+
+def messages() -> np.ndarray:
+    """Messages and bytes of PETSc in all stages so far, of this rank."""
+    from dolfinmpm._platform import stages
+
+    found = [getattr(stages, name).event.getPerfInfo() for name in stages.STEP]
+    return np.array([[f["numMessages"], f["messageLength"]] for f in found]).sum(axis=0)
+
+
+def memory(kind: str) -> float:
+    """Memory of this process (bytes), now ("VmRSS") or at its most ("VmHWM")."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(kind))
+
+
+def one_case(args: Any) -> dict[str, Any]:
+    """Seconds, stages and messages of a step, and memory beyond a small case. Collective."""
+    PETSc.Log.begin()
+    comm = MPI.COMM_WORLD
+    small, go_small = block(args.case, 400, 1)
+    go_small(3)  # compiles, or loads what was compiled before
+    del small, go_small
+    gc.collect()
+    least = memory("VmRSS")
+    # from here on the peak is counted anew
+    Path("/proc/self/clear_refs").write_text("5")
+    problem, go = block(args.case, args.points, args.room)
+    go(3)
+    before, sent = len(problem.history), messages()
+    comm.barrier()
+    started, processor = time.perf_counter(), time.process_time()
+    steps = go(args.steps)
+    processor = time.process_time() - processor
+    comm.barrier()
+    seconds = time.perf_counter() - started
+    sums = comm.allreduce(
+        np.array([processor, *(messages() - sent), memory("VmHWM") - least]), op=MPI.SUM
+    )
+    del problem.history[:before]
+    stages = stage_seconds(problem)
+    most = {name: comm.allreduce(value, op=MPI.MAX) / steps for name, value in stages.items()}
+    iterations = sum(record.iterations for record in problem.history)
+    return {
+        "points": problem.points.total,
+        "cells": problem.points.grid.topology.index_map(2).size_global,
+        "unknowns": problem.here.unknowns.total if problem.here is not None else 0,
+        "steps": steps,
+        "iterations": iterations,
+        "seconds": seconds / steps,
+        "seconds_processor": float(sums[0]) / steps,
+        "petsc_messages": float(sums[1]) / steps,
+        "petsc_bytes": float(sums[2]) / steps,
+        "memory": float(sums[3]),
+        "stages": most,
+        "ranks": comm.size,
+    }
+
+
+# -- many cases ------------------------------------------------------------------------------
+
+
+def started(case: str, points: int, steps: int, room: int = 1, ranks: int = 1) -> dict[str, Any]:
+    """One case in processes of its own; with `failed` where there was no memory for it.
+
+    Messages are those of PETSc: what counts all of them in Open MPI fails on the neighbourhood
+    collectives of DOLFINx.
+    """
+    words = ["--case", case, "--points", str(points), "--steps", str(steps), "--room", str(room)]
+    command = [sys.executable, __file__, *words, "--json", "-"]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    # ranks beyond the processors must let each other have them
+    own = {**os.environ, "OMPI_MCA_mpi_yield_when_idle": "1"}
+    done = subprocess.run(command, env=own, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        say(f"{case}, {points} points, {ranks} rank(s): ended with code {done.returncode}")
+        return {"points": points, "ranks": ranks, "failed": done.returncode}
+    found = json.loads(done.stdout.splitlines()[-1])
+    say(
+        f"{case}, {found['points']} points in {found['cells']} cells, {ranks} rank(s): "
+        f"{found['seconds_processor']:.4g} s of processors a step, {found['seconds']:.4g} s, "
+        f"{found['memory'] / found['points'] / 1e3:.2f} kB a point, "
+        f"{found['petsc_messages']:.0f} messages of {found['petsc_bytes']:.3g} bytes by PETSc"
+    )
+    return found
+
+
+def exponent(rows: Sequence[dict[str, Any]], by: str, of: str) -> float | None:
+    """Exponent p of the fit of ∝ size^p over the largest sizes; None of less than two."""
+    known = [(row[by], row[of]) for row in rows if row.get(of)]
+    if len(known) < 2:
+        return None
+    x, y = np.log(np.array(sorted(known)).T)
+    last = (x >= x[-1] - np.log(FITTED) - 0.1) if len(x) > 2 else np.ones(len(x), bool)
+    return float(np.polyfit(x[last], y[last], 1)[0]) if last.sum() > 1 else None
+
+
+def growth(args: Any) -> dict[str, Any]:
+    """All series that `args.growth` names; on one rank."""
+    found: dict[str, Any] = {}
+    if "points" in args.growth:
+        for case, sizes in (("explicit", args.explicit_points), ("implicit", args.implicit_points)):
+            # about as long in all of them, but at least three steps
+            def steps(n, case=case):
+                return max(3, min(200, int((4e6 if case == "explicit" else 3e4) / n)))
+
+            rows = [started(case, n, steps(n)) for n in sizes]
+            found[f"points, {case}"] = {
+                "rows": rows,
+                "exponent": exponent(rows, "points", "seconds_processor"),
+                "exponent_memory": exponent(rows, "points", "memory"),
+            }
+    if "cells" in args.growth:
+        for case in ("explicit", "implicit"):
+            rows = [started(case, args.fixed_points, 10, room) for room in (1, 4, 16)]
+            found[f"cells, {case}"] = {
+                "rows": rows,
+                "exponent": exponent(rows, "cells", "seconds_processor"),
+            }
+    if "ranks" in args.growth:
+        for case in ("explicit", "implicit"):
+            for kind in ("strong", "weak"):
+                rows = []
+                for ranks in args.ranks:
+                    points = args.fixed_points * (ranks if kind == "weak" else 1)
+                    rows.append(started(case, points, 10, ranks=ranks))
+                found[f"ranks, {case}, {kind}"] = {
+                    "rows": rows,
+                    # of a share of work that does not depend on ranks: 0 if strong, 1 if weak
+                    "exponent": exponent(rows, "ranks", "seconds_processor"),
+                    "exponent_bytes": exponent(rows[1:], "ranks", "petsc_bytes"),
+                }
+    for name, series in found.items():
+        powers = {k: v for k, v in series.items() if k.startswith("exponent") and v is not None}
+        say(f"{name}: " + ", ".join(f"{k} {v:.2f}" for k, v in powers.items()))
+    return found
+
+
+if __name__ == "__main__":
+    options = parser("One case of the growth of time with points, cells and ranks.")
+    options.add_argument("--case", choices=("explicit", "implicit"), default="explicit")
+    options.add_argument("--points", type=int, default=10_000, help="about so many")
+    options.add_argument("--room", type=int, default=1, help="times the grid that the body needs")
+    options.add_argument("--steps", type=int, default=20)
+    args = options.parse_args()
+    finish(args, one_case(args))

@@ -1,0 +1,370 @@
+# %% [markdown]
+# # What is not used costs nothing
+#
+# Every optional feature, off and on, by the instructions that a processor goes through in a step
+# (`instructions.py`), which do not depend on what else the machine does:
+#
+# - **off**: a step that does not use it, against the same step with the places stubbed out where
+#   the code asks for the feature. Where there is no such place in a step, none of the feature's
+#   functions may be called: their calls are counted, and the step is compared with a twin,
+#   which tells what differences mean nothing.
+# - **on**: the step with the feature against the step without.
+#
+# Two problems take the same steps in turn, one as it is and one stubbed; the figure is the median
+# of their ratios. The scene is a block of elastic soil under its weight, 2² points a cell, GIMP.
+
+# %%
+from __future__ import annotations
+
+import contextlib
+import cProfile
+import json
+import os
+import pstats
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import instructions
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import finish, parser, say
+
+import dolfinmpm as mpm
+from dolfinmpm._platform import stages
+from dolfinmpm.assembly import evaluation
+from dolfinmpm.cut import activation
+
+PACKAGE = Path(mpm.__file__).parent
+
+options = parser("What optional features cost, off and on.")
+options.add_argument("--cells", type=int, default=24, help="of the block, in each direction")
+options.add_argument("--steps", type=int, default=12, help="counted pairs of steps")
+options.add_argument("--only", help="features, by commas; all by default")
+options.add_argument("--calls", action="store_true", help="count Python calls in any case")
+
+
+# %% [markdown]
+# ## The scene
+
+
+# %%
+@dataclass
+class Block:
+    """A block in one problem, with the next step ready to be taken.
+
+    Attributes:
+        before, after: What is done around a step, besides taking it.
+    """
+
+    problem: Any
+    gravity: Any
+    after: Callable[[], Any] | None = None
+    taken: int = 0
+
+    def step(self) -> None:
+        """One step."""
+        self.gravity.value[-1] = -0.05 * (self.taken + 1)
+        self.taken += 1
+        self.problem.step()
+        if self.after is not None:
+            self.after()
+
+
+def block(cells, dimension=2, law=None, fbar=False, remedy="none", tags=False) -> Block:
+    """A block with a feature, or with none."""
+    if dimension == 3:
+        cells = max(2, round(cells ** (2 / 3)))
+    kind = mesh.CellType.quadrilateral if dimension == 2 else mesh.CellType.hexahedron
+    make = mesh.create_rectangle if dimension == 2 else mesh.create_box
+    high = (1.0,) * (dimension - 1) + (1.25,)
+    n = [cells] * (dimension - 1) + [round(1.25 * cells)]
+    grid = make(MPI.COMM_WORLD, [(0.0,) * dimension, high], n, kind)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    law = law or mpm.materials.Hencky(E=1e4, nu=0.3)
+    low, top = (0.0,) * dimension, (1.0,) * dimension
+    if tags:
+        half = (*top[:-1], 0.5)
+        points = mpm.fill(grid, mpm.Box(low, half), 2, 80.0, tag=1)
+        points = points + mpm.fill(grid, mpm.Box((*low[:-1], 0.5), top), 2, 80.0, tag=2)
+        F = mpm.momentum(law, points, u, v, tag=1) + mpm.momentum(law, points, u, v, tag=2)
+    else:
+        points = mpm.fill(grid, mpm.Box(low, top), 2, 80.0)
+        F = mpm.momentum(law, points, u, v, fbar=fbar)
+    gravity = fem.Constant(grid, (0.0,) * dimension)
+    F -= ufl.inner(points.density * gravity, v) * points.dX
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    return Block(mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy), gravity)
+
+
+# %% [markdown]
+# ## The features
+
+
+# %%
+@dataclass(frozen=True)
+class Feature:
+    """An optional feature.
+
+    Attributes:
+        name: Its name.
+        on: Makes a block that uses it, from the number of cells; None where it is no matter
+            of a problem.
+        stub: Takes away the places that ask for it, or None where there are none.
+        own: Files and functions that only it calls: "file.py" or "file.py:function".
+        plain: Makes the block it is compared with.
+    """
+
+    name: str
+    on: Callable[[int], Block] | None
+    stub: Callable[[], Any] | None = None
+    own: tuple[str, ...] = ()
+    plain: Callable[[int], Block] = block
+
+
+def without_ties():
+    """No field is asked whether a remedy ties its nodes."""
+    return mock.patch.object(activation.Field, "ties_nodes", False)
+
+
+def without_means():
+    """No region looks for laws that take means over cells."""
+
+    def prepare(self) -> None:
+        self._known.clear()
+
+    return mock.patch.object(evaluation._Region, "prepare", prepare)
+
+
+@contextlib.contextmanager
+def unmeasured() -> Iterator[None]:
+    """Stages are neither entered nor left."""
+    stages.measure(False)
+    try:
+        yield
+    finally:
+        stages.measure(True)
+
+
+def with_output(cells: int) -> Block:
+    """A block that writes its points after every step."""
+    made = block(cells)
+    folder = tempfile.mkdtemp()
+    file = mpm.ParaView(Path(folder, "points.pvd"), made.problem.points)
+    made.after = lambda: file.write(float(made.taken))
+    return made
+
+
+def with_checkpoint(cells: int) -> Block:
+    """A block that saves its state after every step."""
+    made, folder = block(cells), tempfile.mkdtemp()
+    made.after = lambda: made.problem.save(Path(folder, "state.h5"))
+    return made
+
+
+def with_progress(cells: int) -> Block:
+    """A block whose steps show a bar."""
+    made = block(cells)
+    bar = iter(mpm.steps(1000, label="steps"))
+    made.after = lambda: next(bar)
+    return made
+
+
+def yielding() -> Any:
+    """A law all of whose points yield."""
+    return mpm.materials.VonMises(E=1e4, nu=0.3, yield_stress=0.5)
+
+
+FEATURES = (
+    Feature("ghost penalty", lambda n: block(n, remedy="ghost"),
+            own=("remedies.py", "active.py:select", "facettensors.py", "splinefacets.py")),
+    Feature("aggregation", lambda n: block(n, remedy="aggregation"), without_ties,
+            ("aggregation.py", "fractions.py", "prolongation.py")),
+    Feature("F-bar", lambda n: block(n, fbar=True), without_means, ("fbar.py", "cellmeans.py")),
+    Feature("yielding", lambda n: block(n, law=yielding()),
+            own=("return_mapping.py", "vonmises.py")),
+    Feature("tags", lambda n: block(n, tags=True), own=("parts.py", "joining.py")),
+    Feature("output", with_output, own=("paraview.py", "vtkfiles.py")),
+    Feature("progress", with_progress, own=("progress.py",)),
+    Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
+    Feature("third dimension", lambda n: block(n, 3), own=("fused3d.py",)),
+    Feature("stages", block, unmeasured, plain=block),
+)  # fmt: skip
+
+
+# %% [markdown]
+# ## Counting
+# Residuals alone against residuals with a tangent; and collective calls, each of which costs some
+# instructions on one rank too.
+
+
+# %%
+def pairs(first: Block, second: Block, count, number: int, stub=None) -> tuple[float, float, int]:
+    """Median ratio of steps of two blocks less one, half its spread, and what the first takes."""
+    ratios, taken = [], []
+    for k in range(number):
+        found = {}
+        # who goes first changes, as what one leaves in caches may help the other
+        for which in (0, 1) if k % 2 else (1, 0):
+            with stub() if which and stub else contextlib.nullcontext():
+                found[which] = count((second if which else first).step)[0]
+        ratios.append(found[0] / found[1] - 1)
+        taken.append(found[0])
+    low, high = np.quantile(ratios, (0.25, 0.75))
+    return statistics.median(ratios), float(high - low) / 2, int(statistics.median(taken))
+
+
+def calls(made: Block) -> dict[str, int]:
+    """Python-level calls of the package in a step, by "file.py:function"."""
+    profile = cProfile.Profile()
+    profile.runcall(made.step)
+    found: dict[str, int] = {}
+    for (path, _, name), (_, number, *_) in pstats.Stats(profile).stats.items():
+        if PACKAGE in Path(path).parents:
+            key = f"{Path(path).name}:{name}"
+            found[key] = found.get(key, 0) + number
+        elif "mpi4py" in name or "mpi4py" in path:
+            found["mpi"] = found.get("mpi", 0) + number
+    return found
+
+
+def warm(made: Block, steps: int = 3) -> Block:
+    """A block whose first steps are taken."""
+    for _ in range(steps):
+        made.step()
+    return made
+
+
+def row(feature: Feature, args, count) -> dict[str, Any]:
+    """The figures of one feature."""
+    first, second = warm(feature.plain(args.cells)), warm(feature.plain(args.cells))
+    off, spread, plain = pairs(first, second, count, args.steps, feature.stub)
+    seen = calls(first)
+    own = sum(
+        number for key, number in seen.items()
+        for part in feature.own if key == part or key.startswith(f"{part}:")
+    )  # fmt: skip
+    found = {
+        "feature": feature.name, "off": off, "off_spread": spread, "off_calls": own,
+        "stubbed": feature.stub is not None, "plain": plain,
+    }  # fmt: skip
+    if feature.name == "stages":
+        # on is what it is by default
+        return {**found, "on": off, "off": None}
+    on = warm(feature.on(args.cells))
+    share = first.problem.points.total / on.problem.points.total
+    found["on"] = statistics.median(
+        share * count(on.step)[0] / count(first.step)[0] - 1 for _ in range(max(3, args.steps // 3))
+    )
+    return found
+
+
+def tangent_row(args, count) -> dict[str, Any]:
+    """Residual alone, which explicit steps take, and with a tangent."""
+    made = warm(block(args.cells))
+    called = []
+    operator, matrix = made.problem.operator(), made.problem.newton.linear.matrix
+    x = np.zeros(operator.here.unknowns.owned)
+    for _ in range(args.steps):
+        residual = count(lambda: operator.residual(x))[0]
+        called.append(count(lambda: operator.tangent(matrix))[0] / residual)
+    return {
+        "feature": "tangent", "off": 0.0, "off_spread": 0.0, "off_calls": explicit_calls(args),
+        "stubbed": False, "on": statistics.median(called), "plain": residual,
+    }  # fmt: skip
+
+
+def explicit_calls(args) -> int:
+    """How often an explicit step that is not fused asks for a tangent."""
+    made = block(args.cells)
+    problem = mpm.Explicit(
+        made.problem.form.given, made.problem.fields[0].space.increment, made.problem.points,
+        made.problem.bcs, fused=False,
+    )  # fmt: skip
+    with mock.patch.object(evaluation.Evaluation, "add_tangent") as asked:
+        problem.step(2 * problem.critical_step())
+    return asked.call_count
+
+
+def mpi_row(args, count) -> dict[str, Any]:
+    """Collective calls of a step on one rank, by what one of them takes."""
+    made = warm(block(args.cells))
+    step = statistics.median(count(made.step)[0] for _ in range(args.steps))
+    number, collective = 0, {"allreduce", "Allreduce", "allgather", "bcast", "exscan", "barrier"}
+
+    def asked(code, place, what, first) -> None:
+        nonlocal number
+        number += isinstance(first, MPI.Comm) and getattr(what, "__name__", "") in collective
+
+    comm = MPI.COMM_WORLD
+
+    def hundred() -> None:
+        for _ in range(100):
+            comm.allreduce(1.0)
+
+    hundred()
+    one = count(hundred)[0] / 100
+    # MPI's methods are compiled: no profiler of functions sees them
+    monitor, tool = sys.monitoring, sys.monitoring.OPTIMIZER_ID
+    monitor.use_tool_id(tool, "collective calls")
+    monitor.register_callback(tool, monitor.events.CALL, asked)
+    monitor.set_events(tool, monitor.events.CALL)
+    made.step()
+    monitor.set_events(tool, 0)
+    monitor.free_tool_id(tool)
+    return {
+        "feature": "MPI on one rank", "off": number * one / step, "off_spread": 0.0,
+        "off_calls": number, "stubbed": False, "on": None, "plain": int(step),
+    }  # fmt: skip
+
+
+def counted(args) -> dict[str, Any]:
+    """All rows, in the process that is counted."""
+    count = instructions.Counter()
+    wanted = args.only.split(",") if args.only else None
+    rows = [row(f, args, count) for f in FEATURES if wanted is None or f.name in wanted]
+    for name, make in (("tangent", tangent_row), ("MPI", mpi_row)):
+        if wanted is None or name in wanted:
+            rows.append(make(args, count))
+    return {"rows": rows, "unit": count.unit}
+
+
+# %% [markdown]
+# ## The table
+
+# %%
+CHILD = "SKIP_TABLE_CHILD"
+
+
+def share(value, spread=None):
+    """A share in per cent."""
+    if value is None:
+        return "-"
+    return f"{100 * value:+.3f} %" + (f" ± {100 * spread:.3f}" if spread else "")
+
+
+if __name__ == "__main__":
+    args = options.parse_args()
+    if os.environ.get(CHILD):
+        print(json.dumps(counted(args)), flush=True)
+        sys.exit()
+    with mock.patch.dict(os.environ, {CHILD: "1"}):
+        words = ["--cells", str(args.cells), "--steps", str(args.steps)]
+        words += ["--only", args.only] if args.only else []
+        found = instructions.count(__file__, *words, alone=args.calls)
+    say(f"{'feature':18s} {'off':>22s} {'calls when off':>15s} {'on':>12s}   ({found['unit']})")
+    for one in found["rows"]:
+        hook = "" if one["stubbed"] or one["feature"] in ("tangent", "MPI on one rank") else " twin"
+        say(
+            f"{one['feature']:18s} {share(one['off'], one['off_spread']):>22s}{hook:5s} "
+            f"{one['off_calls']:10d} {share(one['on']):>12s}"
+        )
+    finish(args, found)
