@@ -37,9 +37,11 @@ __all__ = [
     "MeshPairs",
     "Pair",
     "by_ratio",
+    "isotropic",
     "lattice_pair",
     "least_penalty",
     "local_constant",
+    "smooth_constant",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -71,6 +73,19 @@ def local_constant(full: Array, cut: Array, penalty: Array) -> float:
     return float(linalg.eigvalsh(own.T @ cut @ own)[-1])
 
 
+def smooth_constant(full: Array, cut: Array, smooth: Array) -> float:
+    """C∞ of two cells, by functions without jumps.
+
+    Args:
+        full: K_full, shape (n, n).
+        cut: K_cut, likewise.
+        smooth: The functions, shape (n, m).
+    """
+    _, own = _parted(smooth.T @ full @ smooth)
+    own = smooth @ own
+    return float(linalg.eigvalsh(own.T @ cut @ own)[-1])
+
+
 def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
     """The least γ by which the local constant is no more than a target.
 
@@ -83,9 +98,7 @@ def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
         target: T.
     """
     smooth, jumps = _parted(J)
-    _, own = _parted(smooth.T @ full @ smooth)
-    own = smooth @ own
-    target = max(target, LEAST_TARGET * float(linalg.eigvalsh(own.T @ cut @ own)[-1]))
+    target = max(target, LEAST_TARGET * smooth_constant(full, cut, smooth))
     A = target * full - cut
     # rigid motions, and what neither cell resists, are in no need
     inner, across = smooth.T @ A @ smooth, smooth.T @ A @ jumps
@@ -96,8 +109,15 @@ def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
     return max(0.0, -float(linalg.eigvalsh(rest)[0])) / target
 
 
+def isotropic(M: float, G: float, gdim: int) -> Array:
+    """The isotropic tangent of two moduli, shape (gdim,) * 4."""
+    one = np.eye(gdim)
+    shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+    return (M - 2 * G) * np.einsum("ij,kl->ijkl", one, one) + G * shear
+
+
 class Pair:
-    """Stiffness of two cells by the moduli, and the penalty between them.
+    """Stiffness of two cells, and the penalty between them.
 
     Args:
         gradients: ∫ ∂_i N_a ∂_k N_b of each cell, shape (2, gdim, functions, gdim, functions).
@@ -105,21 +125,16 @@ class Pair:
     """
 
     def __init__(self, gradients: Array, J: Array):
-        g, d, n = gradients, gradients.shape[1], gradients.shape[2]
-        size = (2, n * d, n * d)
-        # λ ∂_r N_a ∂_s N_b + μ (∂_s N_a ∂_r N_b + δ_rs ∇N_a·∇N_b), components r and s
-        self._bulk = g.transpose(0, 2, 1, 4, 3).reshape(size)
-        shear = g.transpose(0, 2, 3, 4, 1) + np.einsum("ciaib,rs->carbs", g, np.eye(d))
-        self._shear = shear.reshape(size)
-        self.J = J
+        self._gradients, self.J = gradients, J
 
-    def stiffness(self, ratio: float) -> Array:
-        """Of both cells for M = 1 and G = ratio, shape (2, n, n)."""
-        return (1.0 - 2.0 * ratio) * self._bulk + ratio * self._shear
+    def stiffness(self, tangent: Array) -> Array:
+        """Of both cells under a tangent D_ijkl (Pa), shape (2, n, n)."""
+        K = np.einsum("risk,ciakb->carbs", tangent, self._gradients)
+        return K.reshape(2, *self.J.shape)
 
     def penalty(self, ratio: float, target: float) -> float:
-        """The least γ for a target, whichever cell is cut."""
-        first, second = self.stiffness(ratio)
+        """The least γ for a target, whichever cell is cut, for M = 1 and G = ratio."""
+        first, second = self.stiffness(isotropic(1.0, ratio, self._gradients.shape[1]))
         return max(
             least_penalty(first, second, self.J, target),
             least_penalty(second, first, self.J, target),

@@ -217,10 +217,9 @@ def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tag
 
 
 def _moduli_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """The largest stiffness and μ at the points of the neo-Hookean law (Pa), shape (n, 2)."""
-    M = _stiffness_at(points, parameters, tags)
-    _, mu = lame(*parameters.at(rows_within(points, tags)).T)
-    return np.stack([M, np.broadcast_to(mu, M.shape)], axis=1)
+    """λ + 2μ and μ at the points of the neo-Hookean law (Pa), shape (n, 2) or (1, 2)."""
+    lmbda, mu = lame(*parameters.at(rows_within(points, tags)).T)
+    return np.stack([lmbda + 2 * mu, mu], axis=1)
 
 
 def momentum(

@@ -36,6 +36,7 @@ CASES = {
         remedies.remedies_triangles,
         remedies.remedies_bspline2,
         remedies.facets_of_few_ranks,
+        remedies.adaptive_penalties,
         plasticity.large_strain,
         plasticity.small_strain,
         plasticity.jaumann,
