@@ -25,7 +25,6 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from scipy import linalg
 
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.assembly.facettensors import FacetPlace, one_dimensional, product
@@ -56,7 +55,7 @@ _NONE = 1e-10
 
 def _parted(A: Array) -> tuple[Array, Array]:
     """Vectors between which a matrix is zero, and those between which it is the identity."""
-    values, vectors = linalg.eigh(A)
+    values, vectors = np.linalg.eigh(A)
     some = values > _NONE * values[-1]
     return vectors[:, ~some], vectors[:, some] / np.sqrt(values[some])
 
@@ -70,7 +69,7 @@ def local_constant(full: Array, cut: Array, penalty: Array) -> float:
         penalty: γ J, likewise.
     """
     _, own = _parted(full + penalty)
-    return float(linalg.eigvalsh(own.T @ cut @ own)[-1])
+    return float(np.linalg.eigvalsh(own.T @ cut @ own)[-1])
 
 
 def smooth_constant(full: Array, cut: Array, smooth: Array) -> float:
@@ -83,7 +82,7 @@ def smooth_constant(full: Array, cut: Array, smooth: Array) -> float:
     """
     _, own = _parted(smooth.T @ full @ smooth)
     own = smooth @ own
-    return float(linalg.eigvalsh(own.T @ cut @ own)[-1])
+    return float(np.linalg.eigvalsh(own.T @ cut @ own)[-1])
 
 
 def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
@@ -102,11 +101,11 @@ def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
     A = target * full - cut
     # rigid motions, and what neither cell resists, are in no need
     inner, across = smooth.T @ A @ smooth, smooth.T @ A @ jumps
-    values, vectors = linalg.eigh(inner)
+    values, vectors = np.linalg.eigh(inner)
     some = values > _NONE * values[-1]
     across = vectors[:, some].T @ across
     rest = jumps.T @ A @ jumps - across.T @ (across / values[some, None])
-    return max(0.0, -float(linalg.eigvalsh(rest)[0])) / target
+    return max(0.0, -float(np.linalg.eigvalsh(rest)[0])) / target
 
 
 def isotropic(M: float, G: float, gdim: int) -> Array:

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from scipy.interpolate import BSpline
 from ufl import classes
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
@@ -288,10 +287,27 @@ _gauss = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
-    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions)."""
+    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions).
+
+    By the recursions of Cox and de Boor for values, then those for derivatives (de Boor, A
+    Practical Guide to Splines, 1978, ch. X).
+    """
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    own = knots[cell : cell + 2 * degree + 2]
-    return BSpline(own, np.eye(degree + 1), degree)(x, nu=order)
+    t, p = knots[cell : cell + 2 * degree + 2], degree
+    values = np.ones((x.size, 1))
+    for k in range(1, p + 1):
+        # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
+        start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]
+        share = values / (end - start)
+        before = np.zeros((x.size, k + 1))
+        after = np.zeros((x.size, k + 1))
+        if k > p - order:
+            before[:, 1:], after[:, :-1] = k * share, -k * share
+        else:
+            before[:, 1:] = (x[:, None] - start) * share
+            after[:, :-1] = (end - x[:, None]) * share
+        values = before + after
+    return values
 
 
 def one_dimensional(

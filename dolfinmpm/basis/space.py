@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from scipy import sparse
 
 from dolfinmpm._platform.checks import choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
@@ -18,6 +17,9 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import number_functions
 from dolfinmpm.grid.lattice import lattice_of, once_per_grid, require_lattice
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["Space", "extraction", "splines_at"]
 
@@ -97,6 +99,8 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
 
 
 def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
+    from scipy import sparse
+
     V = space.function_space
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
     cells = V.dofmap.list

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from scipy import sparse
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
@@ -32,6 +31,9 @@ from dolfinmpm.cut.fractions import fill_fractions, support_shares
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.materials.base import lame
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["Stabilisation", "ghost", "soft"]
 
@@ -331,6 +333,8 @@ class Stabilisation:
         Returns:
             Rows, columns and blocks, as the ordinary terms give them.
         """
+        from scipy import sparse
+
         assert self.E is not None
         h = cell_size(grid)
         size = float(h.value) if not isinstance(h, fem.Function) else float(h.x.array.mean())

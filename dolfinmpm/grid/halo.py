@@ -16,7 +16,6 @@ from dolfinx import la
 from dolfinx.common import IndexMap
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
-from scipy import ndimage
 
 from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm.grid.lattice import Lattice
@@ -147,7 +146,9 @@ def build_halo(
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
         mask = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
-        mask = ndimage.maximum_filter(mask, size=2 * layers + 1, mode="constant")
+        for d in range(gdim if layers else 0):
+            wide = np.pad(mask, [(layers, layers) if d == e else (0, 0) for e in range(gdim)])
+            mask = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d).any(axis=-1)
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):
             node_mask[tuple(slice(c, c + n) for c, n in zip(corner, mask.shape))] |= mask
