@@ -61,6 +61,12 @@ def _penalty_factor(what: str, value: Any) -> float:
     return float(value)
 
 
+def _check_word(what: str, value: str) -> None:
+    """Raise ParameterError unless a factor given as a word is "adaptive"."""
+    if value != ADAPTIVE:
+        raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
+
+
 def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
     """k-th derivative of w on one side of a facet, along the normal of its first side."""
     derivative = w
@@ -120,7 +126,7 @@ def ghost(
     adaptive = isinstance(gamma, str)
     scaling = choice("scaling", scaling, _SCALINGS)
     if isinstance(gamma, str):
-        choice("gamma, if it is a word,", gamma, (ADAPTIVE,))
+        _check_word("gamma", gamma)
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
         raise ParameterError(f'target = {shown(target)} is of gamma="adaptive" alone')
@@ -242,9 +248,7 @@ class Stabilisation:
         if self.nu is not None:
             number("stabilisation's nu", self.nu, -1.0, 0.5)
         if isinstance(self.gamma, str) and self.kind == "ghost":
-            object.__setattr__(
-                self, "gamma", choice("stabilisation's gamma", self.gamma, (ADAPTIVE,))
-            )
+            _check_word("stabilisation's gamma", self.gamma)
         elif self.gamma is not None:
             _penalty_factor("stabilisation's gamma", self.gamma)
         if self.target is not None:

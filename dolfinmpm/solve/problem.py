@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_to
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.migration import settle
+from dolfinmpm.body.partitioner import warn_of_imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, Field, Kept, Prolongate, activate
 from dolfinmpm.cut.held import Held
@@ -114,6 +115,7 @@ class Problem:
                 )
         self._loads = Loads(loads, increments)
         settle(points, self.configuration)
+        warn_of_imbalance(points)
 
     @property
     def comm(self) -> MPI.Intracomm:

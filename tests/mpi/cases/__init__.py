@@ -29,6 +29,7 @@ CASES = {
         transport.carried_3d,
         transport.stencils_across_corners,
         transport.tall,
+        bodies.partitioned,
         transport.two_fields,
         transport.driven,
         remedies.remedies_gimp,
