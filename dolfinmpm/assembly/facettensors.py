@@ -294,7 +294,7 @@ def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array
     """
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     t, p = knots[cell : cell + 2 * degree + 2], degree
-    values = np.ones((x.size, 1))
+    values: Array = np.ones((x.size, 1))
     for k in range(1, p + 1):
         # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
         start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]

@@ -20,7 +20,7 @@ __all__ = ["bisected", "partitioner", "warn_of_imbalance"]
 
 Array = npt.NDArray[np.float64]
 
-# What a cell without the body counts by one with it: it costs memory, and no time.
+# What a cell without the body counts by one that it fills: it costs memory, and no time.
 EMPTY = 1e-3
 # Points of a rank by the mean beyond which they are worth a warning.
 SPREAD = 2.0
@@ -57,7 +57,7 @@ def bisected(x: Array, weights: Array, parts: int) -> npt.NDArray[np.int32]:
             part[chosen] = first
             return
         here, heavy = x[chosen], weights[chosen]
-        extent = np.ptp(here[heavy >= heavy.max()], axis=0)
+        extent = np.ptp(here[heavy >= 0.5 * heavy.max()], axis=0)
         # those in line across are told apart by their other coordinates
         order = np.lexsort((*np.delete(here, d := int(np.argmax(extent)), axis=1).T, here[:, d]))
         low = count // 2
@@ -139,16 +139,16 @@ def _vertices_of(grid: Mesh) -> Array:
 
 
 def _weights(shape: Shape, x: Array, cells: npt.NDArray[np.int64]) -> Array:
-    """1 of cells that the shape overlaps, and next to nothing of others."""
+    """Share of cells that the shape fills, by some places in them; next to nothing of others."""
     corner = x[cells]
     middle = corner.mean(axis=1)
-    inside = np.zeros(len(cells), bool)
+    inside = np.zeros(len(cells))
     # corners, but a little within the cell; midway to them; and the middle
     for k in range(corner.shape[1]):
         for share in (0.01, 0.5):
-            inside |= shape.contains(corner[:, k] + share * (middle - corner[:, k]))
-    inside |= shape.contains(middle)
-    return np.where(inside, 1.0, EMPTY)
+            inside += shape.contains(corner[:, k] + share * (middle - corner[:, k]))
+    inside += shape.contains(middle)
+    return EMPTY + inside / (1 + 2 * corner.shape[1])
 
 
 def _destinations(

@@ -144,11 +144,12 @@ def build_halo(
         known = cell_ijk if len(cell_ijk) else np.zeros((1, gdim), np.int32)
         origin = np.maximum(known.min(axis=0) - layers, 0).astype(np.int32)
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
-        mask = np.zeros(stop - origin, bool)
+        mask: npt.NDArray[np.bool_] = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
         for d in range(gdim if layers else 0):
             wide = np.pad(mask, [(layers, layers) if d == e else (0, 0) for e in range(gdim)])
-            mask = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d).any(axis=-1)
+            windows = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d)
+            mask = np.asarray(windows.any(axis=-1))
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):
             node_mask[tuple(slice(c, c + n) for c, n in zip(corner, mask.shape))] |= mask
