@@ -78,14 +78,10 @@ def test_laws_in_ufl(compiled):
 
 
 def test_ghost_penalties_of_splines_compile_nothing(compiled):
-    """Their tensors are made without FFCx, those of linear functions in units of E with it."""
+    """Their tensors are made without FFCx, those of linear functions with it."""
     settle("bspline2", 4, 1.0, 2, (1e6, 0.3), {"kind": "none"})
     without = compiled()
     settle("bspline2", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"})
     assert compiled() == without
-    settle("gimp", 4, 1.0, 2, (1e6, 0.3), {"kind": "none"})
-    without = compiled()
     settle("gimp", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"})
-    assert compiled() == without
-    settle("gimp", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost", "scaling": "scaled"})
     assert len(compiled() - without) == 1
