@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, jit, la
+from dolfinx import cpp, fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
 from petsc4py import PETSc
@@ -93,6 +93,11 @@ def create_form(compiled, spaces, grid, subdomains, coefficients, constants) -> 
 def integration_domains(kind, subdomain_data, ids):
     """Entities of the given subdomain ids, as DOLFINx's forms take them."""
     return get_integration_domains(kind, subdomain_data, ids)
+
+
+def pack_coefficients(form: fem.Form) -> dict[Any, npt.NDArray[np.float64]]:
+    """Coefficients of a form as its kernels take them, a row each entity, by kind and id."""
+    return cpp.fem.pack_coefficients(form._cpp_object)
 
 
 def create_matrix(form: fem.Form) -> la.MatrixCSR:

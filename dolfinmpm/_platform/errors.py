@@ -131,6 +131,10 @@ class SoftVolumeWarning(DolfinMPMWarning):
     """F-bar leaves changes of volume with too little stiffness for the law."""
 
 
+class ImbalanceWarning(DolfinMPMWarning):
+    """Some rank has far more material points than others."""
+
+
 def warn(comm: MPI.Comm, message: str, category: type[DolfinMPMWarning]) -> None:
     """Warn on rank 0, at the line of the user's script that led here.
 

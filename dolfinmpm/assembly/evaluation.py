@@ -19,6 +19,7 @@ from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
+from dolfinmpm.cut.facetmoduli import isotropic_moduli
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, Kept, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms
@@ -175,6 +176,18 @@ class Evaluation:
         """
         for region in self.regions:
             region.add_tangent(entries)
+
+    def moduli(self) -> Array:
+        """Moduli of the laws' tangents now; see `dolfinmpm.cut.facetmoduli`.
+
+        Returns:
+            By volume at the start of the step (Pa), shape (points, 2); 0 at points of laws
+            that are no operators.
+        """
+        out = np.zeros((len(self._points), 2))
+        for region in self.regions:
+            region.moduli(out)
+        return out
 
     def commit(self) -> dict[str, Array]:
         """What the laws' fields are at the end of the step; `failure` tells where they are not."""
@@ -451,6 +464,28 @@ class _Region:
             value[:] = np.nan
         out[rows] = value
 
+    def moduli(self, out: Array) -> None:
+        """Write the moduli of the tangents of laws at their points."""
+        s, points, d = self.part.stencils[0], self._points, self._points.gdim
+        chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
+        for k in chosen:
+            for first, last in self._chunks():
+                rows = s.order[s.groups[first] : s.groups[last]]
+                operand = self.operand(k, rows)
+                value = np.empty((rows.size, d * d))
+                slope = np.empty((rows.size, d * d, d * d))
+                by_mean = np.empty_like(value) if k in self.terms.by_mean else None
+                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                if self._ask(k, operand, value, slope, rows, by_mean, kept) >= 0:
+                    # the end of the step tells of it
+                    return
+                if by_mean is not None:
+                    # as of deformation that is the same in the whole cell
+                    slope += by_mean[:, :, None] * self.averaging(k).measure_slope(operand)[:, None]
+                found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
+                share = points["V0"][rows] / points["V"][rows]
+                out[rows] += share[:, None] * found
+
     def commit(self, new: dict[str, Array]) -> None:
         """Write what the laws' fields are at the end of the step into new arrays."""
         self.failure = None
@@ -480,6 +515,11 @@ class _Region:
         # the state of the points may be another from here on
         self._known.clear()
         self._kept.clear()
+
+
+def _is_stress(operator: PointOperator) -> bool:
+    """Whether an operator is the stress of a law, and not its derivative."""
+    return operator.declaration is not None and operator.declaration.operator is operator
 
 
 def _taken_of(kept: Kept | None, rows: npt.NDArray[np.integer]) -> Kept | None:

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from scipy.interpolate import BSpline
 from ufl import classes
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
@@ -29,13 +28,15 @@ from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
-__all__ = ["FacetPlace", "FacetTensors", "readable"]
+from dolfinmpm.cut.facetmoduli import FacetModulus
+
+__all__ = ["FacetPlace", "FacetTensors", "facet_moduli", "one_dimensional", "product", "readable"]
 
 Array = npt.NDArray[np.float64]
 # what has one value on each side, and what is made of such values here
 # fmt: off
 _TERMINALS = (
-    Argument, classes.CellVolume, classes.ConstantValue, FacetArea, FacetNormal,
+    Argument, classes.CellVolume, classes.ConstantValue, FacetArea, FacetModulus, FacetNormal,
     classes.MultiIndex, fem.Constant,
 )
 _OPERATORS = (
@@ -94,11 +95,16 @@ def _restricted(form: ufl.Form) -> ufl.Form:
     return apply_restrictions(apply_default_restrictions(form))
 
 
+def facet_moduli(form: ufl.Form) -> list[FacetModulus]:
+    """The moduli in a form that have a value at each facet."""
+    return [c for c in form.coefficients() if isinstance(c, FacetModulus)]
+
+
 def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
     """Whether `FacetTensors` can read a form over ghost facets.
 
-    It must hold nothing that varies in space but arguments and the size of cells, and be
-    integrated by Gauss's rule of any degree.
+    It must hold nothing that varies in space but arguments, the size of cells and moduli of
+    facets, and be integrated by Gauss's rule of any degree.
 
     Args:
         form: The form.
@@ -176,10 +182,11 @@ def _factor(o: Expr) -> _Factor | None:
 class _Numbers(MultiFunction):
     """The value of an integrand at a facet, the factors' being given."""
 
-    def __init__(self, place: FacetPlace, factors: dict[_Factor, Array]):
+    def __init__(self, place: FacetPlace, factors: dict[_Factor, Array], one: FacetModulus | None):
         super().__init__()
         self._place = place
         self._factors = factors
+        self._one = one
 
     def _value(self, o):
         factor = _factor(o)
@@ -189,6 +196,8 @@ class _Numbers(MultiFunction):
         terminal, index, side, _ = _split(o)
         if isinstance(terminal, fem.Constant):
             return float(terminal.value[index])
+        if isinstance(terminal, FacetModulus):
+            return float(terminal is self._one)
         sizes = place.sizes(side)
         if isinstance(terminal, fem.Function):
             return math.prod(sizes) ** (1 / len(sizes))
@@ -249,8 +258,13 @@ class _Integral:
         ]
         self.factors = [f for f in factors if f]
 
-    def weights(self, place: FacetPlace, components: int) -> Array:
+    def weights(self, place: FacetPlace, components: int, one: FacetModulus | None) -> Array:
         """What each product of a factor of the test function and one of the increment counts.
+
+        Args:
+            place: The facet.
+            components: Components of the arguments.
+            one: The modulus that is 1; others are 0.
 
         Returns:
             Shape (sides and derivatives of the test function, components, those of the
@@ -263,7 +277,7 @@ class _Integral:
             unit = np.zeros(sizes[f.number])
             unit[at] = 1.0
             values[f] = unit[:, None] if f.number == 0 else unit
-        numbers = _Numbers(place, values)
+        numbers = _Numbers(place, values, one)
         result = map_expr_dag(numbers, self.integrand, compress=False)
         shape = len(self.keys[0]), components, len(self.keys[1]), components
         return np.broadcast_to(result, sizes).reshape(shape)
@@ -273,13 +287,60 @@ _gauss = functools.cache(np.polynomial.legendre.leggauss)
 
 
 def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
-    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions)."""
+    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions).
+
+    By the recursions of Cox and de Boor for values, then those for derivatives (de Boor, A
+    Practical Guide to Splines, 1978, ch. X).
+    """
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    own = knots[cell : cell + 2 * degree + 2]
-    return BSpline(own, np.eye(degree + 1), degree)(x, nu=order)
+    t, p = knots[cell : cell + 2 * degree + 2], degree
+    values: Array = np.ones((x.size, 1))
+    for k in range(1, p + 1):
+        # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
+        start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]
+        share = values / (end - start)
+        before = np.zeros((x.size, k + 1))
+        after = np.zeros((x.size, k + 1))
+        if k > p - order:
+            before[:, 1:], after[:, :-1] = k * share, -k * share
+        else:
+            before[:, 1:] = (x[:, None] - start) * share
+            after[:, :-1] = (end - x[:, None]) * share
+        values = before + after
+    return values
 
 
-def _product(lines: Sequence[Array]) -> Array:
+def one_dimensional(
+    place: FacetPlace, side: str, direction: int, degree: int
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Integrals over a cell's edge along one direction of the splines around a facet.
+
+    Args:
+        place: The facet.
+        side: That of the cell, "+" or "-".
+        direction: The direction.
+        degree: Degree of the splines.
+
+    Returns:
+        Matrices of ∫ N_a^(i) N_b^(k), by the numbers i and k of derivatives, 0 or 1.
+    """
+    line, cell, low = place.lines[direction], place.cell(side)[direction], place.low[direction]
+    points, weights = _gauss(degree + 1)
+    h = line[cell + 1] - line[cell]
+    x = line[cell] + 0.5 * h * (points + 1)
+    values = np.zeros((2, x.size, degree + 1 + (direction == place.direction)))
+    for order in (0, 1):
+        values[order, :, cell - low : cell - low + degree + 1] = _splines(
+            line, degree, cell, x, order
+        )
+    first, second = (
+        tuple((0.5 * h * weights * values[i].T) @ values[k] for k in (0, 1)) for i in (0, 1)
+    )
+    return first, second
+
+
+def product(lines: Sequence[Array]) -> Array:
+    """Kronecker product of matrices, one a direction."""
     product: Array = np.ones((1, 1))
     for matrix in lines:
         product = np.asarray(np.kron(product, matrix))
@@ -302,8 +363,12 @@ class FacetTensors:
         # by the facet's direction and whether its first cell is the upper one
         self._facing: dict[tuple[int, bool], list[_Integral]] = {}
 
-    def __call__(self, place: FacetPlace) -> Array:
+    def __call__(self, place: FacetPlace, one: FacetModulus | None = None) -> Array:
         """The tensor of one facet, with the present values of the form's constants.
+
+        Args:
+            place: The facet.
+            one: The modulus that is 1; others are 0.
 
         Returns:
             Shape (splines, splines, n). The splines are those of the two cells, the last
@@ -315,7 +380,7 @@ class FacetTensors:
         if facing not in self._facing:
             integrals = self._form.integrals()
             self._facing[facing] = [_Integral(i, _Facing(place)) for i in integrals]
-        parts = [(part, part.weights(place, c)) for part in self._facing[facing]]
+        parts = [(part, part.weights(place, c, one)) for part in self._facing[facing]]
         diagonal = [weights[:, 0, :, 0] for _, weights in parts]
         single = all(
             np.array_equal(weights, scale[:, None, :, None] * np.eye(c)[:, None, :])
@@ -328,7 +393,7 @@ class FacetTensors:
             blocks = blocks.reshape(*scale.shape, -1)
             for r, s in np.argwhere(blocks.any(axis=2)):
                 lines = self._lines(place, part.keys[0][r], part.keys[1][s], part.gauss)
-                total += _product(lines)[:, :, None] * blocks[r, s]
+                total += product(lines)[:, :, None] * blocks[r, s]
         return total
 
     def _lines(self, place: FacetPlace, first, second, gauss: int | None) -> list[Array]:

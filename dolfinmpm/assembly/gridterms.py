@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,12 +19,16 @@ from dolfinmpm._platform.compat import (
     create_form,
     create_matrix,
     integration_domains,
+    pack_coefficients,
 )
+from dolfinmpm.assembly.facetpairs import INTERVALS, MeshPairs, by_ratio
+from dolfinmpm.assembly.facettensors import facet_moduli
 from dolfinmpm.assembly.splinefacets import FacetBlock, are_alike
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.cut.activation import ActiveField
+from dolfinmpm.cut.facetmoduli import FacetModulus
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.forms.gridterms import GridTerms
@@ -75,7 +80,12 @@ class _Block:
         flat = {i for group in groups for i in (group if isinstance(group, tuple) else (group,))}
         self.moving = flat & {GHOST_FACETS, ACTIVE_CELLS}
         self._form: Any = None
+        self._entities: Entities | None = None
         self._matrix: Any = None
+        self._moduli = facet_moduli(form)
+        # where kernels read them, and penalties of facets by the ratio of moduli
+        self._columns: list[dict[Any, npt.NDArray[np.intp]]] = []
+        self._penalties: dict[tuple[int, ...], Array] = {}
 
     def renew(self) -> None:
         """Forget what was integrated over, if it moves."""
@@ -91,10 +101,12 @@ class _Block:
             facets = number == GHOST_FACETS
             kind = IntegralType.interior_facet if facets else IntegralType.cell
             domains.setdefault(kind, []).append((number, entities[number]))
+        self._entities = entities
         spaces = [space.function_space for space in self._spaces]
         self._form = create_form(
             self._compiled, spaces, self._grid, domains, self.coefficients, self.constants
         )
+        self._columns = [self._columns_of(modulus) for modulus in self._moduli]
         if len(spaces) == 2:
             self._matrix = create_matrix(self._form)
             A, n = self._matrix, int(self._matrix.indptr[-1])
@@ -110,17 +122,61 @@ class _Block:
     def add_vector(self, out: Array) -> None:
         """Add this rank's share of the assembled vector, shape (nodes, components)."""
         values = np.zeros(out.size)
-        fem.assemble_vector(values, self._form)
+        fem.assemble_vector(values, self._form, coeffs=self._packed())
         out += values.reshape(out.shape)
 
     def matrix(self) -> Array:
         """This rank's share of the assembled matrix, as blocks between `rows` and `columns`."""
+        for modulus in self._moduli:
+            modulus.values = self._scaled(modulus)
         self._matrix.set_value(0.0)
-        fem.assemble_matrix(self._matrix, self._form)
+        fem.assemble_matrix(self._matrix, self._form, coeffs=self._packed())
         shape = tuple(self._matrix.block_size)
         size = int(self._matrix.indptr[-1])
         blocks = self._matrix.data[: size * shape[0] * shape[1]].reshape(-1, *shape)
         return blocks if self._keep is None else blocks[self._keep]
+
+    def _columns_of(self, modulus: FacetModulus) -> dict[Any, npt.NDArray[np.intp]]:
+        """Columns of the packed coefficients that hold a modulus, by kind and id of integrals."""
+        packed = []
+        for value in (1.0, 0.0):
+            modulus.x.array[:] = value
+            packed.append(pack_coefficients(self._form))
+        return {
+            key: np.flatnonzero((rows != packed[1][key]).any(axis=0))
+            for key, rows in packed[0].items()
+            if rows.size
+        }
+
+    def _packed(self) -> Any:
+        """Coefficients with the moduli of the facets in their places; None if there are none."""
+        if not self._moduli:
+            return None
+        packed = pack_coefficients(self._form)
+        for modulus, columns in zip(self._moduli, self._columns):
+            for key, at in columns.items():
+                if at.size:
+                    # a row for each side of a facet
+                    packed[key][:, at] = np.repeat(modulus.values, 2)[:, None]
+        return packed
+
+    def _scaled(self, modulus: FacetModulus) -> Array:
+        """Values of a modulus at the facets."""
+        M, G = modulus.moduli.T
+        if modulus.target is None:
+            return M.copy()
+        make = MeshPairs(self._spaces[0], modulus.scaling)
+        assert self._entities is not None
+        rows = self._entities[GHOST_FACETS].reshape(-1, 4)
+        keys = [(id(modulus), *row) for row in rows.tolist()]
+        for key in keys:
+            self._penalties.setdefault(key, np.full(INTERVALS + 1, np.nan))
+        kept = np.array([self._penalties[key] for key in keys]).reshape(-1, INTERVALS + 1)
+        ratios = np.divide(G, M, out=np.zeros_like(M), where=M > 0)
+        pairs = [functools.partial(make, row) for row in rows]
+        values = M * by_ratio(kept, ratios, np.arange(len(rows)), pairs, modulus.target)
+        self._penalties.update(zip(keys, kept))
+        return values
 
 
 class GridAssembler:
@@ -146,6 +202,13 @@ class GridAssembler:
         self.moving = set().union(*(b.moving for b in self._vectors))
         if terms.linear:
             self.moving |= set().union(*(b.moving for b in self._blocks().values()))
+
+    @functools.cached_property
+    def moduli(self) -> list[FacetModulus]:
+        """Moduli in the terms that have a value at each facet."""
+        forms = [form for form in self.terms.internal if form is not None]
+        found = {id(m): m for form in forms for m in facet_moduli(form)}
+        return list(found.values())
 
     def _linear_forms(self, forms) -> dict[int, _Block]:
         return {

@@ -14,7 +14,8 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors, readable
+from dolfinmpm.assembly.facetpairs import INTERVALS, by_ratio, lattice_pair
+from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors, facet_moduli, readable
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
@@ -76,8 +77,9 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
     few = all(k.max() < 8 * basis.degree for k in kinds)
+    # moduli of facets want the tensors themselves; else
     # a tensor a facet costs less than minutes of compilation, as FFCx's of third derivatives
-    return few or basis.degree + len(kinds) > 4
+    return few or bool(facet_moduli(form)) or basis.degree + len(kinds) > 4
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -126,17 +128,19 @@ def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add(kind, direction, start, facet, position, slot, tensors, begin, slots, sums, out):
-    """Sum the facets' tensors between every touched node and those coupled to it."""
-    m, n = tensors.shape[2], tensors.shape[3]
+def _add(kind, direction, start, facet, position, slot, tensors, scale, begin, slots, sums, out):
+    """Sum the facets' scaled tensors between every touched node and those coupled to it."""
+    m, n = tensors.shape[3], tensors.shape[4]
     sums[:] = 0.0
     for row in range(start.size - 1):
         for e in range(start[row], start[row + 1]):
             f, a = facet[e], position[e]
-            for b in range(m):
-                s = slot[direction[f], a, b]
-                for q in range(n):
-                    sums[s, q] += tensors[kind[f], a, b, q]
+            for part in range(scale.shape[1]):
+                factor = scale[f, part]
+                for b in range(m):
+                    s = slot[direction[f], a, b]
+                    for q in range(n):
+                        sums[s, q] += factor * tensors[kind[f], part, a, b, q]
         for at in range(begin[row], begin[row + 1]):
             for q in range(n):
                 out[at, q] = sums[slots[at], q]
@@ -153,7 +157,7 @@ class FacetBlock:
     Attributes:
         rows, columns: Spline nodes of each block, in the basis's local numbering.
         moving: Ids of the entities that it integrates over.
-        constants, coefficients: Data of the form; no coefficients.
+        constants, coefficients: Data of the form; no coefficients but moduli of facets.
     """
 
     def __init__(self, form: ufl.Form, space: Space):
@@ -162,7 +166,10 @@ class FacetBlock:
         self._basis = basis = space.basis
         self._tensor_of = FacetTensors(form, basis.degree, space.components)
         self.constants: list[fem.Constant] = form.constants()
-        self.coefficients: list[fem.Function] = []
+        self.moduli = facet_moduli(form)
+        self.coefficients: list[fem.Function] = list(self.moduli)
+        # one tensor without moduli, and one for each
+        self._parts = [None, *self.moduli]
         self.moving = {GHOST_FACETS}
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
         # nodes around a facet, by its direction: lattice position past its lower cell's first
@@ -176,6 +183,8 @@ class FacetBlock:
         self._slot = (apart @ strides).astype(np.int32)
         self._slots = (2 * p + 3) ** gdim
         self._tensors: dict[int, Array] = {}
+        # penalties of adaptive moduli for M = 1, by class of facets and ratio of moduli
+        self._penalties: dict[int, Array] = {}
         self._attached = False
         self._values: Array | None = None
 
@@ -237,40 +246,82 @@ class FacetBlock:
         """This rank's share of the matrix, as blocks between `rows` and `columns`."""
         values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
         if self._values is None or not np.array_equal(values, self._values):
-            self._tensors = {}
+            self._tensors, self._penalties = {}, {}
             self._values = values
         for code, place in zip(self._codes, self._chosen):
             if code not in self._tensors:
-                self._tensors[code] = self._tensor_of(place)
+                self._tensors[code] = self._tensor(place)
         c, m = self._space.components, self._macro.shape[1]
         tensors = [self._tensors[code] for code in self._codes]
-        single = all(t.shape[2] == 1 for t in tensors)
+        single = all(t.shape[3] == 1 for t in tensors)
         if not single:
-            tensors = [t * np.eye(c).ravel() if t.shape[2] == 1 else t for t in tensors]
+            tensors = [t * np.eye(c).ravel() if t.shape[3] == 1 else t for t in tensors]
         n = 1 if single else c**2
-        stacked = np.array(tensors).reshape(-1, m, m, n)
+        stacked = np.array(tensors).reshape(-1, len(self._parts), m, m, n)
+        scale = np.ones((self._kind.size, len(self._parts)))
+        for k, modulus in enumerate(self.moduli):
+            modulus.values = self._scaled(k)
+            scale[:, 1 + k] = modulus.values
+        if self.moduli and not stacked[:, 0].any():
+            stacked, scale = np.ascontiguousarray(stacked[:, 1:]), scale[:, 1:].copy()
         sums, out = np.empty((self._slots, n)), np.empty((self.rows.size, n))
         near = self._kind, self._direction, *self._near
-        _add(*near, stacked, self._begin, self._slot_of, sums, out)
+        _add(*near, stacked, scale, self._begin, self._slot_of, sums, out)
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
+
+    def _tensor(self, place: FacetPlace) -> Array:
+        """Tensors of a facet without moduli and by each of them, shape (1 + moduli, m, m, n)."""
+        base = self._tensor_of(place)
+        slopes = [self._tensor_of(place, one) for one in self.moduli]
+        most, c = max(t.shape[2] for t in (base, *slopes)), self._space.components
+        tensors = [t * np.eye(c).ravel() if t.shape[2] < most else t for t in (base, *slopes)]
+        return np.array([tensors[0], *(t - tensors[0] for t in tensors[1:])])
+
+    def _scaled(self, k: int) -> Array:
+        """Values of a modulus at the facets."""
+        modulus = self.moduli[k]
+        M, G = modulus.moduli.T
+        if modulus.target is None:
+            return M.copy()
+        degree = self._basis.degree
+        for code in self._codes:
+            self._penalties.setdefault(code, np.full((len(self.moduli), INTERVALS + 1), np.nan))
+        kept = np.array([self._penalties[code][k] for code in self._codes])
+        kept = kept.reshape(-1, INTERVALS + 1)
+
+        def pair_of(code: int, place: FacetPlace):
+            return lambda: lattice_pair(place, degree, self._tensors[code][1 + k])
+
+        pairs = [pair_of(*both) for both in zip(self._codes, self._chosen)]
+        ratios = np.divide(G, M, out=np.zeros_like(M), where=M > 0)
+        values = M * by_ratio(kept, ratios, self._kind, pairs, modulus.target)
+        for code, row in zip(self._codes, kept):
+            self._penalties[code][k] = row
+        return values
 
     def memory(self) -> dict[str, npt.NDArray]:
         """The tensors kept: rounding differs between the facets that a class was integrated on."""
         if self._values is None:
             return {}
-        tensors = list(self._tensors.values())
+        tensors, known = list(self._tensors.values()), list(self._penalties.values())
         return {
             "constants": self._values,
             "codes": np.array(list(self._tensors), np.int64),
-            "shapes": np.array([t.shape for t in tensors], np.int64).reshape(-1, 3),
+            "shapes": np.array([t.shape for t in tensors], np.int64).reshape(-1, 4),
             "tensors": np.concatenate([np.empty(0), *(t.ravel() for t in tensors)]),
+            "penalized": np.array(list(self._penalties), np.int64),
+            "penalties": np.concatenate([np.empty(0), *(p.ravel() for p in known)]),
         }
 
     def remember(self, kept: dict[str, npt.NDArray]) -> None:
         """Keep the tensors that `memory` returned, and no others."""
         self._values = kept.get("constants")
-        self._tensors, start = {}, 0
+        self._tensors, self._penalties, start = {}, {}, 0
         for code, shape in zip(kept.get("codes", ()), kept.get("shapes", ())):
             end = start + int(np.prod(shape))
             self._tensors[code] = kept["tensors"][start:end].reshape(shape)
             start = end
+        codes = kept.get("penalized", ())
+        if len(codes):
+            shape = len(codes), len(self.moduli), INTERVALS + 1
+            self._penalties = dict(zip(codes, kept["penalties"].reshape(shape).copy()))

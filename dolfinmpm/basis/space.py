@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
-from scipy import sparse
 
 from dolfinmpm._platform.checks import choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
@@ -19,6 +18,9 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import number_functions
 from dolfinmpm.grid.lattice import lattice_of, once_per_grid, require_lattice
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["Space", "extraction", "splines_at"]
 
@@ -98,6 +100,8 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
 
 
 def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
+    from scipy import sparse
+
     if basis.degree == 1:
         columns = basis.grid_nodes
         assert columns is not None

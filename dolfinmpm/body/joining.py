@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from dolfinmpm._platform.errors import (
     FieldShapeError,
@@ -162,6 +161,8 @@ def _overlap(a: MaterialPoints, b: MaterialPoints) -> ParameterError | None:
         return None
     # a point without a domain has no size but that of its volume
     size = 0.5 * np.minimum(a["V"].min(), b["V"].min()) ** (1 / a.gdim)
+    from scipy.spatial import cKDTree
+
     distance, _ = cKDTree(a["x"]).query(b["x"], distance_upper_bound=_SAME * size)
     same = np.flatnonzero(np.isfinite(distance))
     if same.size == 0:

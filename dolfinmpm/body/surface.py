@@ -24,7 +24,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown
@@ -362,6 +361,8 @@ def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:
     probes = np.concatenate(points.comm.allgather(mine))
     hidden = np.zeros(len(probes), bool)
     if len(points) and len(probes):
+        from scipy.spatial import cKDTree
+
         near = cKDTree(x).query_ball_point(probes, half.max(), p=np.inf)
         owner = np.repeat(np.arange(len(probes)), [len(found) for found in near])
         others = np.concatenate([np.asarray(found, np.int64) for found in near])

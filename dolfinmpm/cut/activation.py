@@ -10,12 +10,11 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
-from scipy import sparse
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
@@ -34,6 +33,9 @@ from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.partition import Partition
 
+if TYPE_CHECKING:
+    from scipy import sparse
+
 __all__ = [
     "Activation",
     "ActiveField",
@@ -45,7 +47,7 @@ __all__ = [
 ]
 
 Basis = LatticeBasis | LinearBasis
-Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], sparse.spmatrix]
+Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
 Entities = dict[int, npt.NDArray[np.int32]]
 
 
@@ -520,6 +522,8 @@ def _field(
         )
         penalty, C = Blocks(number, number, rows, columns, values), None
     if field.prolongate is not None:
+        from scipy import sparse
+
         own = sparse.csr_matrix(field.prolongate(seen, nodes))
         C = own if C is None else C @ own
     to_grid, stencils = extraction(field.space, basis), seen

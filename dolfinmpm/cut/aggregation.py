@@ -16,16 +16,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
-from scipy.spatial import cKDTree
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import extension_weights
 from dolfinmpm.basis.cells import pull_back
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["SEARCH_RADIUS", "MeshRoots", "mesh_roots", "ties"]
 
@@ -236,6 +238,8 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
     root: npt.NDArray[np.int64] = np.empty(0, np.int64)
     if outer.size:
         count = min(16, len(middles))
+        from scipy.spatial import cKDTree
+
         distance, near = cKDTree(middles).query(X[outer], k=[*range(1, count + 1)])
         equal = distance <= distance[:, :1] * (1 + 1e-9)
         root = np.where(equal, near, len(middles)).min(axis=1)
@@ -287,6 +291,8 @@ def ties(
     Returns:
         C, shape (nodes, nodes). A node for which no root is near keeps its value.
     """
+    from scipy import sparse
+
     size = basis.nodes.size
     if isinstance(basis, LatticeBasis):
         found = _lattice_ties(basis, nodes, filled, threshold, extended)

@@ -12,7 +12,7 @@ from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.grid.lattice import cell_volumes
 
-__all__ = ["domain_shares", "fill_fractions", "support_shares"]
+__all__ = ["cell_sums", "domain_shares", "fill_fractions", "support_shares"]
 
 Array = npt.NDArray[np.float64]
 
@@ -94,30 +94,44 @@ def domain_shares(
     return start, shares
 
 
+def cell_sums(
+    where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis, amounts: Array
+) -> Array:
+    """Sum of amounts at the points over each local cell, shape (cells,). Collective.
+
+    The amount of a point is shared out among the cells that its domain overlaps.
+
+    Args:
+        where: The points as the stencils see them.
+        stencils: Their stencils.
+        basis: The basis that these belong to.
+        amounts: Amounts at the points, shape (points,).
+    """
+    shared = basis.cells.vector()
+    _spread(
+        stencils.order, stencils.groups, stencils.cell_start, stencils.cells, *_boxes(basis),
+        where.x, where.half, np.ascontiguousarray(amounts), shared.array,
+    )  # fmt: skip
+    if basis.cells.comm.size > 1:
+        shared.scatter_reverse(InsertMode.add)
+        shared.scatter_forward()
+    return shared.array
+
+
 def fill_fractions(
     where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis
 ) -> Array:
     """Share of each local cell's volume that material points fill, shape (cells,). Collective.
-
-    The volume of a point is shared out among the cells that its domain overlaps.
 
     Args:
         where: The points as the stencils see them.
         stencils: Their stencils.
         basis: The basis that these belong to.
     """
-    shared = basis.cells.vector()
     low, high = _boxes(basis)
     lattice = isinstance(basis, LatticeBasis)
     volumes = np.prod(high - low, axis=1) if lattice else cell_volumes(basis.grid)
-    _spread(
-        stencils.order, stencils.groups, stencils.cell_start, stencils.cells, low, high,
-        where.x, where.half, where.volume, shared.array,
-    )  # fmt: skip
-    if basis.cells.comm.size > 1:
-        shared.scatter_reverse(InsertMode.add)
-        shared.scatter_forward()
-    return shared.array / volumes
+    return cell_sums(where, stencils, basis, where.volume) / volumes
 
 
 def support_shares(where: Placement, stencils: Stencils, basis: LatticeBasis) -> Array:

@@ -8,15 +8,18 @@ Cᵀ K C and Cᵀ f already; the matrices of DOLFINx's assemblers are multiplied
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
-from scipy import sparse
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.cut.pattern import Blocks
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["Prolongation", "reduce_blocks"]
 
@@ -74,6 +77,8 @@ def reduce_blocks(
     """
     if row_matrix is None and column_matrix is None:
         return blocks
+    from scipy import sparse
+
     rows, columns, values = blocks.rows, blocks.columns, blocks.values
     row_part, rows, new_rows = _part(row_matrix, rows)
     column_part, columns, new_columns = _part(column_matrix, columns)
@@ -112,6 +117,8 @@ def _part(matrix: sparse.csr_matrix | None, nodes):
 
     Only what A touches takes part, however large the grid is.
     """
+    from scipy import sparse
+
     touched, place = np.unique(nodes, return_inverse=True)
     if matrix is None:
         return sparse.identity(touched.size, format="csr"), place, touched
@@ -133,6 +140,8 @@ class Prolongation:
     """
 
     def __init__(self, matrix: sparse.spmatrix):
+        from scipy import sparse
+
         self.matrix = sparse.csr_matrix(matrix)
         nodes = np.arange(self.matrix.shape[0])
         if self.matrix.shape[0] != self.matrix.shape[1]:

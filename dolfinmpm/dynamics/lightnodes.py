@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy import sparse
 
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import ParameterError
@@ -16,6 +15,9 @@ from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.mass import Mass
 from dolfinmpm.grid.lattice import smallest_height
+
+if TYPE_CHECKING:
+    pass
 
 __all__ = ["MassCutOff", "Redistribution", "checked_viscosity", "filters", "viscous_pressure"]
 
@@ -88,6 +90,8 @@ class Redistribution:
 
 def _neighbours(light: npt.NDArray[np.bool_], mass: Mass, s: Stencils) -> PETSc.Mat:
     """Ones where a light node, the row, shares a point of any rank with a node. Collective."""
+    from scipy import sparse
+
     groups, owned = s.node_start.size - 1, mass.nodes.owned
     ones = np.ones(s.nodes.size)
     seen = sparse.csr_matrix((ones, s.nodes, s.node_start), shape=(groups, light.size))

@@ -91,6 +91,8 @@ class Declaration:
             this rank, parameters) if any varies.
         energy: Gives the elastic energy per initial volume at its points (J/m³), or None.
         stiffness: Gives the largest stiffness along one axis at its points (Pa).
+        moduli: Gives the elastic P-wave and shear modulus at its points (Pa), shape (n, 2) or
+            (1, 2).
         terms: Integrands of the momentum terms that have been made of it.
     """
 
@@ -108,6 +110,7 @@ class Declaration:
     parameters: Callable[[], npt.NDArray[np.float64]]
     energy: Callable[[], npt.NDArray[np.float64] | None]
     stiffness: Callable[[], npt.NDArray[np.float64]]
+    moduli: Callable[[], npt.NDArray[np.float64]]
     terms: list[Expr] = field(default_factory=list)
 
     @property

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from dolfinx import la
 from dolfinx.common import IndexMap
 from mpi4py import MPI
-from scipy import ndimage
 
 from dolfinmpm._platform.compat import make_index_map
 
@@ -147,9 +146,12 @@ def build_halo(
         known = known if len(known) else np.zeros((1, gdim), np.int32)
         origin = np.maximum(known.min(axis=0) - layers, 0).astype(np.int32)
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
-        mask = np.zeros(stop - origin, bool)
+        mask: npt.NDArray[np.bool_] = np.zeros(stop - origin, bool)
         mask[tuple((own - origin).T)] = True
-        mask = ndimage.maximum_filter(mask, size=2 * layers + 1, mode="constant")
+        for d in range(gdim if layers else 0):
+            wide = np.pad(mask, [(layers, layers) if d == e else (0, 0) for e in range(gdim)])
+            windows = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d)
+            mask = np.asarray(windows.any(axis=-1))
         mask[tuple((also - origin).T)] = True
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -98,7 +98,7 @@ def _declared(name: str, values: npt.NDArray[Any], unit: str = "") -> str:
     key = '<InformationKey name="UNITS_LABEL" location="vtkDataArray">'
     key = f"{key}{escape(unit)}</InformationKey>" if unit else ""
     return (
-        f'<PDataArray type="{kind}" Name={quoteattr(name)} '
+        f'<PDataArray type="{kind}" Name="{escape(name)}" '
         f'NumberOfComponents="{values.shape[1]}"{labels}>{key}</PDataArray>'
     )
 
@@ -117,14 +117,14 @@ def index_text(
         declared = (_declared(key, values, units.get(key, "")) for key, values in arrays.items())
         lines += [f"<{section}>", *declared, f"</{section}>"]
     lines += ["<PPoints>", _declared("Points", np.empty((0, 3))), "</PPoints>"]
-    lines += [f"<Piece Source={quoteattr(file)}/>" for file in files]
+    lines += [f'<Piece Source="{escape(file)}"/>' for file in files]
     return "\n".join([*lines, f"</{name}>", "</VTKFile>", ""])
 
 
 def series_text(times: Iterable[float], files: Iterable[str]) -> str:
     """Text of the file that lists the times."""
     sets = [
-        f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>'
+        f'<DataSet timestep="{time!r}" part="0" file="{escape(file)}"/>'
         for time, file in zip(times, files)
     ]
     head = '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">'

@@ -144,6 +144,14 @@ class Framework:
         strain = np.empty((len(rows), 3)) if known else self._principal(rows)
         return law.stiffness(strain, self.internal(rows), parameters)
 
+    def moduli(self) -> Array:
+        """Elastic P-wave and shear modulus at the law's points (Pa); see `Law.moduli`."""
+        rows, law = self.rows, self.law
+        parameters = self.parameters(rows)
+        known = "E" in law.parameters and "nu" in law.parameters
+        strain = np.empty((len(rows), 3)) if known else self._principal(rows)
+        return law.moduli(strain, self.internal(rows), parameters)
+
     def evaluate(
         self,
         operand: Array,

@@ -154,7 +154,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
         parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
-        stiffness=inner.stiffness,
+        stiffness=inner.stiffness, moduli=inner.moduli,
     )  # fmt: skip
     operator.declaration = declaration
     return declaration
@@ -182,6 +182,7 @@ def _declare_energy(law, points, u, tags: Tags) -> Declaration:
         parameters=lambda: parameters.at(rows_within(points, tags)),
         energy=lambda: _energy_at(law, points, parameters, tags),
         stiffness=lambda: _stiffness_at(points, parameters, tags),
+        moduli=lambda: _moduli_at(points, parameters, tags),
     )  # fmt: skip
     for holder in holders:
         holder.declaration = declaration
@@ -213,6 +214,12 @@ def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tag
     F = points["F"][rows]
     largest = np.einsum("pij,pij->p", F, F)
     return lmbda + mu * (1.0 + np.maximum(largest, 1.0))
+
+
+def _moduli_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """λ + 2μ and μ at the points of the neo-Hookean law (Pa), shape (n, 2) or (1, 2)."""
+    lmbda, mu = lame(*parameters.at(rows_within(points, tags)).T)
+    return np.stack([lmbda + 2 * mu, mu], axis=1)
 
 
 def momentum(

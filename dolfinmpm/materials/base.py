@@ -380,11 +380,36 @@ class Law(Parametrised):
         if "E" in names and "nu" in names:
             lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
             return lmbda + 2 * mu
+        tangent = self._tangent(strain, internal, parameters)
+        return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+
+    def _tangent(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Derivatives of stress by trial strain (Pa), shape (n, 3, 3); 0 where there is none."""
         n = len(strain)
         elastic, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.zeros((n, 3, 3))
         _respond(self.address, parameters, elastic, old, new, stress, tangent)
-        return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
+        return tangent
+
+    def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Elastic P-wave and shear modulus (Pa), shape (n, 2) or (1, 2).
+
+        λ + 2μ and μ of laws with Young's modulus and Poisson's ratio, else the means over the
+        axes of the elastic tangent.
+
+        Args:
+            strain: Elastic principal strains, shape (n, 3).
+            internal: Internal variables, shape (n, variables).
+            parameters: Parameters, shape (1, parameters) or (n, parameters).
+        """
+        names = list(self.parameters)
+        if "E" in names and "nu" in names:
+            lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+            return np.stack([lmbda + 2 * mu, mu], axis=1)
+        tangent = self._tangent(strain, self.unyielding(internal), parameters)
+        along = np.einsum("pii->p", tangent) / 3
+        across = (tangent.sum(axis=(1, 2)) - 3 * along) / 6
+        return np.stack([along, 0.5 * (along - across)], axis=1)
 
     def unyielding(self, internal: Array) -> Array:
         """Internal variables with which the elastic response goes on beyond the yield surface.

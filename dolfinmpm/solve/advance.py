@@ -16,6 +16,7 @@ from dolfinmpm.body.balance import balance
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["NewState", "advance", "commit"]
@@ -65,7 +66,10 @@ def advance(
     """
     points, comm = operator.form.points, operator.form.points.comm
     d, evaluation = points.gdim, operator.points
+    moduli = evaluation.moduli() if operator.form.moduli else None
     new = evaluation.commit()
+    if moduli is not None:
+        new[FIELD] = operator.form.bounded_moduli(moduli)
     for declaration in operator.form.parts.declarations:
         marks = new.setdefault("moved_under", points["moved_under"].copy())
         marks[declaration.rows] = declaration.mark

@@ -13,15 +13,17 @@ import ufl
 from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on
+from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.forms.declarations import LawConstant
+from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
 from dolfinmpm.solve.unsoftened import Unsoftened
@@ -57,12 +59,14 @@ class WeakForm:
         spaces: The spaces.
         points: The material points.
         grid: What DOLFINx assembles.
+        moduli: What of it has moduli of the laws' tangents at facets.
         softening: The same of the terms of the tangent only, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
 
     Raises:
-        FormError: A term cannot be evaluated where it stands.
+        FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
+            a law and there is none.
     """
 
     def __init__(
@@ -79,6 +83,8 @@ class WeakForm:
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
+        self.moduli = self.grid.moduli
+        self._first_moduli()
         self.softening: GridAssembler | None = None
         if softening is not None:
             self.softening = GridAssembler(split(softening, spaces, points).grid, spaces)
@@ -92,6 +98,52 @@ class WeakForm:
             for declaration in self.parts.declarations:
                 declaration.bind()
             self._revision = self.points.revision
+            self._first_moduli()
+
+    def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
+        """The laws whose tangent a modulus follows.
+
+        Raises:
+            FormError: There is none.
+        """
+        found = [d for d in self.parts.declarations if d.u is modulus.increment]
+        if not found:
+            raise FormError(
+                'a ghost penalty follows the tangent of a law (gamma="adaptive" or '
+                'scaling="tangent"), and the form has no mpm.momentum of this increment: give it '
+                'a γ in Pa with scaling="scaled", as mpm.ghost(points, u, v, gamma=E/30) or '
+                'mpm.Stabilisation("ghost", E=...)'
+            )
+        return found
+
+    def _elastic(self) -> Array:
+        """Elastic moduli at the points (Pa), shape (points, 2); 0 where no law is asked."""
+        out = np.zeros((len(self.points), 2))
+        laws = {id(d): d for modulus in self.moduli for d in self._laws_of(modulus)}
+        for declaration in laws.values():
+            out[declaration.rows] = declaration.moduli()
+        return out
+
+    def _first_moduli(self) -> None:
+        """Give points that have no moduli of a tangent yet the elastic ones."""
+        if not self.moduli:
+            return
+        self.points.add_field(FIELD, (2,), "Pa")
+        new = self.points[FIELD][:, 0] == 0
+        self.points[FIELD][new] = self._elastic()[new]
+
+    def bounded_moduli(self, moduli: Array) -> Array:
+        """Moduli of tangents within bounds; elastic ones where laws are energies (Pa).
+
+        Args:
+            moduli: What `Evaluation.moduli` gives.
+        """
+        elastic = self._elastic()
+        found = bounded(moduli, elastic)
+        for declaration in self.parts.declarations:
+            if declaration.operator is None:
+                found[declaration.rows] = elastic[declaration.rows]
+        return found
 
     @property
     def regions(self) -> list[PointTerms]:
@@ -119,6 +171,9 @@ class WeakForm:
         blocks: list[Blocks] = []
         if self.parts.grid:
             self.grid.attach(fields)
+            for modulus in self.moduli:
+                (field,) = (f for f in fields if f.space.increment is modulus.increment)
+                update(modulus, field)
             blocks = self.grid.tangent(fields)
         if self.softening is None:
             return blocks, []

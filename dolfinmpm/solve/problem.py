@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_to
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.migration import settle
+from dolfinmpm.body.partitioner import warn_of_imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import (
     Activation,
@@ -122,6 +123,7 @@ class Problem:
                 )
         self._loads = Loads(loads, increments)
         settle(points, self.configuration)
+        warn_of_imbalance(points)
 
     @property
     def comm(self) -> MPI.Intracomm:

@@ -39,14 +39,15 @@ def with_moduli(
     """
     made = []
     for k, (remedy, space) in enumerate(zip(remedies, spaces)):
-        if remedy.needs_modulus and remedy.E is None:
+        if (remedy.needs_modulus or remedy.follows_tangent) and remedy.E is None:
             if space.increment.ufl_shape != (points.gdim,):
                 raise ParameterError(
                     f'stabilisation="{remedy.kind}" of field {k + 1} needs a modulus: it is no '
                     f'displacement, whose law would have one; give mpm.Stabilisation("'
                     f'{remedy.kind}", E=...) in a list with one entry a field, or "none"'
                 )
-            remedy = _with_modulus(remedy, form, points)
+            if remedy.needs_modulus:
+                remedy = _with_modulus(remedy, form, points)
         made.append(remedy)
     return made
 

@@ -8,8 +8,6 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy import linalg
-from scipy.linalg import lapack
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.cut.activation import Activation
@@ -29,6 +27,8 @@ def _definite_spectrum(A: Array) -> Array:
     After scaling to a unit diagonal the Cholesky factor keeps the graded entries
     apart, which a direct eigenvalue solver would drown in rounding.
     """
+    from scipy import linalg
+
     if np.any(np.diag(A) <= 0):
         return np.maximum(linalg.eigvalsh(A), 0.0)
     scale = np.sqrt(np.diag(A))
@@ -46,7 +46,9 @@ def _singular_values(A: Array) -> Array:
     10.1137/050639193); an SVD by bidiagonalisation loses those below 1e-16 of the largest.
     """
     # joba = 0: accurate whatever the scales of the columns are; jobu, jobv = 3: no vectors
-    values, _, _, work, _, info = lapack.dgejsv(A, joba=0, jobu=3, jobv=3)
+    from scipy import linalg
+
+    values, _, _, work, _, info = linalg.lapack.dgejsv(A, joba=0, jobu=3, jobv=3)
     if info:
         raise linalg.LinAlgError(f"LAPACK's dgejsv found no singular values, info = {info}")
     return values * (work[0] / work[1])
@@ -72,6 +74,8 @@ def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
     Returns:
         The ratio, or inf where the smallest eigenvalue is zero or negative.
     """
+    from scipy import linalg
+
     n = matrix.getSize()[0]
     if n == 0:
         raise ParameterError("a matrix without rows has no condition number; activate points first")
@@ -135,6 +139,8 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool = False) -
     Returns:
         The step, or 0 where M is singular.
     """
+    from scipy import linalg
+
     n = stiffness.getSize()[0]
     if n > DENSE_LIMIT:
         return _critical_step_of_many(stiffness, mass, lumped)

@@ -75,6 +75,15 @@ def bits(problem):
 
 RUNS = {
     "yielding with ghost penalty": (block, 8, (0, 3, 6)),
+    "yielding with adaptive penalties": (
+        lambda: block(stabilisation=mpm.Stabilisation("ghost", gamma="adaptive")), 8, (0, 3),
+    ),
+    "triangles with adaptive penalties": (
+        lambda: block(
+            basis="linear", kind=mesh.CellType.triangle,
+            stabilisation=mpm.Stabilisation("ghost", gamma="adaptive"),
+        ), 6, (3,),
+    ),
     "yielding with aggregation": (lambda: block(stabilisation="aggregation"), 8, (3,)),
     "splines": (lambda: block(mpm.materials.Hencky(E=1e6, nu=0.3), "bspline2"), 6, (0, 3)),
     "triangles": (

@@ -208,7 +208,7 @@ def test_a_term_of_ones_own(basis, gdim, monkeypatch):
     block = problem.form.grid._jacobian[0, 0]
     A = matrix_of(problem)
     assert np.abs(A - A.T).max() > 0.05 * np.abs(A).max()
-    assert all(t.shape[2] == gdim**2 for t in block._tensors.values())
+    assert all(t.shape[-1] == gdim**2 for t in block._tensors.values())
 
 
 @pytest.mark.parametrize("basis", SPLINES)

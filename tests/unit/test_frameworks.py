@@ -432,7 +432,7 @@ def test_a_law_without_stress_names_the_point_and_its_state(strain, all_prescrib
     assert points["plastic_strain"].max() > 0.03
 
 
-@pytest.mark.parametrize("kind", ["ghost", "weak-aggregation", "soft"])
+@pytest.mark.parametrize("kind", ["weak-aggregation", "soft"])
 def test_stabilisation_takes_the_largest_of_moduli_that_vary(kind):
     grid = unit_grid("quadrilateral", 4)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.6)), 2, 1.0)

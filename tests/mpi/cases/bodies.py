@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from pathlib import Path
 
 import meshio
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from mpi4py import MPI
 from scenes import expect
 
 import dolfinmpm as mpm
@@ -184,3 +186,29 @@ def errors_of_bodies():
         points[name] = before
     problem.step()
     return {"total": points.total}
+
+
+def partitioned():
+    """Meshes that are cut so that every rank has its share of a small body."""
+    figures = {}
+    body = mpm.Box((0.1, 0.1), (3.1, 1.1))
+    for kind in (mesh.CellType.triangle, mesh.CellType.quadrilateral):
+        scene = COMM, [(0, 0), (12, 6)], (24, 12), kind
+        first = mesh.create_rectangle(*scene)
+        grid = mesh.create_rectangle(*scene, partitioner=mpm.partitioner(body, first))
+        index_map = grid.topology.index_map(2)
+        assert index_map.size_global == first.topology.index_map(2).size_global
+        points = mpm.fill(grid, body, 3, 1.0)
+        most = COMM.allreduce(len(points), op=MPI.MAX) * COMM.size / points.total
+        assert most < 1.25, most
+        V = mpm.Space(grid, "linear")
+        F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, V.increment, V.test)
+        F -= ufl.inner(ufl.as_vector((0.3, -1.0)), V.test) * points.dX
+        bcs = mpm.fixed(V, "bottom")
+        # needs the cells beyond the facets to other ranks
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+        problem.step()
+        figures[kind.name] = {"count": points.total, **sums(points, "x", "stress")}
+    return figures

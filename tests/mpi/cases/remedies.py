@@ -11,7 +11,7 @@ import dolfinmpm as mpm
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.body.location import destinations
 
-from .common import COMM, hencky, run
+from .common import COMM, hencky, run, sums
 
 
 def _remedies(basis, kind_of_cell=mesh.CellType.quadrilateral):
@@ -54,6 +54,31 @@ def remedies_triangles():
 def remedies_bspline2():
     """Remedies with quadratic splines, whose facet terms act through their extraction."""
     return _remedies("bspline2")
+
+
+def adaptive_penalties():
+    """Ghost penalties by the tangent of soil that yields, on lattices and on triangles."""
+    figures = {}
+    for basis, kind in (("gimp", "quadrilateral"), ("linear", "triangle"), ("bspline2", None)):
+        shape = mesh.CellType[kind or "quadrilateral"]
+        grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9), shape)
+        points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 3, 1.0)
+        V = mpm.Space(grid, basis)
+        g = fem.Constant(grid, (0.0, 0.0))
+        soil = mpm.materials.VonMises(E=100.0, nu=0.3, yield_stress=0.5, hardening=20.0)
+        F = mpm.momentum(soil, points, V.increment, V.test)
+        F -= ufl.inner(points.density * g, V.test) * points.dX
+        remedy = mpm.Stabilisation("ghost", gamma="adaptive")
+        loads = [(0.02, -0.1), (0.05, -0.2), (0.08, -0.3)]
+        bcs = mpm.fixed(V, "bottom")
+        problem, result = run(points, V, F, bcs, loads, g, stabilisation=remedy, tolerance=1e-11)
+        result.pop("moved")
+        assert COMM.allreduce(points["plastic_strain"].max(initial=0.0), MPI.MAX) > 1e-4
+        problem.activate()
+        (modulus,) = problem.form.moduli
+        result["penalties"] = COMM.allreduce(float(modulus.values @ modulus.values))
+        figures[basis] = result | sums(points, "tangent_moduli")
+    return figures
 
 
 def facets_of_few_ranks():

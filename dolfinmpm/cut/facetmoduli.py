@@ -1,0 +1,134 @@
+"""Moduli of a ghost penalty that follow the tangent of the laws at the facet.
+
+Each point carries two moduli of its tangent at the end of the last step, the P-wave
+modulus M and the shear modulus G of the isotropic tensor that is nearest to it. A facet has their
+means over the points of its two cells, weighted with volumes. They are frozen in a step, so
+that the penalty stays linear in the increment.
+
+Not the tangent at the start of a step: there yielding points stand on the yield surface, where
+rounding decides between an elastic and a plastic one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfinmpm.basis import Placement
+from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
+from dolfinmpm.cut.fractions import cell_sums
+from dolfinmpm.grid.lattice import once_per_grid
+
+if TYPE_CHECKING:
+    from dolfinmpm.cut.activation import ActiveField
+
+__all__ = ["FIELD", "LEAST", "FacetModulus", "bounded", "isotropic_moduli", "update"]
+
+Array = npt.NDArray[np.float64]
+
+# Name of the points' field: M and G (Pa); zero where no law has given any yet.
+FIELD = "tangent_moduli"
+
+# Least M by that of elasticity. A point on the apex of a cone has no stiffness at all, and
+# one that unloads in the next step has the elastic one again: the constant is then no more
+# than ten times what was aimed at. Shear alone leaves more: no less than 0.4 in the soils of
+# demos/studies/ghost_parameter.py.
+LEAST = 0.1
+
+
+@once_per_grid
+def _constants_by_cell(grid) -> fem.FunctionSpace:
+    return fem.functionspace(grid, ("DG", 0))
+
+
+class FacetModulus(fem.Function):
+    """A modulus in a term over ghost facets, with one value a facet.
+
+    To UFL and FFCx it is a function that is constant in every cell; whoever integrates
+    puts `values` in its place.
+
+    Args:
+        points: Material points.
+        u: Increment whose laws are meant.
+        target: Local constant that it is to give, see `dolfinmpm.assembly.facetpairs`; None
+            for the P-wave modulus itself.
+        scaling: Of the term that it is in, see `ghost`.
+
+    Attributes:
+        points, increment, target, scaling: The arguments.
+        moduli: M and G of each facet (Pa), in the order of the field's entities, shape
+            (facets, 2).
+        values: Value at each facet (Pa), shape (facets,).
+    """
+
+    def __init__(self, points: MaterialPoints, u, target: float | None, scaling: str):
+        super().__init__(_constants_by_cell(points.grid), name="facet_modulus")
+        # no load of the user's
+        self._dolfinmpm_own = True
+        self.points, self.increment, self.target = points, u, target
+        self.scaling = scaling
+        self.moduli: Array = np.empty((0, 2))
+        self.values: Array = np.empty(0)
+
+
+def isotropic_moduli(tangent: Array) -> Array:
+    """M and G of the isotropic tensors nearest to tangents, shape (n, 2).
+
+    By the traces D_iikk and D_ijij of the symmetric part, which determine the two moduli of
+    an isotropic one; so they do not depend on axes, and mean values commute with it.
+
+    Args:
+        tangent: D_ijkl (Pa), shape (n, d, d, d, d).
+    """
+    d = tangent.shape[1]
+    if d == 1:
+        M = tangent.reshape(len(tangent))
+        return np.stack([M, np.zeros_like(M)], axis=1)
+    volume = np.einsum("piikk->p", tangent)
+    whole = 0.5 * (np.einsum("pijij->p", tangent) + np.einsum("pijji->p", tangent))
+    # of λ δ_ij δ_kl + μ (δ_ik δ_jl + δ_il δ_jk)
+    traces = np.array([[d * d, 2.0 * d], [d, d * (d + 1.0)]])
+    lmbda, mu = np.linalg.solve(traces, np.stack([volume, whole]))
+    return np.stack([lmbda + 2 * mu, mu], axis=1)
+
+
+def bounded(moduli: Array, elastic: Array) -> Array:
+    """M no less than `LEAST` of the elastic one, and G between none and M; shapes (n, 2)."""
+    M = np.maximum(moduli[:, 0], LEAST * elastic[:, 0])
+    return np.stack([M, np.clip(moduli[:, 1], 0.0, M)], axis=1)
+
+
+def update(modulus: FacetModulus, field: ActiveField) -> None:
+    """Take the points' moduli as they are now for those of the field's ghost facets. Collective.
+
+    Args:
+        modulus: Its `moduli` are set.
+        field: Field of its increment on the active cells.
+    """
+    points = modulus.points
+    where: Placement = points.placement(field.space.configuration)
+    M, G = points[FIELD].T
+    # points without a law do not count
+    weights = np.where(M > 0, where.volume, 0.0)
+    sums = [
+        cell_sums(where, field.seen, field.basis, w) for w in (weights, weights * M, weights * G)
+    ]
+    if field.basis.grid_cells is not None:
+        sums = [s[field.basis.grid_cells] for s in sums]
+    facets = field.entities[GHOST_FACETS].reshape(-1, 4)
+    weight, M, G = (s[facets[:, 0]] + s[facets[:, 2]] for s in sums)
+    means = np.stack([M, G], axis=1)
+    known = weight > 0
+    means[known] /= weight[known, None]
+    if points.comm.allreduce(not known.all(), op=MPI.LOR):
+        # of cells that only points without a law are in
+        own = np.array(
+            [weights.sum(), weights @ points[FIELD][:, 0], weights @ points[FIELD][:, 1]]
+        )
+        total = points.comm.allreduce(own)
+        means[~known] = total[1:] / total[0] if total[0] > 0 else 0.0
+    modulus.moduli = means
