@@ -305,6 +305,7 @@ def run(args, integrator, basis, fbar, strain, keep=()):
         "steps": steps,
         "newton_iterations": sum(getattr(record, "iterations", 0) for record in history),
         "halvings": sum(getattr(record, "halvings", 0) for record in history),
+        "imbalance": max((record.imbalance for record in history), default=1.0),
         "points": points.total,
         "ranks": points.comm.size,
         "seconds_setup": ready - started,

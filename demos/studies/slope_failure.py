@@ -160,6 +160,7 @@ def run(h, per_cell, remedy, args):
         "newton_iterations": sum(record.iterations for record in history),
         "max_newton_iterations": max((record.iterations for record in history), default=0),
         "halvings": sum(record.halvings for record in history),
+        "imbalance": max((record.imbalance for record in history), default=1.0),
         "runout": float(front - TOE),
         "top": float(top),
         "max_plastic_strain": float(strain),
