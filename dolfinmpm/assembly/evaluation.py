@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
-from dolfinx import fem
 
 from dolfinmpm._platform import stages
+from dolfinmpm.assembly.functions import function_values
 from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.basis.stencils import gather
-from dolfinmpm.body.exchange import exchange
-from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
@@ -32,40 +29,6 @@ Array = npt.NDArray[np.float64]
 
 # Points that laws and programs work on at a time: their tangents fit into the cache.
 _CHUNK = 4096
-
-
-def _function_values(function: fem.Function, gradient: bool, points: MaterialPoints) -> Array:
-    """A DOLFINx function, or its gradient, at the points."""
-    if gradient:
-        shape = (*function.ufl_shape, points.gdim)
-        degree = max(function.function_space.ufl_element().embedded_superdegree, 1)
-        space = fem.functionspace(points.grid, ("DG", degree, shape))
-        slope = fem.Function(space)
-        expression = fem.Expression(ufl.grad(function), space.element.interpolation_points())
-        slope.interpolate(expression)
-        function = slope
-    if points.partition is None:
-        return _values(function, points["x"], points["cell"])
-    # the ranks that have the cells in DOLFINx's mesh are asked
-    comm, to = points.comm, destinations(points.grid, points["x"], points["cell"])
-    first = points.grid.topology.index_map(points.gdim).local_range[0]
-    row = np.arange(len(points), dtype=np.int64)
-    asked = {"x": points["x"], "cell": to.cell, "row": row, "of": np.full(len(points), comm.rank)}
-    asked = exchange(comm, asked, to.rank)
-    found = _values(function, asked["x"], (asked["cell"] - first).astype(np.int32))
-    back = exchange(comm, {"value": found, "row": asked["row"]}, asked["of"].astype(np.int32))
-    result = np.empty_like(back["value"])
-    result[back["row"]] = back["value"]
-    return result
-
-
-def _values(function: fem.Function, positions: Array, cells) -> Array:
-    """A DOLFINx function at positions in cells of this rank, shape (n, values)."""
-    if len(positions) == 0:
-        return np.empty((0, int(np.prod(function.ufl_shape, dtype=int))))
-    x = np.zeros((len(positions), 3))
-    x[:, : positions.shape[1]] = positions
-    return np.ascontiguousarray(function.eval(x, cells)).reshape(len(positions), -1)
 
 
 @dataclass(frozen=True)
@@ -216,7 +179,7 @@ class Evaluation:
                 data[key] = np.array(slots.constants[key[1]].value, float).reshape(1, -1)
             elif key[0] == "function":
                 function, gradient = slots.functions[key[1]]
-                values = _function_values(function, gradient, self._points)
+                values = function_values(function, gradient, self._points)
                 data[key] = values.take(rows, axis=0)
             elif key[0] == "operator":
                 data[key] = self._asked(slots.operators[key[1]], rows)
@@ -258,7 +221,7 @@ class _Region:
         self._known: set[int] = set()
         self._data = dict(shared)
         for k, (function, gradient) in enumerate(terms.slots.functions):
-            self._data["function", k] = _function_values(function, gradient, points)
+            self._data["function", k] = function_values(function, gradient, points)
         for key in terms.slots.sources.values():
             if key[0] == "tagged":
                 self._data[key] = np.isin(points["tag"], key[1]).astype(float)

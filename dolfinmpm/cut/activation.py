@@ -25,6 +25,7 @@ from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
 from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans, layers_needed, sharing
+from dolfinmpm.cut.couplings import Kept, lists_of, pairs_of
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
@@ -41,7 +42,6 @@ __all__ = [
     "ActiveField",
     "ActiveRegion",
     "Field",
-    "Kept",
     "activate",
     "active_on_grid",
 ]
@@ -257,51 +257,6 @@ class Activation(Participants):
         return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)
 
 
-@dataclass(frozen=True)
-class Kept:
-    """Couplings that a pattern had, by numbers that are the same in another run.
-
-    Attributes:
-        active: Active nodes known here, increasing, shape (n,).
-        rows, columns: Coupled nodes, shape (m,) each.
-    """
-
-    active: npt.NDArray[np.int64]
-    rows: npt.NDArray[np.int64]
-    columns: npt.NDArray[np.int64]
-
-    @staticmethod
-    def of(here: Activation) -> Kept:
-        """Those of an activation."""
-        number, active = _numbers(here.unknowns)
-        rows = np.repeat(active, np.diff(here.pattern.start))
-        columns = active[here.pattern.neighbours]
-        return Kept(np.sort(number[active]), number[rows], number[columns])
-
-    def pairs(self, unknowns: Unknowns) -> list[tuple[npt.NDArray, npt.NDArray]]:
-        """The coupled nodes here, if the active nodes of all ranks are the same. Collective."""
-        number, active = _numbers(unknowns)
-        same = np.array_equal(np.sort(number[active]), self.active)
-        if not unknowns.comm.allreduce(same, op=MPI.LAND):
-            return []
-        order = np.argsort(number[active])
-        there = active[order]
-        at = [there[np.searchsorted(number[there], n)] for n in (self.rows, self.columns)]
-        return [(at[0].astype(np.int32), at[1].astype(np.int32))]
-
-
-def _numbers(unknowns: Unknowns) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Global numbers of all fields' nodes, and which of them carry unknowns."""
-    numbers, active, first = [], [], 0
-    for field in unknowns.fields:
-        index_map = field.numbering.index_map
-        owned = np.arange(*index_map.local_range, dtype=np.int64)
-        numbers.append(first + np.concatenate([owned, index_map.ghosts]))
-        active.append(field.nodes.astype(np.int64) + field.offset)
-        first += index_map.size_global
-    return np.concatenate(numbers), np.concatenate(active)
-
-
 def activate(
     points: MaterialPoints,
     fields: Sequence[Field],
@@ -351,10 +306,12 @@ def activate(
     here = Participants(where, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
     mass = terms.mass_blocks(active)
-    pairs = _pairs([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
+    pairs = pairs_of([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
-    later = Later(lambda: Pattern.build(_lists(regions, active, unknowns), unknowns, pairs, former))
+    later = Later(
+        lambda: Pattern.build(lists_of(regions, active, unknowns), unknowns, pairs, former)
+    )
     driven = held.changing and held.driven
     return Activation(
         where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
@@ -536,51 +493,3 @@ def _field(
     return ActiveField(
         field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty
     )
-
-
-def _lists(regions: Sequence[ActiveRegion], fields, unknowns: Unknowns):
-    """Lists of coupled nodes, numbered with their fields' offsets."""
-    lists = []
-    for region in regions:
-        lists.append(_stacked([(s.node_start, s.nodes) for s in region.stencils], unknowns))
-        if region.couplings is not None:
-            own = [c.lists() for c in region.couplings]
-            if any(o is not None for o in own):
-                lists.append(_stacked([c.merged() for c in region.couplings], unknowns))
-    if not lists:
-        lists.append(
-            _stacked([(f.stencils.node_start, f.stencils.nodes) for f in fields], unknowns)
-        )
-    return lists
-
-
-def _stacked(parts, unknowns: Unknowns):
-    """Lists of nodes of every field made one, list by list."""
-    if len(parts) == 1:
-        return parts[0]
-    number = len(parts[0][0]) - 1
-    lengths = [np.diff(start) for start, _ in parts]
-    start = np.zeros(number + 1, np.int64)
-    np.cumsum(sum(lengths), out=start[1:])
-    nodes = np.empty(start[-1], np.int32)
-    at = start[:-1].copy()
-    for (first, values), count, field in zip(parts, lengths, unknowns.fields):
-        place = np.repeat(at - first[:-1], count) + np.arange(count.sum())
-        nodes[place] = values[: count.sum()] + np.int32(field.offset)
-        at += count
-    return start, nodes
-
-
-def _pairs(blocks: Sequence[Blocks], unknowns: Unknowns):
-    """Pairs of active nodes that blocks couple, numbered with their fields' offsets."""
-    active = []
-    for field in unknowns.fields:
-        flags = np.zeros(field.numbering.size, bool)
-        flags[field.nodes] = True
-        active.append(flags)
-    pairs = []
-    for b in blocks:
-        keep = active[b.row_field][b.rows] & active[b.column_field][b.columns]
-        offsets = (unknowns.fields[k].offset for k in (b.row_field, b.column_field))
-        pairs.append(tuple(n[keep] + np.int32(o) for n, o in zip((b.rows, b.columns), offsets)))
-    return pairs

@@ -24,11 +24,11 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import (
     Activation,
     Field,
-    Kept,
     Prolongate,
     activate,
     active_on_grid,
 )
+from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
