@@ -8,7 +8,7 @@ from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.footing import RigidFooting
-from dolfinmpm.body.partitioner import partitioner
+from dolfinmpm.body.meshparts import partitioner
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface

@@ -18,8 +18,8 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
+from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
-from dolfinmpm.body.partitioner import warn_of_imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import (
     Activation,
