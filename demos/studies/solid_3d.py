@@ -152,6 +152,7 @@ if not args.no_plot:
         import matplotlib.pyplot as plt
 
         iterated = [r for r in runs if r["linear_iterations"]]
+        iterated = iterated if len(iterated) > 1 else []
         count = bool(iterated) + (fields is not None) or 1
         figure, axes = plt.subplots(1, count, figsize=(4.8 * count, 3.6), squeeze=False)
         if iterated or fields is None:
