@@ -258,6 +258,7 @@ class LatticeBasis:
         self.nodes = self.halo.nodes
         self.cells = self.halo.cells
         self._node_x: npt.NDArray[np.float64] | None = None
+        self._corners: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
         self.grid_cells: npt.NDArray[np.int32] | None = None
         self.grid_nodes: npt.NDArray[np.int32] | None = None
         if self.partition is not None:
@@ -297,8 +298,18 @@ class LatticeBasis:
             for d, line in enumerate(self.lattice.lines):
                 x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
             # every step in time asks for them
+            x.flags.writeable = False
             self._node_x = x
-        return self._node_x.copy()
+        return self._node_x
+
+    def cell_corners(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Lower and upper corners of the cells (m), both of shape (cells, gdim)."""
+        if self._corners is None:
+            ijk, lines = self.halo.cell_ijk, enumerate(self.lattice.lines)
+            both = [(line[ijk[:, d]], line[ijk[:, d] + 1]) for d, line in lines]
+            low, high = (np.column_stack(side) for side in zip(*both))
+            self._corners = low, high
+        return self._corners
 
     def _spans(self, where: Placement, origin):
         """Half-lengths that count, and first overlapped cell and number of them a direction."""

@@ -139,8 +139,8 @@ def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, exten
         good = np.zeros(cells.size, bool)
         good[known] = filled[cells[known]] >= threshold - 1e-9
         inner = np.zeros(basis.nodes.size, bool)
-        everywhere = np.arange(basis.nodes.size)
-        _inner(everywhere, halo.node_ijk, degree, halo.origin, shape, good, inner)
+        # a node without a cell of the body has no well-filled one
+        _inner(nodes, halo.node_ijk, degree, halo.origin, shape, good, inner)
         if not extended:
             return inner, good
     else:

@@ -66,10 +66,7 @@ def _boxes(basis: LatticeBasis | LinearBasis) -> tuple[Array, Array]:
     """Lower and upper corners of the local cells (m); none where a point is in one cell only."""
     if not isinstance(basis, LatticeBasis):
         return (np.empty((0, basis.grid.geometry.dim)),) * 2
-    ijk = basis.halo.cell_ijk
-    low = np.column_stack([line[ijk[:, d]] for d, line in enumerate(basis.lattice.lines)])
-    high = np.column_stack([line[ijk[:, d] + 1] for d, line in enumerate(basis.lattice.lines)])
-    return low, high
+    return basis.cell_corners()
 
 
 def domain_shares(

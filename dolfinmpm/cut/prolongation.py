@@ -150,10 +150,12 @@ class Prolongation:
         single = nodes[~self.tied]
         at = self.matrix.indptr[single]
         self.tied[single] = (self.matrix.indices[at] != single) | (self.matrix.data[at] != 1.0)
-        used = np.unique(self.matrix.indices)
-        if np.any(self.tied[used]):
+        used = np.zeros(self.matrix.shape[0], bool)
+        used[self.matrix.indices] = True
+        both = np.flatnonzero(used & self.tied)
+        if both.size:
             raise ParameterError(
-                f"node {used[self.tied[used]][0]} is tied to others and others are tied to it; "
+                f"node {both[0]} is tied to others and others are tied to it; "
                 "multiply the matrices first"
             )
 
