@@ -162,23 +162,23 @@ def _fill(linear: bool):
         dS = np.empty((gdim, 64))
         part = np.empty(degree + 1)
         slope = np.empty(degree + 1)
-        index = np.empty(gdim, np.int64)
         largest = 1
         for g in range(groups.size - 1):
             largest = max(largest, node_start[g + 1] - node_start[g])
         local = np.empty(largest, np.int64)
+        index = np.empty((largest, gdim), np.int64)
         rank = np.empty(largest, np.int64)
         known = True
         for g in range(groups.size - 1):
             p = order[groups[g]]
             m = node_start[g + 1] - node_start[g]
             for a in range(m):
-                rest, at = a, 0
+                rest, at, size = a, 0, 1
                 for d in range(gdim - 1, -1, -1):
-                    index[d] = rest % (count[p, d] + degree)
+                    index[a, d] = rest % (count[p, d] + degree)
                     rest //= count[p, d] + degree
-                for d in range(gdim):
-                    at = at * node_shape[d] + low[p, d] + index[d]
+                    at += size * (low[p, d] + index[a, d])
+                    size *= node_shape[d]
                 local[a] = node_table[at]
                 known = known and local[a] >= 0
             # nodes in increasing order: assembly walks through the matrix rows once
@@ -190,12 +190,11 @@ def _fill(linear: bool):
                 rank[a] = before
                 nodes[node_start[g] + before] = local[a]
             for a in range(cell_start[g + 1] - cell_start[g]):
-                rest, at = a, 0
+                rest, at, size = a, 0, 1
                 for d in range(gdim - 1, -1, -1):
-                    index[d] = rest % count[p, d]
+                    at += size * (low[p, d] + rest % count[p, d])
                     rest //= count[p, d]
-                for d in range(gdim):
-                    at = at * cell_shape[d] + low[p, d] + index[d]
+                    size *= cell_shape[d]
                 cells[cell_start[g] + a] = cell_table[at]
                 known = known and cell_table[at] >= 0
             for position in range(groups[g], groups[g + 1]):
@@ -213,20 +212,15 @@ def _fill(linear: bool):
                         )  # fmt: skip
                 start = value_start[g] + (position - groups[g]) * m
                 for a in range(m):
-                    rest = a
-                    for d in range(gdim - 1, -1, -1):
-                        index[d] = rest % (count[p, d] + degree)
-                        rest //= count[p, d] + degree
-                    product = 1.0
+                    to, product = start + rank[a], 1.0
                     for d in range(gdim):
-                        product *= S[d, index[d]]
-                    N[start + rank[a]] = product
-                    for d in range(gdim):
-                        product = dS[d, index[d]]
+                        product *= S[d, index[a, d]]
+                        slope_d = dS[d, index[a, d]]
                         for e in range(gdim):
                             if e != d:
-                                product *= S[e, index[e]]
-                        dN[start + rank[a], d] = product
+                                slope_d *= S[e, index[a, e]]
+                        dN[to, d] = slope_d
+                    N[to] = product
         return known
 
     return kernel
