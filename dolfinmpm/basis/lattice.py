@@ -7,6 +7,7 @@ Linear functions and B-splines, and the averages of both over the points' domain
 from __future__ import annotations
 
 import copy
+import functools
 
 import numba
 import numpy as np
@@ -36,7 +37,14 @@ def _cell_of(line, uniform, x):
     if uniform:
         cell = int(np.floor((x - line[0]) / (line[n] - line[0]) * n))
     else:
-        cell = np.searchsorted(line, x, side="right") - 1
+        # by halves; np.searchsorted would take three times as long to compile
+        cell, end = -1, n + 1
+        while end - cell > 1:
+            middle = (cell + end) // 2
+            if line[middle] <= x:
+                cell = middle
+            else:
+                end = middle
     return min(max(cell, 0), n - 1)
 
 
@@ -61,6 +69,17 @@ def overlapped(line, uniform, x, half):
     return first, last - first + 1
 
 
+@numba.njit(cache=True, inline="always")
+def _snapped(line, first, x, half):
+    """A point without a domain that only rounding keeps off the edge of its cell is on it."""
+    if half == 0.0:
+        if x - line[first] < SNAP * (line[first + 1] - line[first]):
+            x = line[first]
+        elif line[first + 1] - x < SNAP * (line[first + 1] - line[first]):
+            x = line[first + 1]
+    return x
+
+
 @numba.njit(cache=True, error_model="numpy")
 def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slope):
     """The count + degree functions that a point sees in one direction, and their slopes (1/m).
@@ -76,11 +95,7 @@ def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slop
         S, dS: Written.
         part, slope: Room for degree + 1 numbers each.
     """
-    if half == 0.0:
-        if x - line[first] < SNAP * (line[first + 1] - line[first]):
-            x = line[first]
-        elif line[first + 1] - x < SNAP * (line[first + 1] - line[first]):
-            x = line[first + 1]
+    x = _snapped(line, first, x, half)
     if degree == 1:
         domain_weights(line, first, count, x, half, S, dS)
     elif half > 0.0:
@@ -132,79 +147,83 @@ def _keys(low, count, table_shape, key):
         key[p] = k * 262144 + c
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _fill(
-    x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
-    order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
-    uniform,
-):  # fmt: skip
-    gdim = x.shape[1]
-    S = np.empty((gdim, 64))
-    dS = np.empty((gdim, 64))
-    part = np.empty(degree + 1)
-    slope = np.empty(degree + 1)
-    index = np.empty(gdim, np.int64)
-    largest = 1
-    for g in range(groups.size - 1):
-        largest = max(largest, node_start[g + 1] - node_start[g])
-    local = np.empty(largest, np.int64)
-    rank = np.empty(largest, np.int64)
-    known = True
-    for g in range(groups.size - 1):
-        p = order[groups[g]]
-        m = node_start[g + 1] - node_start[g]
-        for a in range(m):
-            rest, at = a, 0
-            for d in range(gdim - 1, -1, -1):
-                index[d] = rest % (count[p, d] + degree)
-                rest //= count[p, d] + degree
-            for d in range(gdim):
-                at = at * node_shape[d] + low[p, d] + index[d]
-            local[a] = node_table[at]
-            known = known and local[a] >= 0
-        # nodes in increasing order: assembly walks through the matrix rows once
-        for a in range(m):
-            before = 0
-            for b in range(m):
-                if local[b] < local[a]:
-                    before += 1
-            rank[a] = before
-            nodes[node_start[g] + before] = local[a]
-        for a in range(cell_start[g + 1] - cell_start[g]):
-            rest, at = a, 0
-            for d in range(gdim - 1, -1, -1):
-                index[d] = rest % count[p, d]
-                rest //= count[p, d]
-            for d in range(gdim):
-                at = at * cell_shape[d] + low[p, d] + index[d]
-            cells[cell_start[g] + a] = cell_table[at]
-            known = known and cell_table[at] >= 0
-        for position in range(groups[g], groups[g + 1]):
-            p = order[position]
-            for d in range(gdim):
-                line = lines[line_start[d] : line_start[d + 1]]
-                first = origin[d] + low[p, d]
-                line_weights(
-                    line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d], dS[d],
-                    part, slope,
-                )  # fmt: skip
-            start = value_start[g] + (position - groups[g]) * m
+@functools.cache
+def _fill(linear: bool):
+    """The loop that makes stencils, of linear functions without what splines need."""
+
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(
+        x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
+        order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
+        uniform,
+    ):  # fmt: skip
+        gdim = x.shape[1]
+        S = np.empty((gdim, 64))
+        dS = np.empty((gdim, 64))
+        part = np.empty(degree + 1)
+        slope = np.empty(degree + 1)
+        largest = 1
+        for g in range(groups.size - 1):
+            largest = max(largest, node_start[g + 1] - node_start[g])
+        local = np.empty(largest, np.int64)
+        index = np.empty((largest, gdim), np.int64)
+        rank = np.empty(largest, np.int64)
+        known = True
+        for g in range(groups.size - 1):
+            p = order[groups[g]]
+            m = node_start[g + 1] - node_start[g]
             for a in range(m):
-                rest = a
+                rest, at, size = a, 0, 1
                 for d in range(gdim - 1, -1, -1):
-                    index[d] = rest % (count[p, d] + degree)
+                    index[a, d] = rest % (count[p, d] + degree)
                     rest //= count[p, d] + degree
-                product = 1.0
+                    at += size * (low[p, d] + index[a, d])
+                    size *= node_shape[d]
+                local[a] = node_table[at]
+                known = known and local[a] >= 0
+            # nodes in increasing order: assembly walks through the matrix rows once
+            for a in range(m):
+                before = 0
+                for b in range(m):
+                    if local[b] < local[a]:
+                        before += 1
+                rank[a] = before
+                nodes[node_start[g] + before] = local[a]
+            for a in range(cell_start[g + 1] - cell_start[g]):
+                rest, at, size = a, 0, 1
+                for d in range(gdim - 1, -1, -1):
+                    at += size * (low[p, d] + rest % count[p, d])
+                    rest //= count[p, d]
+                    size *= cell_shape[d]
+                cells[cell_start[g] + a] = cell_table[at]
+                known = known and cell_table[at] >= 0
+            for position in range(groups[g], groups[g + 1]):
+                p = order[position]
                 for d in range(gdim):
-                    product *= S[d, index[d]]
-                N[start + rank[a]] = product
-                for d in range(gdim):
-                    product = dS[d, index[d]]
-                    for e in range(gdim):
-                        if e != d:
-                            product *= S[e, index[e]]
-                    dN[start + rank[a], d] = product
-    return known
+                    line = lines[line_start[d] : line_start[d + 1]]
+                    first = origin[d] + low[p, d]
+                    if linear:
+                        at_x = _snapped(line, first, x[p, d], half[p, d])
+                        domain_weights(line, first, count[p, d], at_x, half[p, d], S[d], dS[d])
+                    else:
+                        line_weights(
+                            line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d],
+                            dS[d], part, slope,
+                        )  # fmt: skip
+                start = value_start[g] + (position - groups[g]) * m
+                for a in range(m):
+                    to, product = start + rank[a], 1.0
+                    for d in range(gdim):
+                        product *= S[d, index[a, d]]
+                        slope_d = dS[d, index[a, d]]
+                        for e in range(gdim):
+                            if e != d:
+                                slope_d *= S[e, index[a, e]]
+                        dN[to, d] = slope_d
+                    N[to] = product
+        return known
+
+    return kernel
 
 
 class LatticeBasis:
@@ -441,7 +460,7 @@ class LatticeBasis:
             np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
-        known = _fill(
+        known = _fill(self.degree == 1)(
             x, half, self._lines, self._line_start, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,

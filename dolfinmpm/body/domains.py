@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.grid.tensors import eigen
+from dolfinmpm.grid.tensors import eigen, eigen_2
 
 __all__ = ["update_domains"]
 
 Array = npt.NDArray[np.float64]
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _stretches(F, l0, lengths):
-    d = F.shape[1]
-    C, Q, values = np.empty((d, d)), np.empty((d, d)), np.empty(d)
-    for p in range(F.shape[0]):
-        for i in range(d):
-            for j in range(d):
-                C[i, j] = 0.0
-                for k in range(d):
-                    C[i, j] += F[p, k, i] * F[p, k, j]
-        eigen(d, C, values, Q)
-        for i in range(d):
-            stretch = 0.0
-            for a in range(d):
-                stretch += math.sqrt(values[a]) * Q[i, a] * Q[i, a]
-            lengths[p, i] = l0[p, i] * stretch
+@functools.cache
+def _stretches(d: int):
+    @numba.njit(cache=True, error_model="numpy")
+    def kernel(F, l0, lengths):
+        C, Q, values = np.empty((d, d)), np.empty((d, d)), np.empty(d)
+        for p in range(F.shape[0]):
+            for i in range(d):
+                for j in range(d):
+                    C[i, j] = 0.0
+                    for k in range(d):
+                        C[i, j] += F[p, k, i] * F[p, k, j]
+            if d == 2:
+                values[0], values[1], c, s = eigen_2(C[0, 0], C[1, 1], C[1, 0])
+                Q[0, 0], Q[0, 1], Q[1, 0], Q[1, 1] = c, s, -s, c
+            else:
+                eigen(d, C, values, Q)
+            for i in range(d):
+                stretch = 0.0
+                for a in range(d):
+                    stretch += math.sqrt(values[a]) * Q[i, a] * Q[i, a]
+                lengths[p, i] = l0[p, i] * stretch
+
+    return kernel
 
 
 def update_domains(F: Array, l0: Array, growth: str = "stretch") -> Array:
@@ -49,5 +57,5 @@ def update_domains(F: Array, l0: Array, growth: str = "stretch") -> Array:
     if growth == "volume":
         return l0 * (np.linalg.det(F) ** (1.0 / F.shape[1]))[:, None]
     lengths = np.empty_like(l0)
-    _stretches(F, l0, lengths)
+    _stretches(F.shape[1])(F, l0, lengths)
     return lengths

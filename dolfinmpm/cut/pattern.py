@@ -32,55 +32,85 @@ class Blocks:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _couple(active, compact, node_start, nodes, extra_rows, extra_columns, start, neighbours):
-    """Neighbours of every active node, in increasing order; only counts if the array is empty."""
-    n = active.size
-    # groups of every node
-    group_start = np.zeros(n + 1, np.int64)
-    for at in range(nodes.size):
-        group_start[compact[nodes[at]] + 1] += 1
-    extra_start = np.zeros(n + 1, np.int64)
-    for e in range(extra_rows.size):
-        extra_start[compact[extra_rows[e]] + 1] += 1
+def _distribute(rows, values, start, to):
+    """Values by their rows, in the order in which they come; start is zeros and is filled too."""
+    n = start.size - 1
+    for e in range(rows.size):
+        start[rows[e] + 1] += 1
     for a in range(n):
-        group_start[a + 1] += group_start[a]
-        extra_start[a + 1] += extra_start[a]
-    fill = group_start[:-1].copy()
-    group_of = np.empty(nodes.size, np.int32)
-    for g in range(node_start.size - 1):
-        for at in range(node_start[g], node_start[g + 1]):
-            a = compact[nodes[at]]
-            group_of[fill[a]] = g
-            fill[a] += 1
-    fill = extra_start[:-1].copy()
-    extra_of = np.empty(extra_rows.size, np.int32)
-    for e in range(extra_rows.size):
-        a = compact[extra_rows[e]]
-        extra_of[fill[a]] = compact[extra_columns[e]]
-        fill[a] += 1
-    seen = np.full(n, -1, np.int32)
+        start[a + 1] += start[a]
+    # each row's first place runs to its end, which is the next one's first
+    for e in range(rows.size):
+        a = rows[e]
+        to[start[a]] = values[e]
+        start[a] += 1
+    for a in range(n, 0, -1):
+        start[a] = start[a - 1]
+    start[0] = 0
+
+
+def _by_rows(n: int, rows, values):
+    """Lists of the values of every row: their first entries, shape (n + 1,), and they.
+
+    Args:
+        n: Number of rows.
+        rows, values: Row of each value, and the values.
+    """
+    start, to = np.zeros(n + 1, np.int64), np.empty(len(rows), np.int32)
+    _distribute(rows, values, start, to)
+    return start, to
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _couple(
+    group_start, group_of, node_start, nodes, extra_start, extra_of, seen, start, neighbours
+):
+    """Neighbours of every active node, in any order; only counts if the array is empty."""
+    filling = neighbours.size > 0
     total = 0
-    for a in range(n):
-        begin = total
+    for a in range(start.size - 1):
         for at in range(group_start[a], group_start[a + 1]):
             g = group_of[at]
             for k in range(node_start[g], node_start[g + 1]):
-                b = compact[nodes[k]]
+                b = nodes[k]
                 if seen[b] != a:
                     seen[b] = a
-                    if neighbours.size:
+                    if filling:
                         neighbours[total] = b
                     total += 1
         for at in range(extra_start[a], extra_start[a + 1]):
             b = extra_of[at]
             if seen[b] != a:
                 seen[b] = a
-                if neighbours.size:
+                if filling:
                     neighbours[total] = b
                 total += 1
-        if neighbours.size:
-            neighbours[begin:total].sort()
         start[a + 1] = total
+
+
+def _graph(n: int, node_start, nodes, extra_rows, extra_columns):
+    """Neighbours of n nodes, in increasing order: their first entries, shape (n + 1,), and they.
+
+    Args:
+        n: Number of nodes.
+        node_start, nodes: Lists of nodes that are all coupled.
+        extra_rows, extra_columns: Further nodes, and a neighbour of each.
+    """
+    groups = np.arange(len(node_start) - 1, dtype=np.int32)
+    group_start, group_of = _by_rows(n, nodes, np.repeat(groups, np.diff(node_start)))
+    extra_start, extra_of = _by_rows(n, extra_rows, extra_columns)
+    start, neighbours = np.zeros(n + 1, np.int64), np.empty(0, np.int32)
+    for _ in range(2):  # first count, then fill
+        neighbours = np.empty(start[-1], np.int32)
+        _couple(
+            group_start, group_of, node_start, nodes, extra_start, extra_of,
+            np.full(n, -1, np.int32), start, neighbours,
+        )  # fmt: skip
+    # the transpose of a graph is in order, whatever order that was in, and so is that one's own
+    every = np.arange(n, dtype=np.int32)
+    for _ in range(2):
+        start, neighbours = _by_rows(n, neighbours, np.repeat(every, np.diff(start)))
+    return start, neighbours
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -174,11 +204,9 @@ class Pattern:
         extra_rows = np.concatenate(empty + [rows for rows, _ in pairs])
         extra_columns = np.concatenate(empty + [columns for _, columns in pairs])
         node_start, nodes = _one_after_the_other(lists)
-        start = np.zeros(n + 1, np.int64)
-        graph = active, compact, node_start, nodes, extra_rows, extra_columns, start
-        _couple(*graph, np.empty(0, np.int32))
-        neighbours = np.empty(start[-1], np.int32)
-        _couple(*graph, neighbours)
+        start, neighbours = _graph(
+            n, node_start, compact[nodes], compact[extra_rows], compact[extra_columns]
+        )
         if old is not None and _covers(old.start, old.neighbours, start, neighbours):
             return old
         if old is not None:

@@ -8,6 +8,26 @@ import numba
 
 
 @numba.njit(cache=True, error_model="numpy")
+def eigen_2(xx, yy, xy):
+    """Eigenvalues of a symmetric tensor in two dimensions, and cosine and sine of its axes.
+
+    By the one rotation that there is, as `eigen`, which takes three times as long to compile.
+    The first axis is (c, -s), the second (s, c).
+    """
+    c, s = 1.0, 0.0
+    if not xy * xy <= 1e-32 * (xx * xx + yy * yy):
+        theta = 0.5 * (yy - xx) / xy
+        t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+        if theta < 0.0:
+            t = -t
+        c = 1.0 / math.sqrt(t * t + 1.0)
+        s = t * c
+        xx -= t * xy
+        yy += t * xy
+    return xx, yy, c, s
+
+
+@numba.njit(cache=True, error_model="numpy")
 def eigen(d, a, values, vectors):
     """Eigenvalues and eigenvectors (columns) of the leading d x d block of a symmetric a.
 

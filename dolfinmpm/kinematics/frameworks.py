@@ -113,7 +113,9 @@ class Framework:
     ) -> int:
         points, measure = self.points, self._measure
         n, ending = len(rows), len(new) > 0
-        values, known = (np.empty((0, 1)), False) if kept is None else (kept.values, kept.known)
+        values, known = (
+            (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
+        )
         return self._kernel(
             self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
             measure.checks, measure.logarithmic, np.ascontiguousarray(operand),

@@ -24,7 +24,7 @@ import numba
 import numpy as np
 
 from dolfinmpm.forms.pointwise import call_tabulate
-from dolfinmpm.grid.tensors import eigen
+from dolfinmpm.grid.tensors import eigen, eigen_2
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["Layout", "components", "kept_numbers", "layout", "stress_kernel"]
@@ -96,7 +96,8 @@ def stress_kernel(d: int):
       gradient, state and internal variables at the start of the step, shapes (n, d²), (n, 6)
       and (n, variables);
     - kept: response of the law at the points, shape (n, `kept_numbers`): written, or read
-      instead of asking the law again if `known`; nothing is kept if it is empty;
+      instead of asking the law again if `known`; one row is room for one point after another,
+      of which nothing is kept;
     - S: written unless state is, the flux (Pa), shape (n, d²);
     - A: written unless empty, its derivative by H, shape (n, d², d²);
     - state, internal, stress: written unless empty, all at the end of the step, shapes
@@ -111,6 +112,8 @@ def stress_kernel(d: int):
         first = second = (0,)  # Numba knows no empty tuple of integers
     at_H, at_F, at_state, at_G = at.H, at.F, at.state, at.G
     at_stress, at_law, at_slope, size = at.stress, at.law, at.slope, at.size
+    # columns of what is kept, see `kept_numbers`: one array compiles faster than six
+    at_value, at_given, at_strain, at_tau, at_C, at_new = (dd + k for k in (0, 3, 6, 9, 12, 21))
 
     @numba.njit(cache=True, error_model="numpy")
     def kernel(
@@ -118,18 +121,17 @@ def stress_kernel(d: int):
         S, A, state, internal, stress,
     ):  # fmt: skip
         z, out = np.zeros(size), np.empty(checks + max(m, dd))
-        tensor, Q, value = np.empty((d, d)), np.eye(3), np.ones(3)
-        strain, given, tau = np.empty(3), np.empty(3), np.empty(3)
-        C, N, W = np.empty((3, 3)), np.empty((m, m)), np.empty((m, m))
+        tensor, Q, value = np.empty((d, d)), np.empty((d, d)), np.empty(3)
+        N, W = np.empty((m, m)), np.empty((m, m))
         by_H, by_G = np.empty((dd, dd)), np.empty((m, dd))
         ratio_of = np.empty(1)
         variables = internal_n.shape[1]
-        new = np.empty(max(variables, 1))
-        keeping, ending, sloping = kept.shape[0] > 0, state.shape[0] > 0, A.shape[0] > 0
+        ending, sloping = state.shape[0] > 0, A.shape[0] > 0
         trial_of, second_of, flux_of, volume_of, tangent_of, slope_of, second_slope_of = programs
         staged = second_of != 0
         data = z.ctypes.data
         for p in range(H.shape[0]):
+            q = p if kept.shape[0] > 1 else 0
             for k in range(dd):
                 z[at_H + k] = H[p, k]
                 z[at_F + k] = F_n[p, k]
@@ -145,78 +147,68 @@ def stress_kernel(d: int):
             if staged:
                 for k in range(dd):
                     z[at_G + k] = out[checks + k]
-            if known:
-                for i in range(d):
-                    for a in range(d):
-                        Q[i, a] = kept[p, i * d + a]
-                for i in range(3):
-                    value[i], given[i] = kept[p, dd + i], kept[p, dd + 3 + i]
-                    strain[i], tau[i] = kept[p, dd + 6 + i], kept[p, dd + 9 + i]
-                    for j in range(3):
-                        C[i, j] = kept[p, dd + 12 + 3 * i + j]
-                for i in range(variables):
-                    new[i] = kept[p, dd + 21 + i]
-            else:
+            if not known:
                 if staged:
                     out[:] = 0.0
                     start = 0
                     call_tabulate(second_of, out.ctypes.data, data)
-                for k in range(m):
-                    i, j = rows[k], columns[k]
-                    tensor[i, j] = tensor[j, i] = out[start + k]
+                if d == 2:
+                    xx, yy, xy = out[start], out[start + 1], out[start + 2]
+                    kept[q, at_value], kept[q, at_value + 1], c, s = eigen_2(xx, yy, xy)
+                    kept[q, 0], kept[q, 1], kept[q, 2], kept[q, 3] = c, s, -s, c
+                else:
+                    for k in range(m):
+                        i, j = rows[k], columns[k]
+                        tensor[i, j] = tensor[j, i] = out[start + k]
+                    eigen(d, tensor, value, Q)
+                    for i in range(d):
+                        kept[q, at_value + i] = value[i]
+                        for a in range(d):
+                            kept[q, i * d + a] = Q[i, a]
                 for i in range(d, 3):
-                    value[i] = state_n[p, i]
-                eigen(d, tensor, value, Q)
+                    kept[q, at_value + i] = state_n[p, i]
                 for i in range(3):
-                    given[i] = value[i]
+                    strain = kept[q, at_value + i]
                     if logarithmic:
-                        if not value[i] > 0.0:
+                        if not strain > 0.0:
                             return p
-                        given[i] = 0.5 * math.log(value[i])
-                    strain[i] = given[i]
+                        strain = 0.5 * math.log(strain)
+                    kept[q, at_given + i] = kept[q, at_strain + i] = strain
                 row = p if parameters.shape[0] > 1 else 0
+                response = kept.ctypes.data + 8 * q * kept.shape[1]
                 status = call_law(
                     law, parameters.ctypes.data + 8 * row * parameters.shape[1],
-                    strain.ctypes.data, internal_n.ctypes.data + 8 * p * variables,
-                    new.ctypes.data, tau.ctypes.data, C.ctypes.data,
+                    response + 8 * at_strain, internal_n.ctypes.data + 8 * p * variables,
+                    response + 8 * at_new, response + 8 * at_tau, response + 8 * at_C,
                 )  # fmt: skip
-                if status != 0 or not math.isfinite(tau[0] + tau[1] + tau[2]):
+                total = kept[q, at_tau] + kept[q, at_tau + 1] + kept[q, at_tau + 2]
+                if status != 0 or not math.isfinite(total):
                     return p
-                if keeping:
-                    for i in range(d):
-                        for a in range(d):
-                            kept[p, i * d + a] = Q[i, a]
-                    for i in range(3):
-                        kept[p, dd + i], kept[p, dd + 3 + i] = value[i], given[i]
-                        kept[p, dd + 6 + i], kept[p, dd + 9 + i] = strain[i], tau[i]
-                        for j in range(3):
-                            kept[p, dd + 12 + 3 * i + j] = C[i, j]
-                    for i in range(variables):
-                        kept[p, dd + 21 + i] = new[i]
             for a in range(d):
                 for k in range(m):
-                    N[a, k] = Q[rows[k], a] * Q[columns[k], a]
+                    N[a, k] = kept[q, rows[k] * d + a] * kept[q, columns[k] * d + a]
             if ending:
                 for i in range(variables):
-                    internal[p, i] = new[i]
+                    internal[p, i] = kept[q, at_new + i]
                 ratio_of[0] = 0.0
                 call_tabulate(volume_of, ratio_of.ctypes.data, data)
                 for i in range(3):
-                    value[i] = math.exp(2.0 * strain[i]) if logarithmic else strain[i]
+                    strain = kept[q, at_strain + i]
+                    value[i] = math.exp(2.0 * strain) if logarithmic else strain
                 for i in range(6):
                     state[p, i] = stress[p, i] = 0.0
                 for i in range(d, 3):
-                    state[p, i], stress[p, i] = value[i], tau[i] / ratio_of[0]
+                    state[p, i], stress[p, i] = value[i], kept[q, at_tau + i] / ratio_of[0]
                 for k in range(m):
                     to = k if k < d else 3 + k - d
                     for a in range(d):
                         state[p, to] += value[a] * N[a, k]
-                        stress[p, to] += tau[a] / ratio_of[0] * N[a, k]
+                        stress[p, to] += kept[q, at_tau + a] / ratio_of[0] * N[a, k]
                 continue
             for k in range(m):
                 z[at_stress + k] = 0.0
                 for a in range(d):
-                    z[at_stress + k] += tau[a] * N[a, k]
+                    z[at_stress + k] += kept[q, at_tau + a] * N[a, k]
             for k in range(dd):
                 S[p, k] = 0.0
             call_tabulate(flux_of, S.ctypes.data + 8 * p * dd, data)
@@ -227,31 +219,36 @@ def stress_kernel(d: int):
                 for k in range(m):
                     W[a, k] = 0.0
                     for b in range(d):
-                        slope = 0.5 / value[b] if logarithmic else 1.0
-                        W[a, k] += C[a, b] * slope * N[b, k]
+                        slope = 0.5 / kept[q, at_value + b] if logarithmic else 1.0
+                        W[a, k] += kept[q, at_C + 3 * a + b] * slope * N[b, k]
             for r in range(d, m):
                 a, b = first[r - d], second[r - d]
-                gap = given[a] - given[b]
+                gap = kept[q, at_given + a] - kept[q, at_given + b]
+                tau_a, tau_b = kept[q, at_tau + a], kept[q, at_tau + b]
+                aa, bb = kept[q, at_C + 4 * a], kept[q, at_C + 4 * b]
                 if logarithmic:
                     apart = abs(gap) > 1e-8
                 else:
                     # a difference of stresses tells nothing where rounding has made it
-                    stiff = abs(C[a, a]) + abs(C[b, b])
-                    apart = abs(gap) * stiff > 1e-8 * (abs(tau[a]) + abs(tau[b]))
+                    apart = abs(gap) * (abs(aa) + abs(bb)) > 1e-8 * (abs(tau_a) + abs(tau_b))
                 if apart:
-                    secant = (tau[a] - tau[b]) / gap
+                    secant = (tau_a - tau_b) / gap
                 else:
-                    secant = 0.5 * (C[a, a] - C[a, b] - C[b, a] + C[b, b])
+                    ab, ba = kept[q, at_C + 3 * a + b], kept[q, at_C + 3 * b + a]
+                    secant = 0.5 * (aa - ab - ba + bb)
                 if logarithmic:
                     # (ε_a − ε_b)/(λ_a − λ_b), free of cancellation where stretches meet
-                    t = (value[a] - value[b]) / value[b]
-                    ratio = 0.5 / value[b]
+                    value_b = kept[q, at_value + b]
+                    t = (kept[q, at_value + a] - value_b) / value_b
+                    ratio = 0.5 / value_b
                     if abs(t) > 1e-12:
                         ratio *= math.log1p(t) / t
                     secant *= ratio
                 for k in range(m):
-                    i, j = rows[k], columns[k]
-                    N[r, k] = 0.5 * (Q[i, a] * Q[j, b] + Q[j, a] * Q[i, b])
+                    i, j = rows[k] * d, columns[k] * d
+                    N[r, k] = 0.5 * (
+                        kept[q, i + a] * kept[q, j + b] + kept[q, j + a] * kept[q, i + b]
+                    )
                     W[r, k] = 2.0 * secant * N[r, k]
             for k in range(m):
                 for j in range(m):
