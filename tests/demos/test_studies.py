@@ -262,7 +262,7 @@ def unknowns_of_a_block(layers):
 
 
 def test_solid_3d_by_factors(tmp_path):
-    options = "--cells 6,8 --cuts 0.5 --steps 1".split()
+    options = ["--cells", "6,8", "--cuts", "0.5", "--steps", "1"]
     small, large = run("solid_3d", *options, "--output", str(tmp_path))["runs"]
     direct = run("solid_3d", "--no-plot", *options, "--solver", "direct")["runs"]
     for n, found, other in zip((6, 8), (small, large), direct):
@@ -301,7 +301,7 @@ def test_solid_3d_by_multigrid(remedy, cells):
 
 
 def test_solid_3d_of_a_slope(tmp_path):
-    options = "--scene slope --cells 9 --steps 4".split()
+    options = ["--scene", "slope", "--cells", "9", "--steps", "4"]
     (found,) = run("solid_3d", *options, "--output", str(tmp_path))["runs"]
     (other,) = run("solid_3d", "--no-plot", *options, "--solver", "direct")["runs"]
     assert found["unknowns"] == other["unknowns"] == 2532
