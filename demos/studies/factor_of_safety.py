@@ -19,7 +19,7 @@
 # | GIMP | 1.555 | 1.508 | 1.430 |
 # | GIMP with F-bar | 1.492 | 1.414 | 1.367 |
 # | quadratic splines | 1.477 | 1.414 | 1.367 |
-# | quadratic splines with F-bar | 1.445 | 1.398 | 1.367 |
+# | quadratic splines with F-bar | 1.461 | 1.398 | 1.367 |
 
 # %%
 from __future__ import annotations
