@@ -91,8 +91,8 @@ def arguments():
 # halved, up to ten times. If that does not help, the run ends there, and the table says so, with
 # the share of gravity that was reached. The line search matters: for $h = 0.25$ m full steps go to
 # and fro between two states when the toe overhangs the ground, however small the load, with ghost
-# stabilisation too. With it all runs with ghost stabilisation or aggregation come to the end, and
-# two of nine without a remedy.
+# stabilisation too. With it all runs with ghost stabilisation or aggregation come to the end;
+# without a remedy most do not, and rounding decides which.
 
 
 # %%

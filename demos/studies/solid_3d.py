@@ -38,6 +38,9 @@ options.add_argument(
 options.add_argument("--stabilisation", default="ghost", help="a remedy against small cuts")
 options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
 options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
+options.add_argument(
+    "--solver", choices=("own", "direct"), default="own", help="factors of every tangent, or not"
+)
 options.add_argument("--rtol", type=float, help="of linear systems; what Newton can use by default")
 args = options.parse_args()
 
@@ -92,6 +95,8 @@ def run(n, cut):
     sides = ("left", "front") if args.scene == "block" else ("left", "front", "back")
     bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
     given = {} if args.rtol is None else {"ksp_rtol": args.rtol}
+    if args.solver == "direct":
+        given |= {"ksp_type": "preonly", "pc_type": "lu"}
     problem = mpm.QuasiStatic(
         F, u, points, bcs, tolerance=1e-8, stabilisation=args.stabilisation, petsc_options=given
     )

@@ -255,6 +255,69 @@ def test_footing_compared(tmp_path):
         assert (tmp_path / name).stat().st_size > 0
 
 
+def unknowns_of_a_block(layers):
+    """Of linear functions on so many layers of cells in each direction, on rollers, not below."""
+    m = layers
+    return 2 * m * (m + 1) * m + (m + 1) ** 2 * m
+
+
+def test_solid_3d_by_factors(tmp_path):
+    options = ["--cells", "6,8", "--cuts", "0.5", "--steps", "1"]
+    small, large = run("solid_3d", *options, "--output", str(tmp_path))["runs"]
+    direct = run("solid_3d", "--no-plot", *options, "--solver", "direct")["runs"]
+    for n, found, other in zip((6, 8), (small, large), direct):
+        # the upper and outer faces are in a layer of cells of their own
+        assert found["unknowns"] == other["unknowns"] == unknowns_of_a_block(n + 1)
+        assert found["points"] == (2 * n + 1) ** 3
+        assert found["newton_iterations"] == other["newton_iterations"] == [3]
+        assert other["linear_iterations"] == []
+        assert found["settlement"] == pytest.approx(other["settlement"], rel=1e-8)
+        # that of a block free to widen at its base, E = 1 MPa and 10 kN/m³
+        free = 10e3 * (1 + 0.5 / n) ** 2 / 2e6
+        assert 0.85 * free < found["settlement"] < free
+    assert small["linear_iterations"] == []
+    # preconditioned with factors that may be those of the tangent before
+    assert len(large["linear_iterations"]) == 3
+    assert 1 <= max(large["linear_iterations"]) <= 6
+    assert (tmp_path / "solid_3d_block.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("remedy", "cells"), [("ghost", 13), ("aggregation", 14)])
+def test_solid_3d_by_multigrid(remedy, cells):
+    # both cuts make the same cells active, or the same nodes follow others
+    options = f"--cells {cells} --cuts 1e-6,0.3 --steps 1 --stabilisation {remedy}"
+    tiny, large = run("solid_3d", "--no-plot", *options.split())["runs"]
+    direct = run("solid_3d", "--no-plot", *options.split(), "--solver", "direct")["runs"]
+    for found, other in zip((tiny, large), direct):
+        assert found["unknowns"] == other["unknowns"] == unknowns_of_a_block(14)
+        assert found["method"].startswith("CG with GAMG: 9030 unknowns")
+        assert found["newton_iterations"] == other["newton_iterations"]
+        assert len(found["linear_iterations"]) == sum(found["newton_iterations"])
+        assert 1 <= min(found["linear_iterations"]) <= max(found["linear_iterations"]) <= 10
+        assert other["linear_iterations"] == []
+        assert found["settlement"] == pytest.approx(other["settlement"], rel=1e-8)
+    most = [max(found["linear_iterations"]) for found in (tiny, large)]
+    assert abs(most[0] - most[1]) <= 2
+
+
+def test_solid_3d_of_a_slope(tmp_path):
+    options = ["--scene", "slope", "--cells", "9", "--steps", "4"]
+    (found,) = run("solid_3d", *options, "--output", str(tmp_path))["runs"]
+    (other,) = run("solid_3d", "--no-plot", *options, "--solver", "direct")["runs"]
+    assert found["unknowns"] == other["unknowns"] == 2532
+    assert found["yielding"] == pytest.approx(other["yielding"], abs=5)
+    assert found["yielding"] > 0.2 * found["points"]
+    assert found["halvings"] == other["halvings"] == 0
+    # plastic tangents are not symmetric, and change more than elastic ones
+    assert found["method"].startswith("GMRES with LU")
+    assert len(found["linear_iterations"]) == sum(found["newton_iterations"])
+    assert sum(found["newton_iterations"]) <= sum(other["newton_iterations"]) + 2
+    assert 1 < max(found["linear_iterations"]) <= 30
+    assert other["linear_iterations"] == []
+    assert found["settlement"] == pytest.approx(other["settlement"], rel=1e-7)
+    assert (tmp_path / "solid_3d_slope.png").stat().st_size > 0
+
+
 def test_your_own_law(tmp_path):
     figures = run("your_own_law", "--h", "0.5", "--steps", "10", "--output", str(tmp_path))
     assert figures["law_lines"] < 60

@@ -19,9 +19,9 @@ def compiled(tmp_path, monkeypatch):
     return lambda: {path.name for path in tmp_path.glob("*.c")}
 
 
-def settle(basis, n, size, per_cell, moduli, remedy):
+def settle(basis, n, size, per_cell, moduli, remedy, cell=mesh.CellType.quadrilateral):
     """A body that takes its weight, with a remedy of given numbers."""
-    grid = mesh.create_rectangle(COMM, [(0, 0), (size, size)], (n, n), mesh.CellType.quadrilateral)
+    grid = mesh.create_rectangle(COMM, [(0, 0), (size, size)], (n, n), cell)
     body = mpm.Box((0, 0), (size, 0.6 * size))
     points = mpm.fill(grid, body, per_cell=per_cell, density=1000.0 * size)
     V = mpm.Space(grid, basis)
@@ -77,11 +77,18 @@ def test_laws_in_ufl(compiled):
     assert compiled() == once
 
 
-def test_ghost_penalties_of_splines_compile_nothing(compiled):
-    """Their tensors are made without FFCx, those of linear functions with it."""
-    settle("bspline2", 4, 1.0, 2, (1e6, 0.3), {"kind": "none"})
+@pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2"])
+def test_ghost_penalties_on_rectangular_grids_compile_nothing(basis, compiled):
+    """One element tensor for all facets that are alike is made without FFCx."""
+    settle(basis, 4, 1.0, 2, (1e6, 0.3), {"kind": "none"})
     without = compiled()
-    settle("bspline2", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"})
+    assert without
+    settle(basis, 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"})
     assert compiled() == without
-    settle("gimp", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"})
+
+
+def test_ghost_penalties_on_other_grids_compile_one_form(compiled):
+    settle("linear", 4, 1.0, 2, (1e6, 0.3), {"kind": "none"}, mesh.CellType.triangle)
+    without = compiled()
+    settle("linear", 4, 1.0, 2, (1e6, 0.3), {"kind": "ghost"}, mesh.CellType.triangle)
     assert len(compiled() - without) == 1

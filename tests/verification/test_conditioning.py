@@ -12,7 +12,7 @@ from scipy import linalg
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import FormError, ParameterError
 
 OFFSETS = (1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.999, 1 - 1e-6)
 
@@ -135,21 +135,54 @@ def test_turned_block_of_quadratic_splines(kind):
     assert max(found) <= 20 * min(found)
 
 
-def test_remedies_by_name_take_the_modulus_of_the_law():
+@pytest.mark.parametrize("kind", ["weak-aggregation", "soft"])
+def test_remedies_by_name_take_the_modulus_of_the_law(kind):
     grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8.0])
     points = mpm.fill(grid, mpm.Box(0, 4.2), 2, 1.0)
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(mpm.materials.Hencky(E=7.0, nu=0.2), points, V.increment, V.test)
-    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=kind)
     assert (problem.stabilisation.E, problem.stabilisation.nu) == (7.0, 0.2)
     energy = mpm.momentum(mpm.materials.NeoHookean(E=8.0, nu=0.1), points, V.increment, V.test)
-    problem = mpm.QuasiStatic(energy, V.increment, points, stabilisation="ghost")
+    problem = mpm.QuasiStatic(energy, V.increment, points, stabilisation=kind)
     assert (problem.stabilisation.E, problem.stabilisation.nu) == (8.0, 0.1)
     own = 7.0 * ufl.inner(ufl.grad(V.increment), ufl.grad(V.test)) * points.dX
     with pytest.raises(ParameterError, match="needs a modulus"):
-        mpm.QuasiStatic(own, V.increment, points, stabilisation="ghost")
+        mpm.QuasiStatic(own, V.increment, points, stabilisation=kind)
     with pytest.raises(ParameterError, match="'glue' must be one of"):
         mpm.QuasiStatic(F, V.increment, points, stabilisation="glue")
+
+
+def stiffness_of(law, remedy):
+    """Stiffness of a bar by name of the remedy."""
+    grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8.0])
+    points = mpm.fill(grid, mpm.Box(0, 4.2), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(law, points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
+    return problem.stiffness()[:, :]
+
+
+@pytest.mark.parametrize("law", [mpm.materials.Hencky, mpm.materials.NeoHookean])
+def test_a_ghost_penalty_by_name_takes_the_modulus_of_the_tangent(law):
+    E, nu = 7.0, 0.2
+    # M of a bar that cannot get wider
+    M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+    own = law(E=E, nu=nu)
+    bare, named = stiffness_of(own, "none"), stiffness_of(own, "ghost")
+    assert np.abs(named - bare).max() > 0.01 * M
+    np.testing.assert_allclose(
+        named, stiffness_of(own, mpm.Stabilisation("ghost", E=M)), rtol=1e-12, atol=1e-12 * M
+    )
+
+
+def test_a_ghost_penalty_by_name_needs_a_law():
+    grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8.0])
+    points = mpm.fill(grid, mpm.Box(0, 4.2), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    own = 7.0 * ufl.inner(ufl.grad(V.increment), ufl.grad(V.test)) * points.dX
+    with pytest.raises(FormError, match=r"no mpm.momentum .* give it a γ"):
+        mpm.QuasiStatic(own, V.increment, points, stabilisation="ghost")
 
 
 def matrix_of(A):
