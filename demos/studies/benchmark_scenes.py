@@ -220,24 +220,32 @@ SCENES = {
 }  # fmt: skip
 
 
-def runs_of(names: Sequence[str], quick: bool, bases: Sequence[str] | None) -> list[Run]:
+def runs_of(
+    names: Sequence[str],
+    quick: bool,
+    bases: Sequence[str] | None,
+    refinements: int | None = None,
+    densities: int | None = None,
+) -> list[Run]:
     """All runs of some scenes, coarse to fine.
 
     Args:
         names: Scenes.
         quick: Whether each is to take seconds.
         bases: Which bases, those of the scene by default.
+        refinements: How many of them, from the coarsest; all by default.
+        densities: How many numbers of points a cell, from the least; all by default.
     """
     found = []
     for name in names:
         scene = SCENES[name]
-        levels = scene.quick if quick else scene.levels
+        levels = (scene.quick if quick else scene.levels)[:refinements]
         chosen = [b for b in scene.bases if bases is None or b in bases]
         if quick and bases is None:
             chosen = ["gimp", "bspline2"]
         for level in levels:
             for basis in chosen:
-                for per_cell in scene.per_cell[:1] if quick else scene.per_cell:
+                for per_cell in scene.per_cell[: 1 if quick else densities]:
                     # three functions of a cubic spline's cell need three points
                     at_least = max(per_cell, 3) if basis == "bspline3" else per_cell
                     for remedy in scene.remedies:
@@ -256,13 +264,14 @@ def measure(runs: Sequence[Run], repeat: int) -> None:
             if turn == repeat - 1 or run.error is None:
                 say(describe(run))
     for run in runs:
-        run.seconds = float(np.median(run.seconds_all))
+        # the first may compile
+        run.seconds = float(np.median(run.seconds_all[1:] or run.seconds_all))
 
 
 def describe(run: Run) -> str:
     """A line on a run."""
     name = f"{run.scene:10s} {run.basis:8s} {run.level:g}, {run.per_cell}², {run.remedy:11s}"
-    seconds = float(np.median(run.seconds_all))
+    seconds = float(np.median(run.seconds_all[1:] or run.seconds_all))
     if run.error is None:
         return f"{name} stopped after {seconds:.2f} s: {run.reason[:90]}"
     whole = sum(run.stages.values()) or 1.0

@@ -45,8 +45,8 @@ from dolfinmpm.cut import activation
 PACKAGE = Path(mpm.__file__).parent
 
 options = parser("What optional features cost, off and on.")
-options.add_argument("--cells", type=int, default=24, help="of the block, in each direction")
-options.add_argument("--steps", type=int, default=12, help="counted pairs of steps")
+options.add_argument("--cells", type=int, default=8, help="of the block, in each direction")
+options.add_argument("--steps", type=int, default=3, help="counted pairs of steps")
 options.add_argument("--only", help="features, by commas; all by default")
 options.add_argument("--calls", action="store_true", help="count Python calls in any case")
 
@@ -116,8 +116,8 @@ class Feature:
 
     Attributes:
         name: Its name.
-        on: Makes a block that uses it, from the number of cells; None where it is no matter
-            of a problem.
+        on: Makes a block that uses it, from the number of cells; None of stages, which are
+            switched on and off in one problem.
         stub: Takes away the places that ask for it, or None where there are none.
         own: Files and functions that only it calls: "file.py" or "file.py:function".
         plain: Makes the block it is compared with.
@@ -170,10 +170,14 @@ class _NoWatch:
         return {}
 
 
-def measured(cells: int) -> Block:
-    """A block whose stages are measured from here on."""
+@contextlib.contextmanager
+def measured() -> Iterator[None]:
+    """Stages are measured."""
     mpm.measure_stages()
-    return block(cells)
+    try:
+        yield
+    finally:
+        mpm.measure_stages(False)
 
 
 def with_output(cells: int) -> Block:
@@ -218,7 +222,7 @@ FEATURES = (
     Feature("progress", with_progress, own=("progress.py",)),
     Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
     Feature("third dimension", lambda n: block(n, 3), own=("fused3d.py",)),
-    Feature("stages", measured, without_stages),
+    Feature("stages", None, without_stages),
 )  # fmt: skip
 
 
@@ -282,11 +286,12 @@ def row(feature: Feature, args, count) -> dict[str, Any]:
         "feature": feature.name, "off": off, "off_spread": spread, "off_calls": own,
         "stubbed": feature.stub is not None, "plain": plain,
     }  # fmt: skip
+    if feature.on is None:
+        return {**found, "on": 1 / (1 + pairs(first, second, count, args.steps, measured)[0]) - 1}
     least = statistics.median(count(first.step)[0] for _ in range(3))
     on = warm(feature.on(args.cells))
     share = first.problem.points.total / on.problem.points.total
     taken = statistics.median(count(on.step)[0] for _ in range(3))
-    mpm.measure_stages(False)
     return {**found, "on": share * taken / least - 1}
 
 
@@ -355,7 +360,11 @@ def counted(args) -> dict[str, Any]:
     mpm.measure_stages(False)
     count = instructions.Counter()
     wanted = args.only.split(",") if args.only else None
-    rows = [row(f, args, count) for f in FEATURES if wanted is None or f.name in wanted]
+    rows = []
+    for feature in FEATURES:
+        if wanted is None or feature.name in wanted:
+            rows.append(row(feature, args, count))
+            print(rows[-1], file=sys.stderr, flush=True)
     for name, make in (("tangent", tangent_row), ("MPI", mpi_row)):
         if wanted is None or name in wanted:
             rows.append(make(args, count))
