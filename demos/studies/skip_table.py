@@ -153,13 +153,17 @@ def without_stages() -> Iterator[None]:
         for place in places:
             for name, value in list(vars(place).items()):
                 # what stages wrap sees their names
-                if getattr(value, "__globals__", None) is vars(stages) and place is not stages:
-                    if hasattr(value, "__wrapped__"):
-                        all_of.enter_context(mock.patch.object(place, name, value.__wrapped__))
+                own = getattr(value, "__globals__", None) is vars(stages)
+                if own and hasattr(value, "__wrapped__"):
+                    all_of.enter_context(mock.patch.object(place, name, value.__wrapped__))
         for name in ("enter", "leave"):
-            all_of.enter_context(mock.patch.object(stages.Stage, name, lambda self: None))
+            all_of.enter_context(mock.patch.object(stages.Stage, name, _nothing))
         all_of.enter_context(mock.patch.object(stages, "Watch", _NoWatch))
         yield
+
+
+def _nothing(stage: stages.Stage) -> None:
+    """Neither enters nor leaves a stage."""
 
 
 class _NoWatch:

@@ -160,7 +160,7 @@ class Stage:
         text = _WITHIN.format(signature=inspect.Signature(bare), arguments=", ".join(given))
         made: dict[str, Any] = {}
         exec(text, globals(), made)
-        within = functools.wraps(function)(made["make"](self, function))
+        within: Any = functools.wraps(function)(made["make"](self, function))
         within.__defaults__, within.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
         return within
 
