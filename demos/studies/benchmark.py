@@ -97,7 +97,7 @@ figures = {
 
 # %% [markdown]
 # ## Work and precision
-# The first of several runs of a kind compiles or loads what is compiled: it is not counted.
+# The coarsest run of a kind is taken once before: what compiles is not counted.
 
 # %%
 runs = scenes.runs_of(args.scenes, args.quick, bases, args.refinements, args.densities)

@@ -150,7 +150,7 @@ class Stage:
         signature = inspect.signature(function)
         kinds, given = inspect.Parameter, []
         for p in signature.parameters.values():
-            stars = {kinds.VAR_POSITIONAL: "*", kinds.VAR_KEYWORD: "**"}.get(p.kind, "")
+            stars = "*" * (p.kind is kinds.VAR_POSITIONAL) + "**" * (p.kind is kinds.VAR_KEYWORD)
             given.append(f"{p.name}={p.name}" if p.kind is kinds.KEYWORD_ONLY else stars + p.name)
         # defaults are objects: they are put in afterwards
         bare = [
