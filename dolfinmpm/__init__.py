@@ -4,6 +4,7 @@ from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
 from dolfinmpm import materials, study
 from dolfinmpm._platform import errors
 from dolfinmpm._platform.report import info
+from dolfinmpm._platform.stages import measure_stages
 from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.filling import fill
@@ -64,6 +65,7 @@ __all__ = [
     "ghost",
     "info",
     "materials",
+    "measure_stages",
     "momentum",
     "moving",
     "partitioner",

@@ -56,6 +56,8 @@ options.add_argument(
 options.add_argument("--laws", action="store_true", help="million points a second of each law")
 options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
 options.add_argument("--scenes", type=words, default=list(scenes.SCENES), help="by commas")
+options.add_argument("--refinements", type=int, help="of each scene, from the coarsest; all")
+options.add_argument("--densities", type=int, help="numbers of points a cell of each scene; all")
 options.add_argument(
     "--growth", type=words, default=["points", "cells", "ranks"], help="with which, by commas"
 )
@@ -95,10 +97,10 @@ figures = {
 
 # %% [markdown]
 # ## Work and precision
-# The first of several runs of a kind compiles or loads what is compiled; the median leaves it out.
+# The coarsest run of a kind is taken once before: what compiles is not counted.
 
 # %%
-runs = scenes.runs_of(args.scenes, args.quick, bases)
+runs = scenes.runs_of(args.scenes, args.quick, bases, args.refinements, args.densities)
 scenes.measure(runs, 1 if args.quick else given or 3)
 peers = []
 if args.peers:

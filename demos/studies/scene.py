@@ -10,11 +10,14 @@ from typing import Any
 
 from mpi4py import MPI
 
+import dolfinmpm as mpm
+
 OUTPUT = Path(__file__).resolve().parents[2] / "output"
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """A command line with the options that every study takes."""
+    """A command line with the options that every study takes; stages of steps are measured."""
+    mpm.measure_stages()
     result = argparse.ArgumentParser(
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )

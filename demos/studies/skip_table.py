@@ -45,8 +45,8 @@ from dolfinmpm.cut import activation
 PACKAGE = Path(mpm.__file__).parent
 
 options = parser("What optional features cost, off and on.")
-options.add_argument("--cells", type=int, default=24, help="of the block, in each direction")
-options.add_argument("--steps", type=int, default=12, help="counted pairs of steps")
+options.add_argument("--cells", type=int, default=8, help="of the block, in each direction")
+options.add_argument("--steps", type=int, default=3, help="counted pairs of steps")
 options.add_argument("--only", help="features, by commas; all by default")
 options.add_argument("--calls", action="store_true", help="count Python calls in any case")
 
@@ -116,8 +116,8 @@ class Feature:
 
     Attributes:
         name: Its name.
-        on: Makes a block that uses it, from the number of cells; None where it is no matter
-            of a problem.
+        on: Makes a block that uses it, from the number of cells; None of stages, which are
+            switched on and off in one problem.
         stub: Takes away the places that ask for it, or None where there are none.
         own: Files and functions that only it calls: "file.py" or "file.py:function".
         plain: Makes the block it is compared with.
@@ -145,13 +145,43 @@ def without_means():
 
 
 @contextlib.contextmanager
-def unmeasured() -> Iterator[None]:
-    """Stages are neither entered nor left."""
-    stages.measure(False)
+def without_stages() -> Iterator[None]:
+    """Functions are called as they are written; what enters a stage by name calls what is empty."""
+    places = [place for name, place in sys.modules.items() if name.startswith("dolfinmpm")]
+    places += [c for m in places for c in vars(m).values() if isinstance(c, type)]
+    with contextlib.ExitStack() as all_of:
+        for place in places:
+            for name, value in list(vars(place).items()):
+                # what stages wrap sees their names
+                own = getattr(value, "__globals__", None) is vars(stages)
+                if own and hasattr(value, "__wrapped__"):
+                    all_of.enter_context(mock.patch.object(place, name, value.__wrapped__))
+        for name in ("enter", "leave"):
+            all_of.enter_context(mock.patch.object(stages.Stage, name, _nothing))
+        all_of.enter_context(mock.patch.object(stages, "Watch", _NoWatch))
+        yield
+
+
+def _nothing(stage: stages.Stage) -> None:
+    """Neither enters nor leaves a stage."""
+
+
+class _NoWatch:
+    """Watches nothing."""
+
+    def stop(self) -> dict[str, float]:
+        """Nothing."""
+        return {}
+
+
+@contextlib.contextmanager
+def measured() -> Iterator[None]:
+    """Stages are measured."""
+    mpm.measure_stages()
     try:
         yield
     finally:
-        stages.measure(True)
+        mpm.measure_stages(False)
 
 
 def with_output(cells: int) -> Block:
@@ -196,7 +226,7 @@ FEATURES = (
     Feature("progress", with_progress, own=("progress.py",)),
     Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
     Feature("third dimension", lambda n: block(n, 3), own=("fused3d.py",)),
-    Feature("stages", block, unmeasured, plain=block),
+    Feature("stages", None, without_stages),
 )  # fmt: skip
 
 
@@ -215,7 +245,11 @@ def pairs(first: Block, second: Block, count, number: int, stub=None) -> tuple[f
         # who goes first changes, as what one leaves in caches may help the other
         for which in (0, 1) if k % 2 else (1, 0):
             with stub() if which and stub else contextlib.nullcontext():
-                found[which] = count((second if which else first).step)[0]
+                made = second if which else first
+                if stub:
+                    # what is exchanged is looked up anew
+                    made.step()
+                found[which] = count(made.step)[0]
         ratios.append(found[0] / found[1] - 1)
         taken.append(found[0])
     low, high = np.quantile(ratios, (0.25, 0.75))
@@ -256,15 +290,13 @@ def row(feature: Feature, args, count) -> dict[str, Any]:
         "feature": feature.name, "off": off, "off_spread": spread, "off_calls": own,
         "stubbed": feature.stub is not None, "plain": plain,
     }  # fmt: skip
-    if feature.name == "stages":
-        # on is what it is by default
-        return {**found, "on": off, "off": None}
+    if feature.on is None:
+        return {**found, "on": 1 / (1 + pairs(first, second, count, args.steps, measured)[0]) - 1}
+    least = statistics.median(count(first.step)[0] for _ in range(3))
     on = warm(feature.on(args.cells))
     share = first.problem.points.total / on.problem.points.total
-    found["on"] = statistics.median(
-        share * count(on.step)[0] / count(first.step)[0] - 1 for _ in range(max(3, args.steps // 3))
-    )
-    return found
+    taken = statistics.median(count(on.step)[0] for _ in range(3))
+    return {**found, "on": share * taken / least - 1}
 
 
 def tangent_row(args, count) -> dict[str, Any]:
@@ -328,9 +360,15 @@ def mpi_row(args, count) -> dict[str, Any]:
 
 def counted(args) -> dict[str, Any]:
     """All rows, in the process that is counted."""
+    # which `parser` asks for
+    mpm.measure_stages(False)
     count = instructions.Counter()
     wanted = args.only.split(",") if args.only else None
-    rows = [row(f, args, count) for f in FEATURES if wanted is None or f.name in wanted]
+    rows = []
+    for feature in FEATURES:
+        if wanted is None or feature.name in wanted:
+            rows.append(row(feature, args, count))
+            print(rows[-1], file=sys.stderr, flush=True)
     for name, make in (("tangent", tangent_row), ("MPI", mpi_row)):
         if wanted is None or name in wanted:
             rows.append(make(args, count))

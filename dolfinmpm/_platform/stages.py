@@ -3,6 +3,9 @@
 Time belongs to one stage alone. A stage that is entered within another stops the clock of that
 one until it is left, in PETSc's log too: the residual that SNES asks for counts as evaluation and
 assembly, not as solution, and all stages together are no more than the whole.
+
+Nothing is measured unless somebody asks for it, by `measure_stages` or for PETSc's log: a step
+enters dozens of stages, and of one with few points their clock would be half a per cent.
 """
 
 from __future__ import annotations
@@ -15,8 +18,8 @@ from typing import Any, TypeVar
 
 from petsc4py import PETSc
 
-__all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate", "measure",
-           "migrate", "output", "solve"]  # fmt: skip
+__all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate",
+           "measure_stages", "migrate", "output", "solve"]  # fmt: skip
 
 # what a step consists of, and what is written about it
 STEP = ("activate", "evaluate", "assemble", "solve", "commit", "migrate")
@@ -28,31 +31,83 @@ _active = PETSc.Log.isActive
 
 
 class _Clock:
-    """What is entered now.
+    """What is entered now, and whether it is measured.
 
     Attributes:
         on: Whether anything is measured.
+        asked: Whether `measure_stages` asked for it.
+        logged: Whether PETSc keeps a log, as it was when the step began.
         since: Since when the seconds of the stage in front are not counted yet (s).
-        logged: Whether PETSc keeps a log, as it was when the first of them was entered.
+        front: The stage that was entered last and not left.
+        outer: What those that were entered by name interrupt.
         latest: Seconds of the step that was taken last, which output belongs to.
     """
 
-    __slots__ = ("latest", "logged", "on", "since")
+    __slots__ = ("asked", "front", "latest", "logged", "on", "outer", "since")
 
     def __init__(self) -> None:
-        self.on, self.since, self.logged = True, 0.0, False
+        self.asked = False
+        self.on = self.logged = bool(_active())
+        self.since = 0.0
+        self.front: Stage | None = None
+        self.outer: list[Stage | None] = []
         self.latest: dict[str, float] = {}
+
+    def turn(self, to: Stage | None) -> None:
+        """The stage in front is interrupted or left; another is in front."""
+        now, front = perf_counter(), self.front
+        if front is not None:
+            front.seconds += now - self.since
+        if self.logged:
+            if front is not None:
+                front.event.end()
+            if to is not None:
+                to.event.begin()
+        self.front, self.since = to, now
+
+    def begin(self) -> bool:
+        """A step begins; returns whether it is measured."""
+        if self.front is None:
+            self.logged = bool(_active())
+            self.on = self.asked or self.logged
+        return self.on
 
 
 _clock = _Clock()
-# stages that others interrupt, and last the one in front
-_entered: list[Stage] = []
+
+# `turn` is written out, as two calls more would take half as much again. Arguments keep their
+# names, so that they may be given by name; `*arguments, **options` would take more than all the
+# rest where nothing is measured.
+_WITHIN = """
+def make(_stage, _function):
+    def within{signature}:
+        if not _clock.on:
+            return _function({arguments})
+        _outer = _clock.front
+        if _outer is _stage:
+            return _function({arguments})
+        if _clock.logged:
+            _clock.turn(_stage)
+        else:
+            _now = perf_counter()
+            if _outer is not None:
+                _outer.seconds += _now - _clock.since
+            _clock.front, _clock.since = _stage, _now
+        try:
+            return _function({arguments})
+        finally:
+            if _clock.logged:
+                _clock.turn(_outer)
+            else:
+                _now = perf_counter()
+                _stage.seconds += _now - _clock.since
+                _clock.front, _clock.since = _outer, _now
+    return within
+"""
 
 
 class Stage:
     """A part of a step: `with stage: …`, or `@stage` before a function.
-
-    A function of one or two arguments without defaults then takes them by position only.
 
     Args:
         name: Its name; that of the event in PETSc's log is "mpm:" and this.
@@ -69,47 +124,21 @@ class Stage:
         self.name, self.seconds = name, 0.0
         self.event = PETSc.Log.Event(f"mpm:{name}")
 
-    # Both are called dozens of times a step: they are short rather than divided. A call by name
-    # takes a third of the instructions of one by `with`.
-
     def enter(self) -> None:
         """Begin it; `leave` must follow, whatever happens."""
         clock = _clock
-        if not clock.on:
-            return
-        if _entered:
-            outer = _entered[-1]
-            _entered.append(self)
-            if outer is self:
-                return
-            now = perf_counter()
-            outer.seconds += now - clock.since
-            clock.since = now
-            if clock.logged:
-                outer.event.end()
-                self.event.begin()
-            return
-        _entered.append(self)
-        clock.logged = _active()
-        if clock.logged:
-            self.event.begin()
-        clock.since = perf_counter()
+        if clock.on:
+            clock.outer.append(clock.front)
+            if clock.front is not self:
+                clock.turn(self)
 
     def leave(self) -> None:
         """End it, and go on with what it interrupted."""
         clock = _clock
-        if not clock.on:
-            return
-        _entered.pop()
-        if _entered and _entered[-1] is self:
-            return
-        now = perf_counter()
-        self.seconds += now - clock.since
-        clock.since = now
-        if clock.logged:
-            self.event.end()
-            if _entered:
-                _entered[-1].event.begin()
+        if clock.on:
+            outer = clock.outer.pop()
+            if outer is not self:
+                clock.turn(outer)
 
     def __enter__(self) -> None:
         self.enter()
@@ -118,41 +147,22 @@ class Stage:
         self.leave()
 
     def __call__(self, function: Function) -> Function:
-        enter, leave, clock = self.enter, self.leave, _clock
-
-        def one(a: Any) -> Any:
-            if not clock.on:
-                return function(a)
-            enter()
-            try:
-                return function(a)
-            finally:
-                leave()
-
-        def two(a: Any, b: Any) -> Any:
-            if not clock.on:
-                return function(a, b)
-            enter()
-            try:
-                return function(a, b)
-            finally:
-                leave()
-
-        def many(*arguments: Any, **options: Any) -> Any:
-            if not clock.on:
-                return function(*arguments, **options)
-            enter()
-            try:
-                return function(*arguments, **options)
-            finally:
-                leave()
-
-        # what is called most often need not pack and unpack its arguments
-        parameters = list(inspect.signature(function).parameters.values())
-        plain = all(p.default is p.empty and p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters)
-        within: Any = {1: one, 2: two}.get(len(parameters), many) if plain else many
-        named: Any = functools.wraps(function)(within)
-        return named
+        signature = inspect.signature(function)
+        kinds, given = inspect.Parameter, []
+        for p in signature.parameters.values():
+            stars = "*" * (p.kind is kinds.VAR_POSITIONAL) + "**" * (p.kind is kinds.VAR_KEYWORD)
+            given.append(f"{p.name}={p.name}" if p.kind is kinds.KEYWORD_ONLY else stars + p.name)
+        # defaults are objects: they are put in afterwards
+        bare = [
+            p.replace(annotation=p.empty, default=p.default if p.default is p.empty else None)
+            for p in signature.parameters.values()
+        ]
+        text = _WITHIN.format(signature=inspect.Signature(bare), arguments=", ".join(given))
+        made: dict[str, Any] = {}
+        exec(text, globals(), made)
+        within: Any = functools.wraps(function)(made["make"](self, function))
+        within.__defaults__, within.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
+        return within
 
 
 class _Output(Stage):
@@ -165,21 +175,34 @@ class _Output(Stage):
         before = self.seconds
         super().leave()
         latest = _clock.latest
-        if not _entered and latest:
+        if _clock.on and _clock.front is None and latest:
             latest["output"] += self.seconds - before
 
+    def __call__(self, function: Function) -> Function:
+        def within(*arguments: Any, **options: Any) -> Any:
+            with self:
+                return function(*arguments, **options)
 
-def measure(on: bool) -> None:
-    """Switch all measurement on, as it is at first, or off: records of steps then say 0 s.
+        named: Any = functools.wraps(function)(within)
+        return named
 
-    What it takes on and off `demos/studies/skip_table.py --only stages` counts.
+
+def measure_stages(on: bool = True) -> None:
+    """Measure the stages of steps from here on, for `stages` of the records in `history`.
+
+    At first nothing is measured, unless PETSc keeps a log (`-log_view`).
+    `demos/studies/skip_table.py --only stages` counts what both take.
+
+    Args:
+        on: Whether they are measured.
 
     Raises:
         RuntimeError: A step is being taken.
     """
-    if _entered:
+    if _clock.front is not None:
         raise RuntimeError("stages are switched on or off between steps")
-    _clock.on = on
+    _clock.asked = bool(on)
+    _clock.begin()
 
 
 activate, evaluate, assemble, solve, commit, migrate = (Stage(name) for name in STEP)
@@ -193,10 +216,12 @@ class Watch:
     __slots__ = ("_before",)
 
     def __init__(self) -> None:
-        self._before = [stage.seconds for stage in _ALL]
+        self._before = [stage.seconds for stage in _ALL] if _clock.begin() else None
 
     def stop(self) -> dict[str, float]:
-        """Seconds of each stage by name (s), of this process."""
-        found = {s.name: s.seconds - before for s, before in zip(_ALL, self._before)}
+        """Seconds of each stage by name (s), of this process; empty if nothing is measured."""
+        found: dict[str, float] = {}
+        if self._before is not None:
+            found = {s.name: s.seconds - before for s, before in zip(_ALL, self._before)}
         _clock.latest = found
         return found

@@ -20,7 +20,8 @@ class History:
     """Named numbers, one of each a step.
 
     `history.record(settlement=s.value, load=footing.load())` after every step;
-    what the step took goes with them as `record(..., **problem.history[-1].stages)`;
+    what the step took goes with them as `record(..., **problem.history[-1].stages)` after
+    `measure_stages()`;
     `history["load"]` is then an array, and `history.write("curve.csv")` a table.
 
     Args:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dolfinmpm._platform.stages import NAMES
-
 __all__ = ["Failed", "Step", "StepRecord"]
 
 
@@ -58,7 +56,7 @@ class StepRecord:
         stages: Wall time of its parts (s), and of what was written before the next step
             ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
             are all of it but what looks at loads and chooses the length of steps. Of this
-            process, as `seconds` are.
+            process, as `seconds` are. Empty unless `measure_stages` or PETSc's log asked for it.
     """
 
     iterations: int = 0
@@ -70,4 +68,4 @@ class StepRecord:
     migrated: int = 0
     imbalance: float = 1.0
     seconds: float = 0.0
-    stages: dict[str, float] = field(default_factory=lambda: dict.fromkeys(NAMES, 0.0))
+    stages: dict[str, float] = field(default_factory=dict)
