@@ -159,7 +159,8 @@ class Stage:
         ]
         text = _WITHIN.format(signature=inspect.Signature(bare), arguments=", ".join(given))
         made: dict[str, Any] = {}
-        exec(text, globals(), made)
+        # a warning names the first line that is not of the package's files
+        exec(compile(text, __file__, "exec"), globals(), made)
         within: Any = functools.wraps(function)(made["make"](self, function))
         within.__defaults__, within.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
         return within

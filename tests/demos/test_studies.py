@@ -94,6 +94,7 @@ def test_benchmark_of_remedies():
     assert costs["gimp 1x16 none"]["milliseconds_per_iteration"] > 0
 
 
+@pytest.mark.long
 def test_benchmark_of_work_and_precision(tmp_path):
     options = "--quick --cases= --scenes column --growth cells --bases gimp,bspline2"
     figures = run("benchmark", *options.split(), "--output", str(tmp_path))
@@ -111,6 +112,7 @@ def test_benchmark_of_work_and_precision(tmp_path):
         assert (tmp_path / f"benchmark_{name}.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_skip_table():
     options = "--cells 6 --steps 2 --calls --only F-bar,yielding,tangent"
     found = run("skip_table", *options.split())
@@ -282,7 +284,9 @@ def test_solid_3d_by_factors(tmp_path):
     assert (tmp_path / "solid_3d_block.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize(("remedy", "cells"), [("ghost", 13), ("aggregation", 14)])
+@pytest.mark.parametrize(
+    ("remedy", "cells"), [("ghost", 13), pytest.param("aggregation", 14, marks=pytest.mark.long)]
+)
 def test_solid_3d_by_multigrid(remedy, cells):
     # both cuts make the same cells active, or the same nodes follow others
     options = f"--cells {cells} --cuts 1e-6,0.3 --steps 1 --stabilisation {remedy}"
