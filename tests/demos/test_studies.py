@@ -245,6 +245,7 @@ def test_footing_otherwise():
     assert figures["deviation_centre"] == pytest.approx(0.0, abs=0.3)
 
 
+@pytest.mark.long
 def test_footing_compared(tmp_path):
     options = "--law tresca-perfect --compare --h 0.2 --steps 15"
     runs = run("footing", *options.split(), "--output", str(tmp_path))["runs"]
@@ -284,9 +285,8 @@ def test_solid_3d_by_factors(tmp_path):
     assert (tmp_path / "solid_3d_block.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize(
-    ("remedy", "cells"), [("ghost", 13), pytest.param("aggregation", 14, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("remedy", "cells"), [("ghost", 13), ("aggregation", 14)])
 def test_solid_3d_by_multigrid(remedy, cells):
     # both cuts make the same cells active, or the same nodes follow others
     options = f"--cells {cells} --cuts 1e-6,0.3 --steps 1 --stabilisation {remedy}"
@@ -304,6 +304,7 @@ def test_solid_3d_by_multigrid(remedy, cells):
     assert abs(most[0] - most[1]) <= 2
 
 
+@pytest.mark.long
 def test_solid_3d_of_a_slope(tmp_path):
     options = ["--scene", "slope", "--cells", "9", "--steps", "4"]
     (found,) = run("solid_3d", *options, "--output", str(tmp_path))["runs"]
@@ -395,6 +396,7 @@ def test_cantilever_swing(tmp_path):
     assert (tmp_path / "cantilever_swing.png").stat().st_size > 0
 
 
+@pytest.mark.long
 def test_a_thin_cantilever_that_swings_a_little():
     options = "--length 8 --gravity 0.001 --h 0.25 --courant 8 --duration 8"
     figures = run("cantilever_swing", "--no-plot", *options.split())

@@ -70,6 +70,7 @@ def test_order_under_other_remedies(remedy):
     assert orders("cut cells", *options)[0] > 1.9
 
 
+@pytest.mark.long
 def test_a_large_stretch():
     displacement, stress = orders("full cells", "--amplitude", "0.25")
     assert displacement > 1.9
