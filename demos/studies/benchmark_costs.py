@@ -26,7 +26,7 @@ MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py"}
 def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profile=None):
     """Solve the column; returns seconds, Newton iterations and points."""
     problem, gravity = compaction(columns, elements, basis, remedy=remedy, ghost=ghost)
-    # what measures stages takes a tenth of a small step
+    # what measures stages is no part of a step
     mpm.measure_stages(False)
     started = time.perf_counter()
     with profile or contextlib.nullcontext():

@@ -6,17 +6,18 @@ import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import cells_here, destinations
 from dolfinmpm.grid.lattice import Lattice, lattice_of
-from dolfinmpm.grid.partition import Partition, bisected
+from dolfinmpm.grid.partition import Partition, partition_of
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["ENOUGH", "balance", "beside", "imbalance"]
+__all__ = ["ENOUGH", "balance", "beside", "imbalance", "occupied"]
 
 # Largest number of points on a rank over the mean that is left as it is
 ENOUGH = 1.1
@@ -65,7 +66,7 @@ def _divided(points: MaterialPoints, lattice: Lattice) -> Partition:
     cells, at = np.unique(cells, return_inverse=True)
     weights = np.bincount(at.ravel(), counts, minlength=cells.size)
     ijk = np.column_stack(np.unravel_index(cells, shape))
-    return bisected(shape, comm.size, ijk, weights)
+    return partition_of(shape, comm.size, ijk, weights)
 
 
 def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoints:
@@ -88,3 +89,15 @@ def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoint
     )
     result.fields["cell"] = cells_here(grid, result.placement(result.configuration).x)
     return result
+
+
+def occupied(points: MaterialPoints) -> npt.NDArray[np.int32]:
+    """Cells of DOLFINx's mesh owned by this rank that points of any rank are in. Collective."""
+    if points.partition is None:
+        return np.unique(points["cell"])
+    grid = points.grid
+    to = destinations(grid, points.placement(points.configuration).x)
+    first = grid.topology.index_map(grid.topology.dim).local_range[0]
+    cells, which = np.unique(to.cell, return_index=True)
+    came = exchange(points.comm, {"cell": cells}, to.rank[which])["cell"]
+    return np.unique(came - first).astype(np.int32)

@@ -15,8 +15,9 @@ from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_t
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Shape
 from dolfinmpm.grid.lattice import lattice_of
+from dolfinmpm.grid.partition import bisected
 
-__all__ = ["bisected", "partitioner", "warn_of_imbalance"]
+__all__ = ["partitioner", "warn_of_imbalance"]
 
 Array = npt.NDArray[np.float64]
 
@@ -35,39 +36,6 @@ _FACETS = {
         (0, 1, 2, 3), (0, 1, 4, 5), (0, 2, 4, 6), (1, 3, 5, 7), (2, 3, 6, 7), (4, 5, 6, 7)
     ),
 }  # fmt: skip
-
-
-def bisected(x: Array, weights: Array, parts: int) -> npt.NDArray[np.int32]:
-    """Parts of equal weight, by recursive bisection across the longer side of the body.
-
-    (Berger & Bokhari 1987, doi 10.1109/TC.1987.1676942.)
-
-    Args:
-        x: Positions (m), shape (n, gdim).
-        weights: Their weights, not negative, shape (n,).
-        parts: Number of parts.
-
-    Returns:
-        Part of each, shape (n,).
-    """
-    part = np.zeros(len(x), np.int32)
-
-    def split(chosen: npt.NDArray[np.intp], first: int, count: int) -> None:
-        if count == 1 or chosen.size == 0:
-            part[chosen] = first
-            return
-        here, heavy = x[chosen], weights[chosen]
-        extent = np.ptp(here[heavy >= 0.5 * heavy.max()], axis=0)
-        # those in line across are told apart by their other coordinates
-        order = np.lexsort((*np.delete(here, d := int(np.argmax(extent)), axis=1).T, here[:, d]))
-        low = count // 2
-        share = np.cumsum(heavy[order]) - 0.5 * heavy[order]
-        cut = int(np.searchsorted(share, heavy.sum() * low / count))
-        split(chosen[order[:cut]], first, low)
-        split(chosen[order[cut:]], first + low, count - low)
-
-    split(np.arange(len(x)), 0, parts)
-    return part
 
 
 def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., Any]:

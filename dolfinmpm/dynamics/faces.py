@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -204,7 +205,8 @@ class Sides:
 
     def __init__(self, faces: Sequence[Face], d: int):
         self._faces, self._d = list(faces), d
-        self._on: dict[Any, Faces] = {}
+        # a basis goes with the partition of the lattice that it is for
+        self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
     def __len__(self):
         return len(self._faces)

@@ -7,14 +7,14 @@ distributed by the body, whoever has the cell in DOLFINx's mesh.
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Partition", "bisected"]
+__all__ = ["Partition", "bisected", "partition_of"]
 
 Ints = npt.NDArray[np.int64]
 
@@ -71,7 +71,6 @@ class Partition:
         visit(slice(None), 0, 0, self.ranks)
         return ranks
 
-    @functools.cache  # noqa: B019  one or two partitions live at a time
     def cells(self, rank: int) -> npt.NDArray[np.int32]:
         """Lattice positions of the cells that a rank computes, shape (n, gdim)."""
         every = np.indices(self.shape, np.int32).reshape(len(self.shape), -1).T
@@ -88,11 +87,52 @@ def _number(ijk, shape: tuple[int, ...], axis: int) -> Ints:
 
 
 def bisected(
+    x: npt.NDArray,
+    weights: npt.NDArray,
+    parts: int,
+    cut: Callable[[int, int | None], None] = lambda axis, beyond: None,
+) -> npt.NDArray[np.int32]:
+    """Parts of equal weight, by recursive bisection across the longest side of what weighs most.
+
+    Berger & Bokhari (1987, doi 10.1109/TC.1987.1676942); those in line along a cut are told apart
+    by their other coordinates.
+
+    Args:
+        x: Positions, shape (n, gdim).
+        weights: Their weights, not negative, shape (n,).
+        parts: Number of parts.
+        cut: Told of each cut, those of a lower part before those of the upper one: its axis, and
+            the first position beyond it, None if there is none.
+
+    Returns:
+        Part of each, shape (n,).
+    """
+    part = np.zeros(len(x), np.int32)
+
+    def split(chosen: npt.NDArray[np.intp], first: int, count: int) -> None:
+        if count == 1:
+            part[chosen] = first
+            return
+        here, heavy = x[chosen], weights[chosen]
+        most = here[heavy >= 0.5 * heavy.max(initial=0.0)]
+        axis = int(np.argmax(np.ptp(most, axis=0))) if len(most) else 0
+        others = [here[:, d] for d in range(here.shape[1] - 1, -1, -1) if d != axis]
+        order = np.lexsort((*others, here[:, axis]))
+        low, sums = count // 2, np.concatenate([[0.0], np.cumsum(heavy[order])])
+        # where the lower part is nearest to its share
+        at = int(np.argmin(np.abs(sums - sums[-1] * low / count)))
+        cut(axis, int(chosen[order[at]]) if at < chosen.size else None)
+        split(chosen[order[:at]], first, low)
+        split(chosen[order[at:]], first + low, count - low)
+
+    split(np.arange(len(x)), 0, parts)
+    return part
+
+
+def partition_of(
     shape: tuple[int, ...], ranks: int, ijk: npt.NDArray[np.integer], weights: npt.NDArray
 ) -> Partition:
-    """Parts of equal weight by recursive bisection across the longest side.
-
-    Berger & Bokhari (1987, doi 10.1109/TC.1987.1676942), with cuts that end within a layer.
+    """Parts of a lattice that share out what its cells weigh, see `bisected`.
 
     Args:
         shape: Number of cells of the lattice in each direction.
@@ -102,27 +142,13 @@ def bisected(
     """
     axes: list[int] = []
     cuts: list[int] = []
-    largest = 0.0
 
-    def visit(rows: Ints, first: int, end: int) -> None:
-        nonlocal largest
-        if end - first == 1:
-            largest = max(largest, float(weights[rows].sum()))
-            return
-        middle = (first + end) // 2
-        mine = ijk[rows]
-        axis = int(np.argmax(np.ptp(mine, axis=0))) if rows.size else 0
-        number = _number(mine, shape, axis)
-        order = np.argsort(number)
-        sums = np.concatenate([[0.0], np.cumsum(weights[rows[order]])])
-        # the cell at which the lower part is nearest to its share
-        at = int(np.argmin(np.abs(sums - sums[-1] * (middle - first) / (end - first))))
+    def note(axis: int, beyond: int | None) -> None:
         axes.append(axis)
-        cuts.append(int(number[order[at]]) if at < rows.size else int(np.prod(shape)))
-        visit(rows[order[:at]], first, middle)
-        visit(rows[order[at:]], middle, end)
+        last = int(np.prod(shape))
+        cuts.append(last if beyond is None else int(_number(ijk[[beyond]], shape, axis)[0]))
 
-    visit(np.arange(len(ijk)), 0, ranks)
-    mean = float(weights.sum()) / ranks
-    imbalance = largest / mean if mean else 1.0
+    shares = np.bincount(bisected(ijk, weights, ranks, note), weights, minlength=ranks)
+    mean = shares.mean()
+    imbalance = float(shares.max() / mean) if mean else 1.0
     return Partition(tuple(shape), ranks, tuple(axes), tuple(cuts), imbalance)

@@ -16,7 +16,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_points
-from dolfinmpm.body.balance import beside
+from dolfinmpm.body.balance import occupied
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.vtkfiles import (
     Arrays,
@@ -195,7 +195,7 @@ class ParaView:
         point_data, cell_data = self._mesh.data(self._increments)
         if self._grid_each_time:
             active = np.zeros(self._mesh.cells, np.uint8)
-            active[beside(self.points, None)["cell"]] = 1
+            active[occupied(self.points)] = 1
             cell_data["active"] = active[:, None]
         self._write(stem, "vtu", self._mesh.vtk(), point_data, cell_data, {})
 

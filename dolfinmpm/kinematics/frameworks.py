@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -139,20 +141,18 @@ class Framework:
 
     def stiffness(self) -> Array:
         """Largest stiffness along one axis at the law's points (Pa), for wave speeds."""
-        rows, law = self.rows, self.law
-        parameters = self.parameters(rows)
-        # elastic moduli do not ask for strains
-        known = "E" in law.parameters and "nu" in law.parameters
-        strain = np.empty((len(rows), 3)) if known else self._principal(rows)
-        return law.stiffness(strain, self.internal(rows), parameters)
+        return self._of_state(self.law.stiffness)
 
     def moduli(self) -> Array:
         """Elastic P-wave and shear modulus at the law's points (Pa); see `Law.moduli`."""
-        rows, law = self.rows, self.law
-        parameters = self.parameters(rows)
-        known = "E" in law.parameters and "nu" in law.parameters
-        strain = np.empty((len(rows), 3)) if known else self._principal(rows)
-        return law.moduli(strain, self.internal(rows), parameters)
+        return self._of_state(self.law.moduli)
+
+    def _of_state(self, modulus: Callable[[Array, Array, Array], Array]) -> Array:
+        """What a law's function gives for the present elastic strains, variables, parameters."""
+        rows = self.rows
+        # elastic moduli do not ask for strains
+        strain = np.empty((len(rows), 3)) if self.law.has_moduli else self._principal(rows)
+        return modulus(strain, self.internal(rows), self.parameters(rows))
 
     def evaluate(
         self,

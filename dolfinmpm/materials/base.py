@@ -351,6 +351,16 @@ class Law(Parametrised):
         """
         return np.full(len(stress), -np.inf)
 
+    @property
+    def has_moduli(self) -> bool:
+        """Whether Young's modulus and Poisson's ratio are among its parameters."""
+        return "E" in self.parameters and "nu" in self.parameters
+
+    def _lame(self, parameters: Array) -> tuple[Array, Array]:
+        """λ and μ (Pa) of a law that has E and ν, by its parameters."""
+        names = list(self.parameters)
+        return lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+
     def energy(self, strain: Array, parameters: Array) -> Array | None:
         """Elastic energy per initial volume (J/m³), shape (n,); None if the law cannot tell.
 
@@ -360,10 +370,9 @@ class Law(Parametrised):
             strain: Elastic principal strains, shape (n, 3).
             parameters: Parameters, shape (1, parameters) or (n, parameters).
         """
-        names = list(self.parameters)
-        if "E" not in names or "nu" not in names:
+        if not self.has_moduli:
             return None
-        lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+        lmbda, mu = self._lame(parameters)
         return 0.5 * lmbda * strain.sum(axis=1) ** 2 + mu * np.sum(strain**2, axis=1)
 
     def stiffness(self, strain: Array, internal: Array, parameters: Array) -> Array:
@@ -376,9 +385,8 @@ class Law(Parametrised):
             internal: Internal variables, shape (n, variables).
             parameters: Parameters, shape (1, parameters) or (n, parameters).
         """
-        names = list(self.parameters)
-        if "E" in names and "nu" in names:
-            lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+        if self.has_moduli:
+            lmbda, mu = self._lame(parameters)
             return lmbda + 2 * mu
         tangent = self._tangent(strain, internal, parameters)
         return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
@@ -402,9 +410,8 @@ class Law(Parametrised):
             internal: Internal variables, shape (n, variables).
             parameters: Parameters, shape (1, parameters) or (n, parameters).
         """
-        names = list(self.parameters)
-        if "E" in names and "nu" in names:
-            lmbda, mu = lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
+        if self.has_moduli:
+            lmbda, mu = self._lame(parameters)
             return np.stack([lmbda + 2 * mu, mu], axis=1)
         tangent = self._tangent(strain, self.unyielding(internal), parameters)
         along = np.einsum("pii->p", tangent) / 3

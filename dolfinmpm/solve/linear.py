@@ -107,8 +107,7 @@ class LinearSolver:
         if method.package == "cholmod":
             # that a tangent is not definite is no news for the terminal
             own["mat_cholmod_print"] = 0
-        keeps = not method.factors or (method.keeps and not self._tangent.softened)
-        keeps = keeps and options.get("ksp_type") != "preonly"
+        keeps = method.keeps and options.get("ksp_type") != "preonly"
         if keeps:
             # but for the first SNES is not to make any preconditioner, see `Reuse`
             own["snes_lag_preconditioner"] = -2
@@ -118,7 +117,7 @@ class LinearSolver:
         if pc is None and package not in (None, "cholmod"):
             # not every package has a Cholesky factorisation
             own["pc_type"] = "lu"
-        if self._tangent.softened or method.keeps:
+        if method.factors and method.ksp != "preonly":
             # Newton's method corrects what is left
             own["ksp_converged_maxits"] = True
         options.suggest(own)
@@ -156,7 +155,7 @@ class LinearSolver:
 
     @property
     def _keeps_factors(self) -> bool:
-        return self.reuse is not None and self.method is not None and self.method.keeps
+        return self.reuse is not None and self.method is not None and self.method.factors
 
     @property
     def failed(self) -> bool:

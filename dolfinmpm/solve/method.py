@@ -52,6 +52,7 @@ class Method:
     Attributes:
         ksp, pc, package: PETSc's names; the package only of factors.
         why: What was known of the tangent.
+        keeps: Whether what it makes of a tangent may serve a later one, as a preconditioner.
         options: Further PETSc options by name, without prefix.
     """
 
@@ -59,17 +60,13 @@ class Method:
     pc: str
     package: str
     why: str
+    keeps: bool = False
     options: dict[str, object] = field(default_factory=dict)
 
     @property
     def factors(self) -> bool:
         """Whether it factorises."""
         return self.pc in ("lu", "cholesky")
-
-    @property
-    def keeps(self) -> bool:
-        """Whether factors may be those of a former tangent, as preconditioners."""
-        return self.factors and self.ksp != "preonly"
 
     def like(self, other: Method) -> bool:
         """Whether it is the same but for what was known."""
@@ -134,14 +131,15 @@ def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = F
         krylov = (
             "cg" if tangent.symmetric and tangent.definite and not tangent.softened else "gmres"
         )
-        return Method(krylov, "gamg", "", why, _MULTIGRID)
+        return Method(krylov, "gamg", "", why, True, _MULTIGRID)
     why = f"{count} unknowns, {kind}"
     ksp = "gmres" if tangent.softened else "preonly"
-    if count >= _KEPT[gdim] and not tangent.softened:
+    keeps = count >= _KEPT[gdim] and not tangent.softened
+    if keeps:
         # Krylov's methods need one iteration with the factors of the very matrix
         ksp = "cg" if tangent.symmetric and tangent.definite else "gmres"
     if not tangent.symmetric:
-        return Method(ksp, "lu", "mumps", why)
+        return Method(ksp, "lu", "mumps", why, keeps)
     if tangent.definite and ranks == 1:
-        return Method(ksp, "cholesky", "cholmod", why)
-    return Method(ksp, "cholesky", "mumps", why)
+        return Method(ksp, "cholesky", "cholmod", why, keeps)
+    return Method(ksp, "cholesky", "mumps", why, keeps)
