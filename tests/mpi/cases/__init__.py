@@ -30,6 +30,7 @@ CASES = {
         transport.stencils_across_corners,
         transport.tall,
         bodies.partitioned,
+        bodies.in_a_corner,
         transport.two_fields,
         transport.driven,
         remedies.remedies_gimp,

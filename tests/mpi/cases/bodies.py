@@ -12,9 +12,12 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from scenes import expect
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOXML import vtkXMLPUnstructuredGridReader
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
+from dolfinmpm.body.balance import imbalance
 
 from .common import COMM, hencky, sums
 
@@ -212,3 +215,44 @@ def partitioned():
         problem.step()
         figures[kind.name] = {"count": points.total, **sums(points, "x", "stress")}
     return figures
+
+
+def in_a_corner():
+    """A small body in a corner of the grid, shared out by a partition of the lattice's own."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (24, 16)], (24, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (5, 3)), 3, 2.0, tag=1)
+    V = mpm.Space(grid, "gimp")
+    # a function that lives with DOLFINx's cells, read at points of other ranks
+    pull = fem.Function(fem.functionspace(grid, ("Lagrange", 2, (2,))))
+    pull.interpolate(lambda x: np.stack([0.1 * x[0] * x[1], -8.0 + 0.2 * x[0] ** 2]))
+    F = hencky(points, V, E=2e2) - ufl.inner(points.density * pull, V.test) * points.dX
+    F -= 0.3 * ufl.inner(ufl.grad(pull)[0, 1] * V.test[0], 1.0) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    folder = COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None)
+    with mpm.ParaView(Path(folder) / "corner.pvd", points, active=True) as output:
+        problem.step()
+        output.write(1.0)
+        assert (points.partition is None) == (COMM.size == 1)
+        assert imbalance(points) < 1.2
+        points.add(mpm.fill(grid, mpm.Box((5, 0), (7, 3)), 3, 2.0, tag=2))
+        problem.step()
+        output.write(2.0)
+    assert points.fault() is None
+    figures = {"added": numbered(points, "F", "stress")}
+    both = points + mpm.fill(grid, mpm.Box((0, 8), (2, 9)), 2, 1.0, tag=3)
+    figures["joined"] = numbered(both, "F", "stress")
+    if COMM.rank == 0:
+        figures["active"] = [
+            active_cells(path) for path in sorted(Path(folder).rglob("*grid*.pvtu"))
+        ]
+        assert len(figures["active"]) == 2
+    return figures
+
+
+def active_cells(path):
+    """How many cells of a file are active."""
+    reader = vtkXMLPUnstructuredGridReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    cells = reader.GetOutput().GetCellData()
+    return int(vtk_to_numpy(cells.GetArray("active")).sum())
