@@ -53,7 +53,8 @@ def test_newton_converges_in_every_step():
 
 
 @pytest.mark.parametrize(
-    "strain", ["large", "small", pytest.param("jaumann", marks=pytest.mark.long)]
+    "strain",
+    ["large", *(pytest.param(strain, marks=pytest.mark.long) for strain in ("small", "jaumann"))],
 )
 def test_prandtl_with_f_bar(strain):
     figures = footing(f"--law tresca-perfect --basis gimp --h 0.1 --fbar on --strain {strain}")
@@ -65,6 +66,7 @@ def test_prandtl_with_f_bar(strain):
     assert figures["last_rise"] < 5e-3
 
 
+@pytest.mark.long
 def test_the_limit_load_is_missed_without_f_bar():
     errors = {}
     for h in ("0.4", "0.2"):
@@ -96,6 +98,7 @@ def test_f_bar_and_splines_are_softer():
         assert gain["linear"] > max(gain["gimp"], gain["bspline2"])
 
 
+@pytest.mark.long
 def test_f_bar_on_splines_leaves_a_change_of_volume_alone():
     """Means over cells, blind to what alternates within two of them, settled 4 to 6 % more."""
     figures = footing(f"{CLAY} --basis bspline2 --fbar on")
