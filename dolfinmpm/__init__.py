@@ -19,15 +19,18 @@ from dolfinmpm.dynamics import (
     GeneralisedAlpha,
     Mapping,
     Newmark,
+    Transient,
     absorbing,
     frictional,
     times,
 )
+from dolfinmpm.forms.carried import carried
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
 from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress, stress
+from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
 from dolfinmpm.solve import ArcLength, QuasiStatic
 
 __version__ = "0.1.0"
@@ -38,6 +41,7 @@ __all__ = [
     "Box",
     "Disc",
     "Explicit",
+    "Fluid",
     "GeneralisedAlpha",
     "History",
     "Mapping",
@@ -52,9 +56,11 @@ __all__ = [
     "Space",
     "Stabilisation",
     "Surface",
+    "Transient",
     "TurnedBox",
     "Where",
     "absorbing",
+    "carried",
     "cell_size",
     "errors",
     "figure",
@@ -64,12 +70,14 @@ __all__ = [
     "geostatic_stress",
     "ghost",
     "info",
+    "kozeny_carman",
     "materials",
     "measure_stages",
     "momentum",
     "moving",
     "partitioner",
     "plot",
+    "poromechanics",
     "prescribed",
     "rollers",
     "set_stress",

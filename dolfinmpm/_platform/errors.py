@@ -131,6 +131,10 @@ class SoftVolumeWarning(DolfinMPMWarning):
     """F-bar leaves changes of volume with too little stiffness for the law."""
 
 
+class UnstablePairWarning(DolfinMPMWarning):
+    """Displacement and pore pressure are of equal order, without stabilisation."""
+
+
 class ImbalanceWarning(DolfinMPMWarning):
     """Some rank has far more material points than others."""
 

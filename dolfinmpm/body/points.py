@@ -28,6 +28,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
+from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["MaterialPoints", "PointChange", "PointField"]
@@ -100,6 +101,8 @@ class MaterialPoints:
 
     Attributes:
         total: Number of points on all ranks; needs no communication.
+        dt: Length of a step in time (s), a constant for UFL that `Transient`, `Newmark` and
+            `GeneralisedAlpha` set.
         revision: How many times the rows of the arrays have changed.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.
@@ -170,6 +173,8 @@ class MaterialPoints:
         # facets and cells themselves are found by the solver, which knows the active cells
         self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS)
         self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
+        # length of a step in time (s), which whoever steps in time sets
+        self.dt = own_constant(grid, 1.0)
 
     # -- where points come from -----------------------------------------------
 

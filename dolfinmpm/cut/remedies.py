@@ -274,10 +274,19 @@ class Stabilisation:
         usual = "tangent" if self.E is None else "scaled"
         return self.gamma == ADAPTIVE or (self.scaling or usual) == "tangent"
 
-    def force_terms(self, points: MaterialPoints, u: Expr, v: Expr) -> ufl.Form | None:
-        """What it adds to the weak form."""
+    def force_terms(
+        self, points: MaterialPoints, u: Expr, v: Expr, known: Expr | None = None
+    ) -> ufl.Form | None:
+        """What it adds to the weak form.
+
+        Args:
+            points, u, v: See `ghost`.
+            known: γ in literal scaling, where a term of the form tells it.
+        """
         if self.kind != "ghost":
             return None
+        if known is not None:
+            return ghost(points, u, v, self.factor(u) * known, scaling="literal")
         if self.gamma == ADAPTIVE:
             literal = self.scaling or "scaled"
             return ghost(points, u, v, ADAPTIVE, scaling=literal, target=self.target)

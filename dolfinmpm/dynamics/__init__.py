@@ -5,5 +5,15 @@ from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.dynamics.faces import absorbing, frictional
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
+from dolfinmpm.dynamics.transient import Transient
 
-__all__ = ["Explicit", "GeneralisedAlpha", "Mapping", "Newmark", "absorbing", "frictional", "times"]
+__all__ = [
+    "Explicit",
+    "GeneralisedAlpha",
+    "Mapping",
+    "Newmark",
+    "Transient",
+    "absorbing",
+    "frictional",
+    "times",
+]

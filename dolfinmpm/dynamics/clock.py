@@ -1,15 +1,17 @@
-"""Times of a computation in time, with a progress bar in simulated time."""
+"""Times of a computation in time: where steps end, and a progress bar in simulated time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
+from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["Time", "times"]
+__all__ = ["MotionRecord", "Time", "end_of", "mean_increment", "times"]
 
 
 class Time(float):
@@ -84,3 +86,49 @@ def _chosen(start: float, end: float, label: str) -> Iterator[Time]:
                 )
             t = now.reached
             show(t - start)
+
+
+@dataclass
+class MotionRecord(StepRecord):
+    """What one step in time did.
+
+    Attributes:
+        time: Where it ended (s).
+        dt: Length of its last part (s).
+    """
+
+    time: float = 0.0
+    dt: float = 0.0
+
+
+def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
+    """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
+    mean = 0.5 * (velocity(step.t - step.dt) + velocity(step.t))
+    return mean * step.dt / step.share
+
+
+def end_of(t: float | None, now: float, wanted: float | None) -> float:
+    """Where a step ends (s).
+
+    Args:
+        t: What the user gave: a time, or one of `times`.
+        now: Time of the state (s).
+        wanted: Length that the error of the last step allows (s), 0 before the first; None if
+            no error chooses lengths.
+
+    Raises:
+        ParameterError: It is no time, or not later than now.
+    """
+    if t is None:
+        raise ParameterError("step(t) needs the time to go to (s)")
+    end = number("t", t, unit="s")
+    if isinstance(t, Time) and t.open:
+        if wanted is None:
+            raise ParameterError(
+                'with times(end, dt="auto") the error of a step chooses the length of the '
+                "next: give the problem error=1e-3, or times a dt in s"
+            )
+        end = min(t.end, now + (wanted or math.inf))
+    if not end > now:
+        raise ParameterError(f"t = {end:g} s must be later than the time of the state, {now:g} s")
+    return end

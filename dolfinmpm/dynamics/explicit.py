@@ -23,7 +23,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.clock import Time
+from dolfinmpm.dynamics.clock import MotionRecord, Time
 from dolfinmpm.dynamics.critical import critical_step, exact_step
 from dolfinmpm.dynamics.energies import Balance, Energies, angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
@@ -32,7 +32,6 @@ from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.general import General
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.newmark import MotionRecord
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of

@@ -13,9 +13,7 @@ w = (1 − α_f) u, under the loads of that time, with the acceleration (1 − �
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.clock import Time
+from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
 from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
@@ -40,30 +38,11 @@ from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.operator import Operator, WeakForm
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.step import Step
 
-__all__ = ["GeneralisedAlpha", "MotionRecord", "Newmark", "TimeStepping"]
+__all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass
-class MotionRecord(StepRecord):
-    """What one step in time did.
-
-    Attributes:
-        time: Where it ended (s).
-        dt: Length of its last part (s).
-    """
-
-    time: float = 0.0
-    dt: float = 0.0
-
-
-def _mean(velocity: Callable[[float], float], step: Step) -> float:
-    """Increment of a whole step by the trapezoidal rule (m), for a velocity by time."""
-    mean = 0.5 * (velocity(step.t - step.dt) + velocity(step.t))
-    return mean * step.dt / step.share
 
 
 class InertialOperator(Operator):
@@ -199,20 +178,7 @@ class TimeStepping(QuasiStatic):
                 `time`, are those of the last converged part of the step.
         """
         motion = self.motion
-        if t is None:
-            raise ParameterError("step(t) needs the time to go to (s)")
-        end = number("t", t, unit="s")
-        if isinstance(t, Time) and t.open:
-            if not motion.chooses:
-                raise ParameterError(
-                    'with times(end, dt="auto") the error of a step chooses the length of the '
-                    "next: give the problem error=1e-3, or times a dt in s"
-                )
-            end = min(t.end, motion.time + (motion.wanted or math.inf))
-        if not end > motion.time:
-            raise ParameterError(
-                f"t = {end:g} s must be later than the time of the state, {motion.time:g} s"
-            )
+        end = end_of(t, motion.time, motion.wanted if motion.chooses else None)
         jumped = self._loads.jumps()
         motion.begin(end, jumped, any(self._loads.change))
         record = super().step()
@@ -236,7 +202,8 @@ class TimeStepping(QuasiStatic):
 
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
-        set_velocities(self.bcs, lambda v: _mean(v, step))
+        set_velocities(self.bcs, lambda v: mean_increment(v, step))
+        self.points.dt.value = step.dt
         here = self.activate(step)
         self._load_at(step, 0.0)
         motion.to_grid(here, self.form, step.dt, self._rates(here, step))
@@ -258,7 +225,7 @@ class TimeStepping(QuasiStatic):
         bases, scale = [field.basis for field in here.fields], step.dt / step.share
         set_velocities(self.bcs, lambda v: v(step.t - step.dt) * scale)
         values = self._held.at(bases, step.share)[1][0]
-        set_velocities(self.bcs, lambda v: _mean(v, step))
+        set_velocities(self.bcs, lambda v: mean_increment(v, step))
         return np.asarray(values / step.dt, np.float64)
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:

@@ -19,6 +19,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.forms.carried import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
@@ -40,11 +41,13 @@ class SplitForm:
             its own.
         grid: Terms over the grid.
         declarations: What the laws in the form keep at the points.
+        carried: Fields that its terms carry from step to step, or renew as one begins.
     """
 
     regions: list[PointTerms]
     grid: GridTerms
     declarations: list[Declaration]
+    carried: list[PointField]
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -74,6 +77,9 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     declarations = declared(form, points)
     for declaration in declarations:
         declaration.bind()
+    kept = carried_in(form)
+    for field in kept:
+        points.add_field(field.name, field.ufl_shape, field.unit, field.first)
     form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     ordinary: list[Any] = []
@@ -98,6 +104,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         _regions(at_points, spaces, points, declarations),
         GridTerms(ordinary, spaces),
         declarations,
+        kept,
     )
 
 

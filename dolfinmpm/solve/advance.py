@@ -15,8 +15,9 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.balance import balance
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.location import Destinations, destinations
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
+from dolfinmpm.forms.carried import CarriedField
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["NewState", "advance", "commit"]
@@ -75,6 +76,9 @@ def advance(
         marks[declaration.rows] = declaration.mark
     for update in updates:
         update.run(evaluation, new)
+    reason = _out_of_bounds(points, operator.form.parts.carried, new)
+    if reason is not None:
+        return reason
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
         dF = evaluation.gradient[0] + np.eye(d)
@@ -112,6 +116,28 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     for name, values in state.fields.items():
         points.fields[name][...] = values
     return 0 if state.to is None else points.migrate(state.to) + balance(points)
+
+
+def _out_of_bounds(
+    points: MaterialPoints, carried: Sequence[PointField], new: dict[str, Array]
+) -> str | None:
+    """Why what points carry is not possible, or None. Collective."""
+    found = None
+    for field in carried:
+        if isinstance(field, CarriedField) and field.bounds is not None:
+            low, high = field.bounds
+            values = new[field.name]
+            bad = np.flatnonzero(~((values > low) & (values < high)))
+            if bad.size and found is None:
+                p = bad[0]
+                found = (
+                    f"{field.name} = {values[p]:.4g} of the point at {points['x'][p]} m, which must "
+                    f"lie between {low:g} and {high:g}"
+                )
+    bounded = any(isinstance(field, CarriedField) and field.bounds for field in carried)
+    if not bounded:
+        return None
+    return next((text for text in points.comm.allgather(found) if text is not None), None)
 
 
 def _outside(points: MaterialPoints, x: Array, lost, step: int) -> PointsOutsideGridError | None:

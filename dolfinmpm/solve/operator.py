@@ -23,6 +23,7 @@ from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.forms.carried import CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
@@ -220,6 +221,9 @@ class Operator:
     @stages.assemble
     def __init__(self, form: WeakForm, here: Activation):
         self.form, self.here = form, here
+        for field in form.parts.carried:
+            if isinstance(field, CellOffset):
+                field.renew()
         # a second form on an activation that was made for another has its own parts of the body
         self._main = form is here.terms
         parts = here.regions

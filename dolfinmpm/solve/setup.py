@@ -14,7 +14,9 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field
 from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.carried import CarriedField
 from dolfinmpm.forms.declarations import declared
+from dolfinmpm.forms.penalties import penalty_of
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["Remedies", "updates_of", "with_moduli", "with_remedies"]
@@ -40,6 +42,9 @@ def with_moduli(
     made = []
     for k, (remedy, space) in enumerate(zip(remedies, spaces)):
         if (remedy.needs_modulus or remedy.follows_tangent) and remedy.E is None:
+            if remedy.kind == "ghost" and penalty_of(form, space.increment) is not None:
+                made.append(remedy)
+                continue
             if space.increment.ufl_shape != (points.gdim,):
                 raise ParameterError(
                     f'stabilisation="{remedy.kind}" of field {k + 1} needs a modulus: it is no '
@@ -74,7 +79,8 @@ def with_remedies(
     softening = None
     for field in fields:
         trial = field.space.increment, field.space.test
-        extra = field.remedy.force_terms(points, *trial)
+        known = penalty_of(form, trial[0]) if field.remedy.E is None else None
+        extra = field.remedy.force_terms(points, *trial, known)
         form = form if extra is None else form + extra
         soft = field.remedy.tangent_terms(points, *trial)
         if soft is not None:
@@ -83,12 +89,13 @@ def with_remedies(
 
 
 def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
-    """Fields that a converged step sets: those of the form's laws, and those given. Collective."""
+    """Fields that a converged step sets: those of laws and terms, and those given. Collective."""
     made = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
         for declaration in form.parts.declarations
         if declaration.updates
     ]
-    if given:
-        made.append(PointUpdates(given, form.regions, form.spaces, form.points))
+    kept = {f.name: f.update for f in form.parts.carried if isinstance(f, CarriedField)}
+    if kept | dict(given):
+        made.append(PointUpdates({**kept, **given}, form.regions, form.spaces, form.points))
     return made

@@ -1,0 +1,114 @@
+"""Fields that the points carry from step to step for a term of a weak form.
+
+To build a form changes no body: the problem that is made of the form adds the fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.points import MaterialPoints, PointField
+
+__all__ = ["CARRIED", "CarriedField", "CellOffset", "carried", "carried_in"]
+
+# Metadata of a measure: fields that its terms carry without containing them
+CARRIED = "carried"
+
+
+class CarriedField(PointField):
+    """What an expression was at the end of the last step, at the points.
+
+    Attributes:
+        update: The expression.
+        bounds: Limits between which the values must be, themselves excluded, or None.
+    """
+
+    update: Expr
+    bounds: tuple[float, float] | None = None
+
+
+class CellOffset(PointField):
+    """From the centre of mass of the points in its cell to a point (m), as a step begins."""
+
+    def __init__(self, points: MaterialPoints):
+        super().__init__(points, "cell_offset", (points.gdim,), "m")
+
+    def renew(self) -> None:
+        """Set it for the cells that the points are in now."""
+        points = self.points
+        where = points.placement(points.configuration)
+        _, at = np.unique(where.cell, return_inverse=True)
+        volume = np.bincount(at, where.volume)
+        centre = [np.bincount(at, where.volume * x) / volume for x in where.x.T]
+        points[self.name] = where.x - np.stack(centre, axis=1)[at]
+
+
+def carried(
+    points: MaterialPoints, name: str, expression: Any, unit: str = "", first: Any = 0.0
+) -> CarriedField:
+    """What an expression was at the end of the last step, at the material points, for UFL.
+
+    For terms with rates: `(p - mpm.carried(points, "pressure", p, "Pa")) / points.dt`. A
+    problem made of a form that contains it adds the field to the points, unless they have one of
+    that name and shape, and each converged step sets it.
+
+    Args:
+        points: Material points.
+        name: Name of the field; set `points[name]` for what was before the first step.
+        expression: UFL expression of state and increments, of any shape.
+        unit: Its unit.
+        first: Value before the first step, see `MaterialPoints.add_field`.
+
+    Raises:
+        ParameterError: The name cannot be one of a field, or the expression is none of UFL.
+    """
+    check_points(points)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ParameterError(f"name = {shown(name)} must be an identifier: it names a field")
+    if not isinstance(expression, Expr):
+        raise ParameterError(
+            f"what '{name}' carries must be an expression of UFL, got {shown(expression)}"
+        )
+    field = CarriedField(points, name, expression.ufl_shape, unit, first)
+    field.update = expression
+    return field
+
+
+def _within(expressions: Iterable[Expr]) -> Iterator[PointField]:
+    for expression in expressions:
+        for c in extract_coefficients(expression):
+            if isinstance(c, (CarriedField, CellOffset)):
+                yield c
+
+
+def carried_in(form: ufl.Form) -> list[PointField]:
+    """Fields that a form's terms carry, or that change as a step begins, each once.
+
+    Raises:
+        FormError: Two expressions are carried under one name.
+    """
+    found: dict[str, PointField] = {}
+    waiting: list[PointField] = []
+    for integral in form.integrals():
+        waiting += _within([integral.integrand()])
+        waiting += (integral.metadata() or {}).get(CARRIED, ())
+    while waiting:
+        one = waiting.pop()
+        known = found.setdefault(one.name, one)
+        if known is one:
+            if isinstance(one, CarriedField):
+                waiting += [c for c in _within([one.update]) if c.name not in found]
+        elif isinstance(one, CarriedField) and one.update != getattr(known, "update", None):
+            raise FormError(
+                f"two expressions are carried under the name '{one.name}'; give each its own name"
+            )
+    return list(found.values())

@@ -1,0 +1,414 @@
+"""Weak form of a saturated soil: balance of momentum, and of the water's volume, in one step.
+
+With displacement increment u and pore pressure p (positive in compression), incompressible grains
+and total Kirchhoff stress τ' − J p I, per initial volume V0,
+
+    Σ V0 (τ' − J p I) : ∇v − Σ V0 m b·v = 0,
+    Σ V0 {q (J − J_n) + q J n (p − p_n)/K_w + Δt J ∇q · (k/γ_w)(∇p − ρ_w b)} = 0,
+
+gradients being spatial ones at the end of the step, n = 1 − (1 − n0)/J the porosity and
+m = m_n + (J − J_n) ρ_w the mass of the mixture, which loses the water that drains (Coussy 2004,
+"Poromechanics", ch. 2; Borja & Alarcón 1995, doi 10.1016/0045-7825(94)00720-8).
+
+The pressure is that of the grid's nodes and starts anew in every step; what it was is carried by
+the points and enters where water is compressible, and the stabilisation. Nothing is projected
+from the points to the grid, so that nothing diffuses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import choice, number, shown
+from dolfinmpm._platform.errors import ParameterError, UnstablePairWarning, warn
+from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.forms.carried import CARRIED, CarriedField, CellOffset, carried
+from dolfinmpm.forms.penalties import PENALTY
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.kinematics.terms import momentum
+from dolfinmpm.materials.base import lame
+from dolfinmpm.porous.fluid import Fluid
+
+__all__ = ["poromechanics"]
+
+PROJECTIONS = ("auto", "none")
+
+# Shares of storage and flow in the pressure's ghost penalty: those of a mass, and of a stiffness
+_STORAGE, _FLOW = 0.25, 1 / 90
+# Penalty of a drained surface, by what flows through a cell and what a cell stores
+_DRAINED = 100.0
+
+
+@dataclass(frozen=True)
+class _Kinematics:
+    """What a step's increment does to volumes and gradients.
+
+    Attributes:
+        J, before: det F at the end of the step and at its start, per initial volume.
+        growth: J less that at the start.
+        inverse: From gradients at the start of the step to spatial ones at its end.
+    """
+
+    J: Expr | float
+    before: Expr | float
+    growth: Expr
+    inverse: Expr | None
+
+    def grad(self, w: Expr) -> Expr:
+        """Spatial gradient at the end of the step."""
+        slope = ufl.grad(w)
+        return slope if self.inverse is None else ufl.dot(slope, self.inverse)
+
+
+def _kinematics(points: MaterialPoints, u: Expr, strain: str) -> _Kinematics:
+    slope = ufl.grad(u)
+    if strain == "small":
+        return _Kinematics(1.0, 1.0, ufl.tr(slope), None)
+    dF = ufl.Identity(points.gdim) + slope
+    before = ufl.det(points.F)
+    J = ufl.det(dF) * before
+    return _Kinematics(J, before, J - before, ufl.inv(dF))
+
+
+def poromechanics(
+    soil: Any,
+    points: MaterialPoints,
+    fields: Sequence[Any],
+    tests: Sequence[Any],
+    *,
+    permeability: Any,
+    porosity: Any,
+    fluid: Fluid | None = None,
+    gravity: Any = None,
+    theta: float = 1.0,
+    suction: float | None = None,
+    projection: str | float = "auto",
+    modulus: float | None = None,
+    drained: Any = (),
+    seepage: Any = (),
+    strain: str = "large",
+    fbar: bool | str = False,
+    tag: int | tuple[int, ...] | None = None,
+) -> ufl.Form:
+    """Deformation of a saturated soil and flow of its water, as a weak form of one step.
+
+    Plain UFL, to be copied and changed: `points.dt` is the length of the step, and
+    `mpm.carried` keeps the pressure of the last one. Solve it with `Transient`, or with inertia
+    with `Newmark`. In `QuasiStatic`, set `points.dt.value`; with permeability=0 it is the
+    undrained analysis in effective stresses.
+
+    The points carry `pressure` (Pa), which may be set before the problem is made, and
+    `porosity`; with gravity, `density` (of the mixture, per initial volume) loses the water
+    that drains.
+
+    Args:
+        soil: Law of the effective stress, for `momentum`.
+        points: Material points; their density is that of the mixture, (1 − n0) ρ_s + n0 ρ_w.
+        fields: Increment u of the displacement and the pore pressure p (Pa), `Space.increment`
+            each; p is the pressure itself, no increment.
+        tests: Their test functions (v, q).
+        permeability: Hydraulic conductivity k (m/s): a number, a symmetric tensor, shape (gdim,
+            gdim), a UFL expression, or a function of J and n that returns one, such as
+            `kozeny_carman`.
+        porosity: n0 at J = 1: a number in (0, 1), or a UFL expression such as a field of the
+            points.
+        fluid: The fluid, water by default.
+        gravity: Acceleration b of both phases (m/s²), a vector for UFL such as a DOLFINx
+            constant; None for none.
+        theta: Share of the flow at the end of the step: 1 is backward Euler's rule, ½ Crank and
+            Nicolson's.
+        suction: Largest suction (Pa) that holds grains together; None for no bound.
+        projection: Factor of the polynomial pressure projection by which a step shorter than
+            h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
+            being those of a cell's points (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
+            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 c_v Δt/h²)₊.
+            "auto" is 3 for u and p of equal order and 2 for stable pairs, with which a step
+            without drainage does not overshoot in one dimension; "none" leaves it out.
+        modulus: P-wave modulus M (Pa) that stabilisation is scaled by; the law's by default.
+        drained: Surfaces at which the pressure is held: a `Surface`, a pair of one and its
+            pressure (Pa, for UFL), or several of these. They move with the body; the condition
+            is Nitsche's.
+        seepage: Surfaces at which water leaves but does not enter, and the pressure is 0 where
+            it leaves.
+        strain, fbar, tag: See `momentum`.
+
+    Returns:
+        A form over the points, to which loads are added.
+
+    Raises:
+        ParameterError: An argument is not what it may be, or the law has no elastic constants
+            and modulus is missing.
+
+    Warns:
+        UnstablePairWarning: u and p are of equal order and projection is "none".
+    """
+    check_points(points)
+    u, p, v, q = _fields(points, fields, tests)
+    fluid = Fluid() if fluid is None else fluid
+    if not isinstance(fluid, Fluid):
+        raise ParameterError(f"fluid = {shown(fluid)} must be a dolfinmpm.Fluid")
+    theta = number("theta", theta, 0.0, 1.0, closed=True)
+    if theta < 0.5:
+        raise ParameterError(f"theta = {theta:g} must be at least 0.5: less is not stable")
+    form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
+    at = _kinematics(points, u, strain)
+    grid, dt, gdim = points.grid, points.dt, points.gdim
+    n0 = _porosity(porosity, points)
+    n = 1 - (1 - n0) / at.J
+    weight = own_constant(grid, fluid.unit_weight)
+    water = own_constant(grid, fluid.density)
+    K = _permeability(permeability, at.J, n, points) / weight
+    K0 = _permeability(permeability, 1.0, n0, points) / weight
+    b = _gravity(gravity, points)
+    M = _modulus(modulus, soil, points)
+    pressure = carried(points, "pressure", p, "Pa")
+    keeps: list[CarriedField] = [carried(points, "porosity", n, "", _first(porosity))]
+    keeps[0].bounds = 0.0, 1.0
+
+    dX = points.dX("everywhere" if tag is None else tag)
+    acts = p if suction is None else ufl.max_value(p, -_suction(suction, points))
+    div = ufl.tr(at.grad(v))
+    storage = at.growth * q
+    if fluid.compressible:
+        bulk = own_constant(grid, fluid.bulk_modulus)
+        storage += at.J * n / bulk * (p - pressure) * q
+    drive = at.grad(p) if b is None else at.grad(p) - water * b
+    flow = at.J * _times(K, drive)
+    terms = -at.J * acts * div + storage + theta * dt * ufl.dot(flow, at.grad(q))
+    if theta < 1:
+        # flow at the start of the step, whose gradients are those of the grid
+        before = carried(points, "flow", flow, "Pa m/s", np.zeros(gdim))
+        terms += (1 - theta) * dt * ufl.dot(before, ufl.grad(q))
+    if b is not None:
+        mass = points.density + at.growth * water
+        terms -= mass * ufl.dot(b, v)
+        keeps.append(carried(points, "density", mass, "kg/m^d"))
+    slow = _projected(projection, u, p, M, K, points)
+    if slow is not None:
+        offset = CellOffset(points)
+        slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
+        change = at.grad(p) - slope
+        terms += slow * ufl.dot(offset, at.grad(q)) * ufl.dot(offset, change)
+    keeps.append(pressure)
+    marked = {
+        **dX.metadata(),
+        CARRIED: tuple(keeps),
+        PENALTY: {p: _penalty(M, n0, fluid, K0, points)},
+    }
+    form += terms * dX(metadata=marked)
+    for surface, value in _surfaces("drained", drained, points):
+        form += _held(surface, value, p, q, at, M, K, b, water, points)
+    for surface, value in _surfaces("seepage", seepage, points):
+        out = ufl.max_value(surface.at(p) - value, 0.0)
+        form += surface.density * _stiff(M, K, points) * out * surface.at(q) * points.dX
+    return form
+
+
+def _fields(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any, Any, Any]:
+    for what, pair in (("fields", fields), ("tests", tests)):
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise ParameterError(
+                f"{what} = {shown(pair)} must be a pair, that of the displacement and that of the "
+                "pressure"
+            )
+    (u, p), (v, q) = fields, tests
+    check_displacement(points, u=u, v=v)
+    check_increment(points, p)
+    if p.ufl_shape != ():
+        raise ParameterError(
+            f"the pressure has shape {p.ufl_shape} and must be a scalar: Space(..., shape=())"
+        )
+    check_test(points, p, q)
+    return u, p, v, q
+
+
+def _porosity(porosity: Any, points: MaterialPoints) -> Any:
+    if isinstance(porosity, Expr):
+        if porosity.ufl_shape != ():
+            raise ParameterError(f"porosity has shape {porosity.ufl_shape} and must be a scalar")
+        return porosity
+    return own_constant(points.grid, number("porosity", porosity, 0.0, 1.0))
+
+
+def _first(porosity: Any) -> float:
+    # of an expression the first step tells
+    return 0.5 if isinstance(porosity, Expr) else float(porosity)
+
+
+def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
+    """k for UFL, a scalar or a tensor (m/s)."""
+    d = points.gdim
+    if callable(given) and not isinstance(given, Expr):
+        given = given(J, n)
+    if isinstance(given, Expr):
+        if given.ufl_shape not in ((), (d, d)):
+            raise ParameterError(
+                f"permeability has shape {given.ufl_shape} and must be a scalar or of shape "
+                f"{(d, d)}"
+            )
+        return given
+    if np.ndim(given) == 0:
+        return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
+    tensor = _tensor(given)
+    symmetric = tensor.shape == (d, d) and np.allclose(tensor, tensor.T, rtol=1e-12, atol=0)
+    if not symmetric or np.linalg.eigvalsh(tensor).min() < 0:
+        raise ParameterError(
+            f"permeability = {shown(given)} must be symmetric, of shape {(d, d)} and without "
+            "negative eigenvalues (m/s)"
+        )
+    return own_constant(points.grid, tensor)
+
+
+def _tensor(given: Any) -> npt.NDArray[np.float64]:
+    try:
+        return np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"permeability = {shown(given)} must be a number (m/s), a tensor, UFL or a function of "
+            "J and n"
+        ) from None
+
+
+def _times(K: Expr, w: Expr) -> Expr:
+    return K * w if K.ufl_shape == () else ufl.dot(K, w)
+
+
+def _largest(K: Expr) -> Expr:
+    """A bound of what a permeability does to a vector."""
+    return K if K.ufl_shape == () else ufl.tr(K)
+
+
+def _gravity(gravity: Any, points: MaterialPoints) -> Any:
+    if gravity is None or isinstance(gravity, Expr):
+        if gravity is not None and gravity.ufl_shape != (points.gdim,):
+            raise ParameterError(
+                f"gravity has shape {gravity.ufl_shape} and must be a vector of {points.gdim}"
+            )
+        return gravity
+    components = np.ravel(np.asarray(gravity, object))
+    if len(components) != points.gdim:
+        raise ParameterError(
+            f"gravity = {shown(gravity)} must be a vector of {points.gdim} components (m/s²)"
+        )
+    return own_constant(points.grid, [number("gravity", c) for c in components])
+
+
+def _suction(suction: Any, points: MaterialPoints) -> Any:
+    return own_constant(points.grid, number("suction", suction, 0.0, math.inf, "Pa", True))
+
+
+def _modulus(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
+    """M for UFL (Pa)."""
+    if modulus is not None:
+        return own_constant(points.grid, number("modulus", modulus, 0.0, unit="Pa"))
+    values = soil.values
+    E, nu = values.get("E"), values.get("nu")
+    if not (isinstance(E, float) and isinstance(nu, float)):
+        raise ParameterError(
+            f"{soil!r} has no elastic constants that are the same everywhere, and the pressure's "
+            "stabilisation is scaled by a modulus: give modulus=M, its P-wave modulus (Pa)"
+        )
+    lmbda, mu = lame(E, nu)
+    return own_constant(points.grid, lmbda + 2 * mu)
+
+
+def _size(points: MaterialPoints) -> Any:
+    size = cell_size(points.grid)
+    return (
+        size
+        if not isinstance(size, fem.Function)
+        else own_constant(points.grid, float(size.x.array.mean()))
+    )
+
+
+def _projected(projection: Any, u, p, M, K, points: MaterialPoints) -> Any:
+    """τ of the pressure projection for UFL (1/Pa), or None."""
+    order = [getattr(w, "_dolfinmpm_space").basis for w in (u, p)]
+    equal = order[0].degree <= order[1].degree
+    if isinstance(projection, str):
+        projection = choice("projection", projection, PROJECTIONS)
+        if projection == "none":
+            if equal:
+                warn(
+                    points.comm,
+                    f"displacement and pressure are of equal order ({order[0].degree} and "
+                    f"{order[1].degree}) without projection: pressures oscillate where little "
+                    'drains. Leave projection="auto", or take "bspline2" for the displacement',
+                    UnstablePairWarning,
+                )
+            return None
+        factor = 3.0 if equal else 2.0
+    else:
+        factor = number("projection", projection, 0.0, closed=True)
+    h, dt = _size(points), points.dt
+    # spent where the step is long enough for the flow itself to smooth
+    spent = 4 * _largest(K) * M * dt / h**2
+    return own_constant(points.grid, factor) / M * ufl.max_value(1 - spent, 0.0)
+
+
+def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints) -> Expr:
+    """γ of the pressure's ghost penalty, in its literal scaling: by what is stored and flows."""
+    stored = 1 / M
+    if fluid.compressible:
+        stored = stored + _plain(n0, 1.0) / own_constant(points.grid, fluid.bulk_modulus)
+    flows = points.dt * _plain(_largest(K), 0.0)
+    return 3 * (_STORAGE * stored + _FLOW * flows / _size(points) ** 2)
+
+
+def _plain(factor: Any, otherwise: float) -> Any:
+    """A factor that is the same everywhere, or else what is given."""
+    from ufl.algorithms import extract_coefficients
+
+    return factor if not extract_coefficients(factor) else otherwise
+
+
+def _surfaces(what: str, given: Any, points: MaterialPoints) -> list[tuple[Surface, Any]]:
+    """Surfaces with their pressures (Pa)."""
+    if isinstance(given, Surface):
+        given = [given]
+    elif isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], Surface):
+        given = [given] if not isinstance(given[1], (Surface, tuple, list)) else given
+    found = []
+    for one in given:
+        surface, value = one if isinstance(one, (tuple, list)) else (one, 0.0)
+        if not isinstance(surface, Surface) or surface.points is not points:
+            raise ParameterError(
+                f"{what} has {shown(surface)} where a dolfinmpm.Surface of these points must be, or "
+                "a pair of one and a pressure (Pa)"
+            )
+        if not isinstance(value, Expr):
+            value = own_constant(points.grid, number(f"pressure of {what}", value, unit="Pa"))
+        found.append((surface, value))
+    return found
+
+
+def _stiff(M, K, points: MaterialPoints) -> Expr:
+    """Penalty of a pressure that is held, per area and step (m/Pa)."""
+    h = _size(points)
+    return _DRAINED * (points.dt * _largest(K) / h + h / M)
+
+
+def _held(surface: Surface, value, p, q, at: _Kinematics, M, K, b, water, points) -> ufl.Form:
+    """Nitsche's condition without its adjoint: what flows through the face, and a penalty."""
+    gap = surface.at(p) - value
+    form = surface.density * _stiff(M, K, points) * gap * surface.at(q) * points.dX
+    drive = at.grad(p) if b is None else at.grad(p) - water * b
+    area = surface.area
+    if at.inverse is not None:
+        # Nanson's formula, as it is at the end of the step
+        F = ufl.dot(ufl.inv(at.inverse), points.F)
+        area = ufl.det(F) * ufl.dot(area, ufl.inv(F))
+    through = ufl.dot(_times(K, drive), area) / points.V0
+    return form - points.dt * through * surface.at(q) * points.dX
