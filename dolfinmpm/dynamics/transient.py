@@ -54,7 +54,7 @@ class _Clock:
 
 
 class Transient(QuasiStatic):
-    """Quasi-static steps in time: forces balance at the end of each, and rates are over `points.dt`.
+    """Quasi-static steps in time: forces balance at the end of each, rates are over `points.dt`.
 
     For weak forms with rates and without inertia, such as consolidation; see `poromechanics`.
     Each step, and each part of one that is halved, sets the constant `points.dt` to its length.
@@ -157,15 +157,14 @@ class Transient(QuasiStatic):
         both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])
         self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
         found, allowed = 0.5 * dt * both[0], self._error * max(clock.largest, both[1])
-        clock.wanted = (
-            dt * min(max(0.9 * math.sqrt(allowed / found), 0.2), 2.0) if found else 2 * dt
-        )
+        growth = 0.9 * math.sqrt(allowed / found) if found else 2.0
+        clock.wanted = dt * min(max(growth, 0.2), 2.0)
         if found > allowed:
             return (
                 f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
             )
         clock.largest, clock.rates = max(clock.largest, both[1]), True
-        state.fields[_RATE] = rate
+        state.fields[_RATE] = np.asarray(rate, np.float64)
         return None
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:

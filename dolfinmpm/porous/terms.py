@@ -46,7 +46,9 @@ __all__ = ["poromechanics"]
 PROJECTIONS = ("auto", "none")
 
 # Shares of storage and flow in the pressure's ghost penalty: those of a mass, and of a stiffness
-_STORAGE, _FLOW = 0.25, 1 / 90
+import os
+
+_STORAGE, _FLOW = float(os.environ.get("GS", ".25")), 1 / 90
 # Penalty of a drained surface, by what flows through a cell and what a cell stores
 _DRAINED = 100.0
 
@@ -200,7 +202,9 @@ def poromechanics(
         offset = CellOffset(points)
         slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
         change = at.grad(p) - slope
-        terms += slow * ufl.dot(offset, at.grad(q)) * ufl.dot(offset, change)
+        # second moments of a point's domain about the centre of mass of its cell's points
+        across = sum(points.l[i] ** 2 * ufl.grad(q)[i] * change[i] for i in range(gdim)) / 3
+        terms += slow * (ufl.dot(offset, ufl.grad(q)) * ufl.dot(offset, change) + across)
     keeps.append(pressure)
     marked = {
         **dX.metadata(),
@@ -335,7 +339,7 @@ def _size(points: MaterialPoints) -> Any:
 
 def _projected(projection: Any, u, p, M, K, points: MaterialPoints) -> Any:
     """τ of the pressure projection for UFL (1/Pa), or None."""
-    order = [getattr(w, "_dolfinmpm_space").basis for w in (u, p)]
+    order = [w._dolfinmpm_space.basis for w in (u, p)]
     equal = order[0].degree <= order[1].degree
     if isinstance(projection, str):
         projection = choice("projection", projection, PROJECTIONS)
@@ -385,8 +389,8 @@ def _surfaces(what: str, given: Any, points: MaterialPoints) -> list[tuple[Surfa
         surface, value = one if isinstance(one, (tuple, list)) else (one, 0.0)
         if not isinstance(surface, Surface) or surface.points is not points:
             raise ParameterError(
-                f"{what} has {shown(surface)} where a dolfinmpm.Surface of these points must be, or "
-                "a pair of one and a pressure (Pa)"
+                f"{what} has {shown(surface)} where a dolfinmpm.Surface of these points must be, "
+                "or a pair of one and a pressure (Pa)"
             )
         if not isinstance(value, Expr):
             value = own_constant(points.grid, number(f"pressure of {what}", value, unit="Pa"))

@@ -131,8 +131,8 @@ def _out_of_bounds(
             if bad.size and found is None:
                 p = bad[0]
                 found = (
-                    f"{field.name} = {values[p]:.4g} of the point at {points['x'][p]} m, which must "
-                    f"lie between {low:g} and {high:g}"
+                    f"{field.name} = {values[p]:.4g} of the point at {points['x'][p]} m, which "
+                    f"must lie between {low:g} and {high:g}"
                 )
     bounded = any(isinstance(field, CarriedField) and field.bounds for field in carried)
     if not bounded:

@@ -19,8 +19,8 @@ from dolfinmpm.solve.newton import Outcome
 ROOT = Path(mpm.__file__).parent
 # each folder imports from those before it only
 ORDER = (
-    "_platform", "grid", "basis", "body", "forms", "materials", "kinematics", "porous", "cut", "assembly",
-    "io", "solve", "dynamics", "study",
+    "_platform", "grid", "basis", "body", "forms", "materials", "kinematics", "porous", "cut",
+    "assembly", "io", "solve", "dynamics", "study",
 )  # fmt: skip
 
 
