@@ -45,8 +45,9 @@ __all__ = ["poromechanics"]
 
 PROJECTIONS = ("auto", "none")
 
-# Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a mass's
-# 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, 0.7 % with this)
+# Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
+# mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
+# this 0.7 %)
 _STORAGE, _FLOW = 0.003, 1 / 90
 # Factor of the pressure projection by which a first step does not overshoot in one dimension: the
 # projection then lumps what a step stores. Quadratic splines for u need 2.5
