@@ -1,0 +1,131 @@
+# %% [markdown]
+# # Mandel's problem: the pressure in the middle rises before it falls
+#
+# A slab of saturated soil, 2a wide, is squeezed by a force 2F (per length) between two rigid
+# smooth plates and drains at its sides. The rim softens first as it drains, so that the core has to
+# carry more: its pressure rises beyond the first one although nothing is added (Mandel 1953;
+# Cheng & Detournay 1988). The exact solution of an incompressible fluid is a series over the roots
+# of $\tan\alpha = \frac{2(1 - \nu)}{1 - 2\nu}\,\alpha$.
+#
+# A quarter is computed. The plate is a membrane without bending stiffness that is pulled so
+# tight that it stays flat.
+
+# %%
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from poroelastic import (
+    PERMEABILITY,
+    SMALL,
+    WATER,
+    add_times,
+    consolidation_coefficient,
+    instants,
+    node_value,
+    report,
+)
+from scene import numbers, parser
+from scipy.optimize import brentq
+
+import dolfinmpm as mpm
+
+TIMES = (0.01, 0.05, 0.1, 0.3, 0.5, 1.0, 2.0)
+
+
+# %%
+def arguments():
+    """The command line."""
+    options = parser("Mandel's problem.")
+    add = options.add_argument
+    add("--poisson", type=float, default=0.2)
+    add("--width", type=float, default=1.0, help="a, half of the slab's (m)")
+    add("--height", type=float, default=0.25, help="b, half of the slab's (m)")
+    add("--cells", type=int, default=32, help="over the half width")
+    add("--points-per-cell", type=int, default=2)
+    add_times(add, numbers, TIMES, 150)
+    given = options.parse_args()
+    given.times.sort()
+    return given
+
+
+args = arguments()
+comm, nu, a = MPI.COMM_WORLD, args.poisson, args.width
+E = 1e6
+G, c_v = E / (2 * (1 + nu)), consolidation_coefficient(E, nu)
+force = SMALL * E * a
+h = a / args.cells
+rows = max(2, round(args.height / h))
+b = rows * h
+
+
+# %%
+def series(times, count=200):
+    """Pressure in the middle and half way (by F/a), u_x at the rim and −u_z (by F/G, F b/(G a))."""
+    ratio = 2 * (1 - nu) / (1 - 2 * nu)
+    roots = np.array([
+        brentq(lambda x: np.sin(x) - ratio * x * np.cos(x),
+               k * np.pi + (1e-9 if k else 0.1), (k + 0.5) * np.pi - 1e-12)
+        for k in range(count)
+    ])  # fmt: skip
+    s, c = np.sin(roots), np.cos(roots)
+    found = []
+    for T in times:
+        decay = np.exp(-(roots**2) * T) / (roots - s * c)
+
+        def pressure(x, decay=decay):
+            return np.sum(decay * s * (np.cos(roots * x) - c))
+
+        # with ν_u = 1/2
+        u_x = nu / 2 - np.sum(decay * s * c) / 2 + np.sum(decay * c * s)
+        u_z = (1 - nu) / 2 - np.sum(decay * s * c) / 2
+        found.append((pressure(0.0), pressure(0.5), u_x, u_z))
+    return np.array(found).T
+
+
+# %%
+grid = mesh.create_rectangle(
+    comm, [(0, 0), (a + h, b + h)], (args.cells + 1, rows + 1), mesh.CellType.quadrilateral
+)
+points = mpm.fill(grid, mpm.Box((0, 0), (a, b)), args.points_per_cell, 1.0)
+V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
+u, v = V.increment, V.test
+top = mpm.Surface(points, lambda x: x[1] > b * (1 - 1e-9), (0, 1))
+side = mpm.Surface(points, lambda x: x[0] > a * (1 - 1e-9), (1, 0))
+F = mpm.poromechanics(
+    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
+    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=side, theta=args.theta,
+    strain="small",
+)  # fmt: skip
+# a membrane that stays flat, loaded by all of the force
+tension = fem.Constant(grid, 1e4 * E * a)
+F += top.density * tension * ufl.grad(u)[1, 0] * ufl.grad(v)[1, 0] * points.dX
+load = fem.Constant(grid, (0.0, 0.0))
+F -= top.traction(load, v)
+load.value[1] = -force / a
+problem = mpm.Transient(
+    F, [u, Q.increment], points, mpm.rollers(V, "left", "bottom"),
+    stabilisation=[args.stabilisation] * 2,
+)  # fmt: skip
+measured = []
+for T in instants(args.times, args.steps):
+    problem.step(T * a**2 / c_v)
+    if T in args.times:
+        measured.append((
+            node_value(Q, (0.0, 0.0)) * a / force,
+            node_value(Q, (0.5 * a, 0.0)) * a / force,
+            side.mean_displacement()[0] * G / force,
+            -top.mean_displacement()[1] * G * a / (force * b),
+        ))  # fmt: skip
+names = ("pressure_centre", "pressure_half", "u_x", "u_z")
+columns = {}
+for name, ours, exact in zip(names, np.array(measured).T, series(args.times)):
+    columns |= {name: ours, f"{name}_exact": exact}
+errors = {
+    f"{name}_error": float(np.abs(columns[name] - columns[f"{name}_exact"]).max()
+                           / np.abs(columns[f"{name}_exact"]).max())
+    for name in names
+}  # fmt: skip
+report(args, problem, columns, **errors)
