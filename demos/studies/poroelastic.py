@@ -84,3 +84,103 @@ def report(args: Any, problem: Any, columns: dict[str, Any], **more: Any) -> Non
         say(f"{t:9g}  " + "".join(f"{cell:>22}" for cell in cells))
     lists = {name: np.asarray(values).tolist() for name, values in columns.items()}
     finish(args, {**lists, **more, **solver_figures(problem)})
+
+
+def modes(nu: float, sphere: bool, count: int = 60) -> tuple[np.ndarray, ...]:
+    """Roots ξ, and what their modes give of e(0), e(a) and u(a)/a, by p0/M.
+
+    The residues of ê = −p0/s · f(qr)/(M f(qa) − c G g(qa)), by Laplace's transform.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import j0, j1
+
+    G = 0.5 * (1 - 2 * nu) / (1 - nu)  # by M
+
+    def at_rim(x):
+        return np.sin(x) / x if sphere else j0(x)
+
+    def mean(x):
+        return (np.sin(x) - x * np.cos(x)) / x**3 if sphere else j1(x) / x
+
+    def balance(x):
+        return at_rim(x) - (4.0 if sphere else 2.0) * G * mean(x)
+
+    x = np.linspace(0.05, np.pi * count, 200 * count)
+    values = balance(x)
+    change = np.flatnonzero(values[1:] * values[:-1] < 0)
+    roots = np.array([brentq(balance, x[k], x[k + 1], xtol=1e-14) for k in change])
+    step = 1e-5
+    slope = (balance(roots + step) - balance(roots - step)) / (2 * step)
+    factor = -1.0 / (0.5 * roots * slope)
+    return roots, factor, factor * at_rim(roots), factor * mean(roots)
+
+
+def round_series(nu: float, sphere: bool, times: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Centre's pressure by p0, and −M u(a)/(p0 a), of a cylinder or a sphere at times c t/a²."""
+    G = 0.5 * (1 - 2 * nu) / (1 - nu)
+    last = 1.0 / (3 - 4 * G) if sphere else 0.5 / (1 - G)
+    roots, centre, rim_strain, shortening = modes(nu, sphere)
+    decay = np.exp(-np.outer(np.asarray(times), roots**2))
+    return decay @ (centre - rim_strain), last - decay @ shortening
+
+
+def run_round(title: str, axisymmetric: bool) -> None:
+    """A cylinder or a sphere that is squeezed and drains at its edge: study of both."""
+    import ufl
+    from dolfinx import fem, mesh
+    from mpi4py import MPI
+    from scene import numbers, parser
+
+    options = parser(title)
+    add = options.add_argument
+    add("--poisson", type=float, default=1 / 3 if axisymmetric else 0.2)
+    add("--cells", type=int, default=32, help="over the radius")
+    add("--points-per-cell", type=int, default=3)
+    usual = (0.01, 0.02, 0.04, 0.06, 0.1, 0.2, 0.5) if axisymmetric else (0.01, 0.05, 0.1, 0.2, 0.5)
+    add_times(add, numbers, usual, 100)
+    options.set_defaults(stabilisation="aggregation")
+    args = options.parse_args()
+    args.times.sort()
+    comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+    c_v, p0 = consolidation_coefficient(E, nu), SMALL * E
+    M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+    h = a / (args.cells - 0.37)
+    grid = mesh.create_rectangle(
+        comm, [(0, 0), (args.cells * h + h, args.cells * h + h)], [args.cells + 1] * 2,
+        mesh.CellType.quadrilateral,
+    )  # fmt: skip
+    turned = {"axisymmetric": True} if axisymmetric else {}
+    arc = np.linspace(0, 0.5 * np.pi, 400)
+    shape = mpm.Polygon([(0.0, 0.0), *zip(a * np.cos(arc), a * np.sin(arc))])
+    points = mpm.fill(grid, shape, args.points_per_cell, 1.0, exact=True, **turned)
+    V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
+    u, v = V.increment, V.test
+    edge = rim(points, a)
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
+        permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=edge, theta=args.theta,
+        strain="small",
+    )  # fmt: skip
+    load = fem.Constant(grid, -p0)
+    F -= load * ufl.dot(edge.area, edge.at(v)) / points.V0 * points.dX
+    bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "bottom", 1)
+    problem = mpm.Transient(
+        F, [u, Q.increment], points, bcs, stabilisation=[args.stabilisation] * 2
+    )
+    measured = []
+    for T in instants(args.times, args.steps):
+        problem.step(T * a**2 / c_v)
+        if T in args.times:
+            area = points["rim_area"]
+            inward = -np.einsum("pi,pi->", area, edge.displacements())
+            mean = M * inward / (edge.total_area * p0 * a)
+            measured.append((node_value(Q, (0.0, 0.0)) / p0, mean))
+    exact = round_series(nu, axisymmetric, args.times)
+    columns = {}
+    for name, ours, theirs in zip(("centre_pressure", "u_r"), np.array(measured).T, exact):
+        columns |= {name: ours, f"{name}_exact": theirs}
+    errors = {
+        f"{name}_error": float(np.abs(columns[name] / columns[f"{name}_exact"] - 1).max())
+        for name in ("centre_pressure", "u_r")
+    }
+    report(args, problem, columns, **errors)

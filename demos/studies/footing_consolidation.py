@@ -1,0 +1,102 @@
+# %% [markdown]
+# # A strip footing on saturated ground: settlement in time
+#
+# Ground 5B deep on a rigid rough base carries an even load q on a strip 2B wide, and drains at its
+# top. The footing settles a part at once, without drainage, for the ground gives way to the
+# sides, and the rest as water leaves. Half is computed, between smooth walls; base and walls are
+# sealed. Strains are small.
+#
+# For ν = 0.2, half width 10B and depth 5B the settlements and pressures are compared with those of
+# conforming elements of quadratic displacement and linear pressure.
+
+# %%
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from poroelastic import (
+    PERMEABILITY,
+    SMALL,
+    WATER,
+    add_times,
+    consolidation_coefficient,
+    instants,
+    node_value,
+    report,
+)
+from scene import numbers, parser
+
+import dolfinmpm as mpm
+
+TIMES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+# of conforming elements for the case above: T, E s/(qB) in the centre and at the edge, p/q at the
+# depths B and 2B
+CONFORMING = np.array([
+    (0.03, 1.375, 0.792, 0.517, 0.328),
+    (0.1, 1.493, 0.848, 0.521, 0.340),
+    (0.3, 1.655, 0.940, 0.387, 0.346),
+    (1.0, 1.879, 1.107, 0.186, 0.264),
+    (3.0, 2.131, 1.332, 0.083, 0.144),
+    (10.0, 2.453, 1.640, 0.026, 0.048),
+])  # fmt: skip
+
+
+# %%
+def arguments():
+    """The command line."""
+    options = parser("Consolidation under a strip footing.")
+    add = options.add_argument
+    add("--poisson", type=float, default=0.2)
+    add("--width", type=float, default=10.0, help="half of the ground's, by B")
+    add("--depth", type=float, default=5.0, help="of the ground, by B")
+    add("--h", type=float, default=0.125, help="size of the cells, by B; divides all lengths")
+    add("--points-per-cell", type=int, default=2)
+    add_times(add, numbers, TIMES, 60)
+    given = options.parse_args()
+    given.times.sort()
+    return given
+
+
+args = arguments()
+comm, nu, B, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+q, c_v = SMALL * E, consolidation_coefficient(E, nu)
+W, D, h = args.width, args.depth, args.h
+cells = round(W / h), round(D / h)
+
+# %%
+grid = mesh.create_rectangle(
+    comm, [(0, 0), (W, D + h)], (cells[0], cells[1] + 1), mesh.CellType.quadrilateral
+)
+points = mpm.fill(grid, mpm.Box((0, 0), (W, D)), args.points_per_cell, 1.0)
+V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
+u, v = V.increment, V.test
+top = mpm.Surface(points, lambda x: x[1] > D * (1 - 1e-9), (0, 1), "top")
+strip = mpm.Surface(points, lambda x: (x[1] > D * (1 - 1e-9)) & (x[0] < B), (0, 1), "strip")
+F = mpm.poromechanics(
+    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
+    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=top, theta=args.theta,
+    strain="small",
+)  # fmt: skip
+load = fem.Constant(grid, (0.0, -q))
+F -= strip.traction(load, v)
+bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+problem = mpm.Transient(F, [u, Q.increment], points, bcs, stabilisation=[args.stabilisation] * 2)
+# what nodes of the top have moved: increments of all steps together
+moved = {0.0: 0.0, B: 0.0}
+measured = []
+for T in instants(args.times, args.steps):
+    problem.step(T * B**2 / c_v)
+    for x in moved:
+        moved[x] -= node_value(V, (x, D), 1)
+    if T in args.times:
+        settled = [E * moved[x] / (q * B) for x in moved]
+        pressures = [node_value(Q, (0.0, D - depth)) / q for depth in (B, 2 * B)]
+        measured.append((*settled, *pressures))
+names = ("settlement_centre", "settlement_edge", "pressure_1b", "pressure_2b")
+columns = dict(zip(names, np.array(measured).T))
+compared = (nu, W, D) == (0.2, 10.0, 5.0) and set(args.times) <= set(CONFORMING[:, 0])
+if compared:
+    rows = CONFORMING[np.isin(CONFORMING[:, 0], args.times)]
+    columns |= {f"{name}_exact": values for name, values in zip(names, rows.T[1:])}
+report(args, problem, columns, compared=compared)
