@@ -24,7 +24,7 @@ from dolfinmpm.dynamics import (
     frictional,
     times,
 )
-from dolfinmpm.forms.carried import carried
+from dolfinmpm.forms.carriedfields import carried
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History

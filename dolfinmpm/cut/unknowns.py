@@ -245,6 +245,27 @@ class Unknowns:
         """What ranks have in rows of nodes they own, shape (mine,), as (owned,). Collective."""
         return self._even.shared_out(entries)
 
+    def given_back(self, x: Array) -> Array:
+        """Owned unknowns in rows of nodes owned here, shape (mine,). Collective."""
+        return self._even.given_back(x)
+
+    def squares(self, entries: Array) -> Array:
+        """Sum of the squares of each field's entries on this rank, shape (fields,).
+
+        Args:
+            entries: As `entries` gives them, shape (mine,).
+        """
+        ends = np.cumsum([field.size for field in self.fields])[:-1]
+        return np.array([float(part @ part) for part in np.split(entries, ends)])
+
+    def only(self, k: int, x: Array) -> Array:
+        """The owned unknowns with 0 in place of all fields but the k-th. Collective."""
+        mine = np.zeros(self.mine)
+        first = sum(field.size for field in self.fields[:k])
+        chosen = slice(first, first + self.fields[k].size)
+        mine[chosen] = self.given_back(x)[chosen]
+        return self.shared_out(mine)
+
     def reactions(self, nodal: Sequence[Array]) -> Array:
         """Entries of nodal values where components of owned nodes are prescribed."""
         return _joined([r.reshape(-1)[f.places[1]] for f, r in zip(self.fields, nodal)])

@@ -19,7 +19,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
-from dolfinmpm.forms.carried import carried_in
+from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator

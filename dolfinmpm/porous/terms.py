@@ -33,7 +33,7 @@ from dolfinmpm._platform.errors import ParameterError, UnstablePairWarning, warn
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.forms.carried import CARRIED, CarriedField, CellOffset, carried
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, CellOffset, carried
 from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import cell_size
@@ -61,13 +61,12 @@ class _Kinematics:
     """What a step's increment does to volumes and gradients.
 
     Attributes:
-        J, before: det F at the end of the step and at its start, per initial volume.
-        growth: J less that at the start.
+        J: det F at the end of the step.
+        growth: J less that at the start of the step.
         inverse: From gradients at the start of the step to spatial ones at its end.
     """
 
     J: Expr | float
-    before: Expr | float
     growth: Expr
     inverse: Expr | None
 
@@ -80,11 +79,16 @@ class _Kinematics:
 def _kinematics(points: MaterialPoints, u: Expr, strain: str) -> _Kinematics:
     slope = ufl.grad(u)
     if strain == "small":
-        return _Kinematics(1.0, 1.0, ufl.tr(slope), None)
+        return _Kinematics(1.0, ufl.tr(slope), None)
     dF = ufl.Identity(points.gdim) + slope
     before = ufl.det(points.F)
-    J = ufl.det(dF) * before
-    return _Kinematics(J, before, J - before, ufl.inv(dF))
+    # by invariants, for the difference of two determinants would lose small strains
+    growth = ufl.tr(slope)
+    if points.gdim == 2:
+        growth += ufl.det(slope)
+    elif points.gdim == 3:
+        growth += 0.5 * (growth**2 - ufl.tr(slope * slope)) + ufl.det(slope)
+    return _Kinematics((1 + growth) * before, growth * before, ufl.inv(dF))
 
 
 def poromechanics(
@@ -387,6 +391,8 @@ def _surfaces(what: str, given: Any, points: MaterialPoints) -> list[tuple[Surfa
         given = [given]
     elif isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], Surface):
         given = [given] if not isinstance(given[1], (Surface, tuple, list)) else given
+    elif not isinstance(given, (tuple, list)):
+        given = [given]
     found = []
     for one in given:
         surface, value = one if isinstance(one, (tuple, list)) else (one, 0.0)

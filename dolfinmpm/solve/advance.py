@@ -17,7 +17,7 @@ from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
-from dolfinmpm.forms.carried import CarriedField
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["NewState", "advance", "commit"]

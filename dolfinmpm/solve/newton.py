@@ -18,7 +18,7 @@ from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.solve.linear import LinearSolver
 from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
 from dolfinmpm.solve.method import Tangent
-from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
 
 __all__ = ["Newton", "Outcome", "Solver"]
@@ -74,13 +74,17 @@ class Balance:
         self.motion = 0.0
         self._first = 0.0
 
-    def test(self, norm: float, reference: float, iteration: int) -> int:
+    def test(
+        self, norm: float, reference: float, iteration: int, parts: Array | None = None
+    ) -> int:
         """SNES's reason to go on or to end.
 
         Args:
             norm: Norm of the forces out of balance.
             reference: Norm of external forces and reactions.
             iteration: Number of the iteration, from 0.
+            parts: Norm and reference of each field, whose units differ, shape (fields, 2); None
+                if there is one, or if references are not known yet.
         """
         if not math.isfinite(norm):
             return Reason.DIVERGED_FNORM_NAN
@@ -89,6 +93,8 @@ class Balance:
         # a body that is unloaded ends without loads and reactions to measure against
         reference = max(reference, self._first, self.motion)
         relative = norm / reference if reference else 0.0
+        for one, own in parts if parts is not None else ():
+            relative = max(relative, one / own if own else 0.0)
         self.residuals.append(relative)
         if relative <= self.tolerance:
             return Reason.CONVERGED_FNORM_RELATIVE
@@ -191,22 +197,25 @@ class Newton:
         linear = self.linear
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
-        norm, reference, spare = 0.0, 0.0, _SPARE * self.tolerance
+        found: Residual = Residual(start, 0.0, 0.0)
+        spare = _SPARE * self.tolerance
         # a solver that kept what keeps the solver would never be freed
         ready = weakref.proxy(linear)
 
         def residual(snes: Any, x: PETSc.Vec, f: PETSc.Vec) -> None:
-            nonlocal norm, reference
+            nonlocal found
             found = operator.residual(x.getArray(readonly=True))
             f.getArray()[:] = found.values
-            norm, reference = found.norm, found.reference
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
-            ready.assembled(norm, spare * reference)
+            ready.assembled(found.norm, spare * found.reference)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
-            return balance.test(norms[2], reference, iteration)
+            parts = None
+            if found.parts is not None and iteration > 0:
+                parts = _references(operator, matrix.petsc, snes.getSolution(), found.parts)
+            return balance.test(norms[2], found.reference, iteration, parts)
 
         snes, x = linear.snes, linear.vector()
         if self.searches and self._set != (snes, self.search):
@@ -231,3 +240,30 @@ class Newton:
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)
         balance.motion = math.sqrt(square)
         return self.linear.solve(-f)
+
+
+def _references(operator: Operator, matrix: PETSc.Mat, x: PETSc.Vec, parts: Array) -> Array:
+    """What each field's residual is measured against, once a tangent is known. Collective.
+
+    The largest of an equation's own terms: external forces and reactions, and what each field's
+    unknowns make. Where all of these are next to nothing, as volumes are where nothing moves, what
+    is out of balance is measured by the forces of the displacement that would make it up: by
+    the ratio of what a displacement makes in the first equation and in this one.
+
+    Args:
+        operator: The equations.
+        matrix: Their tangent.
+        x: The unknowns.
+        parts: Norms of residual, and of external forces and reactions, shape (fields, 2).
+
+    Returns:
+        Norms of residual and reference, shape (fields, 2).
+    """
+    own = np.maximum(parts[:, 1], operator.terms(matrix, x).max(axis=0))
+    if np.all(parts[:, 0] <= 1e-9 * own):
+        return np.stack([parts[:, 0], own], axis=1)
+    probe = x.duplicate()
+    probe.setRandom()
+    stiffness = operator.terms(matrix, probe)[0]
+    same = own[0] * np.divide(stiffness, stiffness[0], out=np.zeros_like(own), where=stiffness > 0)
+    return np.stack([parts[:, 0], np.maximum(own, same)], axis=1)

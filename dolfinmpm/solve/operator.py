@@ -23,7 +23,7 @@ from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.forms.carried import CellOffset
+from dolfinmpm.forms.carriedfields import CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import SplitForm, split
@@ -199,11 +199,13 @@ class Residual:
         norm: Their norm, over all ranks.
         reference: Norm of external forces, and of reactions where they are what balances
             internal ones.
+        parts: Both of each field where there are several, shape (fields, 2): their units differ.
     """
 
     values: Array
     norm: float
     reference: float
+    parts: Array | None = None
 
 
 class Operator:
@@ -360,8 +362,34 @@ class Operator:
         values = unknowns.entries(internal) + external
         reactions = unknowns.reactions(internal)
         sums = np.array([values @ values, external @ external + reactions @ reactions])
-        norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
-        return Residual(unknowns.shared_out(values), float(norm), float(reference))
+        if len(unknowns.fields) == 1:
+            norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
+            return Residual(unknowns.shared_out(values), float(norm), float(reference))
+        each = [unknowns.squares(values), unknowns.squares(external)]
+        each[1] += [float(np.sum(r.reshape(-1)[f.places[1]] ** 2))
+                    for f, r in zip(unknowns.fields, internal)]  # fmt: skip
+        found = np.sqrt(unknowns.comm.allreduce(np.vstack([sums, np.stack(each, axis=1)])))
+        (norm, reference), parts = found[0], found[1:]
+        return Residual(unknowns.shared_out(values), float(norm), float(reference), parts)
+
+    def terms(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
+        """How large the terms are that each field's unknowns make in each equation. Collective.
+
+        Args:
+            matrix: The tangent.
+            x: The unknowns.
+
+        Returns:
+            Norms of the entries of the tangent's products, shape (fields of the unknowns, fields
+            of the equations).
+        """
+        unknowns, found = self.here.unknowns, []
+        part, made = x.duplicate(), x.duplicate()
+        for k in range(len(unknowns.fields)):
+            part.getArray()[:] = unknowns.only(k, x.getArray(readonly=True))
+            matrix.mult(part, made)
+            found.append(unknowns.squares(unknowns.given_back(made.getArray(readonly=True))))
+        return np.sqrt(unknowns.comm.allreduce(np.array(found)))
 
     def vector(self, x: Array) -> Array:
         """All forces on the owned unknowns (N), shape (owned,). Collective."""

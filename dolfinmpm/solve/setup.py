@@ -14,7 +14,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field
 from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.carried import CarriedField
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.penalties import penalty_of
 from dolfinmpm.solve.operator import WeakForm

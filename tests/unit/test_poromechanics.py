@@ -1,0 +1,307 @@
+"""Soil and water in one form: tangents, undrained limits, volumes, restarts, refusals."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import ufl
+from conftest import Linearised, unit_grid
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, UnstablePairWarning
+
+LAW = mpm.materials.Hencky(E=1e4, nu=0.3)
+WATER = mpm.Fluid(gravity=10.0)
+
+
+def block(u="gimp", p="linear", height=0.7, n=4, law=LAW, drained=True, density=2000.0, **options):
+    """A block on a sealed base between smooth walls; its form, points, spaces and top."""
+    grid = unit_grid("quadrilateral", n)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, height)), 2, density, exact=True)
+    V, Q = mpm.Space(grid, u), mpm.Space(grid, p, shape=())
+    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1), "top")
+    if drained is True:
+        options["drained"] = top
+    elif drained:
+        options["drained"] = drained
+    options = {"permeability": 1e-3, "porosity": 0.4, "fluid": WATER, **options}
+    fields, tests = (V.increment, Q.increment), (V.test, Q.test)
+    return mpm.poromechanics(law, points, fields, tests, **options), points, V, Q, top
+
+
+def held(V):
+    return mpm.rollers(V, "left", "right", "bottom")
+
+
+def problem_of(F, points, V, Q, bcs=None, remedy="none", **options):
+    fields = [V.increment, Q.increment]
+    bcs = held(V) if bcs is None else bcs
+    return mpm.Transient(F, fields, points, bcs, stabilisation=[remedy] * 2, **options)
+
+
+OPTIONS = [
+    {},
+    {"strain": "small", "permeability": [[2e-3, 1e-4], [1e-4, 1e-3]]},
+    {
+        "fluid": mpm.Fluid(bulk_modulus=1e5),
+        "gravity": (1.0, -9.81),
+        "permeability": mpm.kozeny_carman(1e-3, 0.4),
+    },
+    {"theta": 0.5, "suction": 5.0, "u": "bspline2", "law": mpm.materials.NeoHookean(1e4, 0.3)},
+    {"fbar": True, "drained": False, "strain": "jaumann"},
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=range(len(OPTIONS)))
+def test_tangent_is_the_derivative_of_the_residual(options):
+    options = dict(options)
+    pair = {"u": options.pop("u", "gimp")}
+    F, points, V, Q, _ = block(**pair, **options)
+    points.dt.value = 0.7
+    for field in ("pressure", "pressure_gradient", "flow"):
+        if field in points.fields:
+            points[field] = 3.0
+    problem = problem_of(F, points, V, Q, remedy="ghost")
+    linearised = Linearised(problem)
+    rng = np.random.default_rng(1)
+    start = rng.uniform(-0.02, 0.02, linearised.size)
+    way = rng.uniform(-0.1, 0.1, linearised.size)
+    # pressures are of another size than displacements
+    ups = problem.here.unknowns.fields[0].size
+    start[ups:] *= 1e3
+    way[ups:] *= 1e3
+    linearised.tangent(start)
+    exact, t = linearised.product(way), 1e-5
+    ahead, behind = linearised.residual(start + t * way), linearised.residual(start - t * way)
+    numerical = (ahead - behind) / (2 * t)
+    for part in (slice(0, ups), slice(ups, None)):
+        np.testing.assert_allclose(
+            exact[part], numerical[part], atol=2e-5 * np.abs(exact[part]).max()
+        )
+
+
+@pytest.mark.parametrize("u", ["linear", "gimp"])
+def test_a_sealed_body_carries_an_even_load_by_its_water(u):
+    """k = 0: p = q at every node, J = 1, in any measure."""
+    F, points, V, Q, top = block(u, permeability=0.0, drained=False)
+    F -= top.traction(fem.Constant(points.grid, (0.0, -500.0)), V.test)
+    problem = mpm.QuasiStatic(F, [V.increment, Q.increment], points, held(V))
+    problem.step()
+    np.testing.assert_allclose(points["pressure"], 500.0, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(points["F"]), 1.0, atol=1e-9)
+    assert np.abs(points["stress"]).max() < 1e-3
+
+
+@pytest.mark.parametrize("u", ["linear", "gimp"])
+@pytest.mark.parametrize("remedy", ["none", "ghost"])
+def test_a_first_step_does_not_overshoot(u, remedy):
+    """However short it is, and however the top cuts its cell."""
+    worst = 0.0
+    for cut in (1e-6, 0.3, 0.67, 1.0):
+        for share in (1e-8, 1e-3, 0.1, 1.0):
+            n, E, k, q = 8, 1e6, 1e-3, 1e3
+            h = 1 / n
+            height = (5 + cut) * h
+            grid = mesh.create_rectangle(
+                MPI.COMM_WORLD, [(0, 0), (h, 1)], (1, n), mesh.CellType.quadrilateral
+            )
+            points = mpm.fill(grid, mpm.Box((0, 0), (h, height)), 2, 1.0, exact=True)
+            V, Q = mpm.Space(grid, u), mpm.Space(grid, "linear", shape=())
+            top = mpm.Surface(points, lambda x, t=height: x[1] > t - 1e-12, (0, 1))
+            F = mpm.poromechanics(
+                mpm.materials.Hencky(E=E, nu=0.0), points, (V.increment, Q.increment),
+                (V.test, Q.test), permeability=k, porosity=0.4, fluid=WATER, drained=top,
+            )  # fmt: skip
+            F -= top.traction(fem.Constant(grid, (0.0, -q)), V.test)
+            problem = problem_of(F, points, V, Q, remedy=remedy)
+            problem.step(share * h**2 / (k * E / WATER.unit_weight))
+            worst = max(worst, points["pressure"].max() / q - 1)
+    assert worst < 0.01
+
+
+def test_volumes_of_water_balance():
+    """What the pores lose in a step leaves where the pressure is held; grains stay."""
+    law = mpm.kozeny_carman(1, 0.4)
+    F, points, V, Q, top = block(height=1.0, drained=False, permeability=law)
+    F -= top.traction(fem.Constant(points.grid, (0.0, -300.0)), V.test)
+    problem = problem_of(F, points, V, Q, held(V) + mpm.fixed(Q, "right"))
+    through, advance = [], problem._advance
+
+    def watched(operator, *given):
+        # all test functions of the pressure together are 1
+        through.append(operator.forces()[1].sum())
+        return advance(operator, *given)
+
+    problem._advance = watched
+    for t in (0.01, 0.05, 0.2):
+        before = points["V"].sum()
+        problem.step(t)
+        lost = before - points["V"].sum()
+        solid = (1 - points["porosity"]) * points["V"]
+        np.testing.assert_allclose(solid, 0.6 * points["V0"], rtol=1e-12)
+        assert lost > 1e-4
+        assert through[-1] == pytest.approx(-lost, abs=1e-10)
+
+
+def test_a_drained_body_ends_where_the_dry_one_does():
+    F, points, V, Q, top = block("linear", height=0.75)
+    load = fem.Constant(points.grid, (0.0, -200.0))
+    F -= top.traction(load, V.test)
+    problem_of(F, points, V, Q).step(1e9)
+    dry = mpm.fill(points.grid, mpm.Box((0, 0), (1, 0.75)), 2, 2000.0, exact=True)
+    W = mpm.Space(points.grid, "linear")
+    face = mpm.Surface(dry, lambda x: x[1] > 0.75 - 1e-12, (0, 1))
+    G = mpm.momentum(LAW, dry, W.increment, W.test) - face.traction(load, W.test)
+    mpm.QuasiStatic(G, W.increment, dry, held(W)).step()
+    np.testing.assert_allclose(points["x"], dry["x"], atol=1e-7)
+    assert np.abs(points["pressure"]).max() < 1e-3
+
+
+def test_water_at_rest_stays_at_rest():
+    """Hydrostatic pressure in ground that its weight has settled: nothing flows, nothing moves."""
+    b = (0.0, -10.0)
+    law = mpm.materials.Hencky(E=1e7, nu=0.3)
+    F, points, V, Q, _ = block(height=0.75, gravity=b, density=1800.0, law=law)
+    problem = problem_of(F, points, V, Q)
+    problem.step(1e8)
+    depth = 0.75 - points["x0"][:, 1]
+    np.testing.assert_allclose(points["pressure"], 1e4 * depth, rtol=2e-3)
+    before = points["x"].copy()
+    mass = points["density"].copy()
+    problem.step(2e8)
+    np.testing.assert_allclose(points["x"], before, atol=1e-7)
+    # settled ground has lost water
+    assert (mass < 1800.0).all()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_water_leaves_through_a_seepage_face_and_does_not_enter(sign):
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 2000.0)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "linear", shape=())
+    top = mpm.Surface(points, lambda x: x[1] > 1 - 1e-12, (0, 1))
+    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0))
+    F = mpm.poromechanics(
+        LAW, points, (V.increment, Q.increment), (V.test, Q.test), permeability=1e-2,
+        porosity=0.4, fluid=WATER, seepage=side,
+    )  # fmt: skip
+    F -= top.traction(fem.Constant(grid, (0.0, -100.0 * sign)), V.test)
+    problem_of(F, points, V, Q).step(1e6)
+    change = points["V"].sum() - 1
+    if sign > 0:
+        assert change < -1e-3
+        assert np.abs(points["pressure"]).max() < 1.0
+    else:
+        assert abs(change) < 1e-9
+        np.testing.assert_allclose(points["pressure"], -100.0, rtol=1e-6)
+
+
+def test_steps_are_chosen_by_their_error():
+    F, points, V, Q, top = block("linear", height=0.75)
+    F -= top.traction(fem.Constant(points.grid, (0.0, -20.0)), V.test)
+    problem = problem_of(F, points, V, Q, error=0.02)
+    problem.step(1e-3)
+    for t in mpm.times(20.0, dt="auto", start=1e-3):
+        problem.step(t)
+    lengths = [record.dt for record in problem.history]
+    assert lengths[-2] > 10 * lengths[1]
+    assert problem.time == 20.0
+
+
+def test_a_run_goes_on_from_a_file(tmp_path):
+    def made():
+        F, points, V, Q, top = block(gravity=(0.0, -9.81), theta=0.5)
+        F -= top.traction(fem.Constant(points.grid, (0.0, -200.0)), V.test)
+        return problem_of(F, points, V, Q, remedy="ghost", error=0.1)
+
+    whole, stopped, later = made(), made(), made()
+    for t in (0.01, 0.05, 0.2, 0.5):
+        whole.step(t)
+    for t in (0.01, 0.05):
+        stopped.step(t)
+    path = tmp_path / "soil.h5"
+    stopped.save(path)
+    later.load(path)
+    assert later.time == 0.05
+    for t in (0.2, 0.5):
+        later.step(t)
+    for field in ("x", "pressure", "density", "flow", "porosity", "stress"):
+        np.testing.assert_array_equal(later.points[field], whole.points[field])
+
+
+def test_soil_cannot_be_compressed_beyond_its_grains():
+    F, points, V, Q, top = block(height=0.75, porosity=0.05, permeability=1.0)
+    F -= top.traction(fem.Constant(points.grid, (0.0, -9e3)), V.test)
+    with pytest.raises(ConvergenceError, match=r"porosity = -?0\.\d+ of the point"):
+        problem_of(F, points, V, Q, max_halvings=2).step(1e4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"permeability": -1e-3}, r"permeability = -0\.001 m/s must be at least 0"),
+        ({"permeability": [[1.0, 2.0], [0.0, 1.0]]}, r"must be symmetric"),
+        ({"permeability": "clay"}, r"permeability = 'clay'"),
+        ({"porosity": 1.2}, r"porosity = 1\.2 must be above 0 and below 1"),
+        ({"porosity": 0.0}, r"porosity = 0 must be above 0"),
+        ({"theta": 0.3}, r"theta = 0\.3 must be at least 0\.5"),
+        ({"fluid": 1000.0}, r"must be a dolfinmpm\.Fluid"),
+        ({"gravity": (0.0, 0.0, -9.81)}, r"vector of 2 components"),
+        ({"drained": 3}, r"drained"),
+        ({"projection": "some"}, r"projection"),
+        ({"modulus": -1.0}, r"modulus = -1 Pa"),
+        ({"suction": -1.0}, r"suction = -1 Pa"),
+    ],
+)
+def test_what_is_no_soil_is_refused(wrong, message):
+    with pytest.raises(ParameterError, match=message):
+        block(**wrong)
+
+
+def test_what_is_no_pair_of_fields_is_refused():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "linear", shape=())
+    given = {"permeability": 1e-3, "porosity": 0.4}
+    for fields, tests, message in (
+        (V.increment, V.test, "pair"),
+        ((Q.increment, V.increment), (Q.test, V.test), "displacement"),
+        ((V.increment, V.increment), (V.test, V.test), "must be a scalar"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            mpm.poromechanics(LAW, points, fields, tests, **given)
+
+
+def test_a_pair_of_equal_order_without_projection_is_told():
+    with pytest.warns(UnstablePairWarning, match='projection="auto"'):
+        block("gimp", projection="none")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        block("bspline2", projection="none")
+        block("gimp")
+
+
+def test_a_field_is_carried_under_a_name_once():
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    u, v = V.increment, V.test
+    last = mpm.carried(points, "last", u, "m")
+    F = mpm.momentum(LAW, points, u, v) + 5.0 * ufl.inner(u - 0.5 * last, v) * points.dX
+    F -= ufl.inner(fem.Constant(grid, (0.0, -3.0)), v) * points.dX
+    assert "last" not in points.fields
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    problem.step()
+    before = points["x"] - points["x0"]
+    np.testing.assert_allclose(points["last"], before, atol=1e-15)
+    other = mpm.carried(points, "last", 2 * u, "m")
+    with pytest.raises(Exception, match="two expressions are carried"):
+        mpm.QuasiStatic(F + ufl.inner(other, v) * points.dX, u, points, mpm.fixed(V, "bottom"))
+    with pytest.raises(ParameterError, match="identifier"):
+        mpm.carried(points, "a b", u)
+    with pytest.raises(ParameterError, match="expression of UFL"):
+        mpm.carried(points, "c", 3.0)
