@@ -17,6 +17,7 @@ from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.grid.lattice import lattice_of
 
 __all__ = ["CARRIED", "CarriedField", "CellOffset", "carried", "carried_in"]
 
@@ -46,7 +47,11 @@ class CellOffset(PointField):
         """Set it for the cells that the points are in now."""
         points = self.points
         where = points.placement(points.configuration)
-        _, at = np.unique(where.cell, return_inverse=True)
+        lattice, cells = lattice_of(points.grid), where.cell
+        if lattice is not None:
+            # under a partition points have no cell of DOLFINx's mesh
+            cells = np.ravel_multi_index(tuple(lattice.cells_at(where.x).T), lattice.shape)
+        _, at = np.unique(cells, return_inverse=True)
         volume = np.bincount(at, where.volume)
         centre = [np.bincount(at, where.volume * x) / volume for x in where.x.T]
         points[self.name] = where.x - np.stack(centre, axis=1)[at]

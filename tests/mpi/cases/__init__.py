@@ -11,6 +11,7 @@ from . import (
     fbar,
     loads,
     plasticity,
+    porous,
     remedies,
     restart,
     tables,
@@ -74,5 +75,6 @@ CASES = {
         dynamics.dynamics_restart,
         explicit.explicit_steps,
         explicit.explicit_restart,
+        porous.consolidation,
     )
 }

@@ -1,0 +1,45 @@
+"""Soil and water: the same on any number of ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem, mesh
+
+import dolfinmpm as mpm
+
+from .common import COMM, sums
+
+
+def consolidation():
+    """A block in a corner of the grid that is squeezed from one side and drains at its top."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (24, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1.2, 0.8)), 2, 2000.0, exact=True)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "linear", shape=())
+    top = mpm.Surface(points, lambda x: x[1] > 0.8 - 1e-9, (0, 1))
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment), (V.test, Q.test),
+        permeability=mpm.kozeny_carman(1e-3, 0.4), porosity=0.4, gravity=(0.0, -9.81),
+        drained=top, fluid=mpm.Fluid(bulk_modulus=1e7),
+    )  # fmt: skip
+    load = fem.Constant(grid, (0.0, 0.0))
+    F -= top.traction(load, V.test)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+    problem = mpm.Transient(
+        F, [V.increment, Q.increment], points, bcs, stabilisation=["ghost", "ghost"]
+    )
+    iterations = []
+    for k, t in enumerate((0.1, 1.0, 5.0, 20.0)):
+        load.value[1] = -3e3 * (k + 1)
+        iterations.append(problem.step(t).iterations)
+    weight = np.sin(1.0 + points["id"])
+    carried = {
+        name: COMM.allreduce(float(weight @ points[name]))
+        for name in ("pressure", "porosity", "density")
+    }
+    return {
+        "iterations": iterations,
+        "unknowns": [record.unknowns for record in problem.history],
+        "count": points.total,
+        "carried": list(carried.values()),
+        **sums(points, "x", "stress"),
+    }
