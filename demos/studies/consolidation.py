@@ -34,7 +34,10 @@ from scipy.optimize import brentq
 
 import dolfinmpm as mpm
 
-PAIRS = ("linear-linear", "gimp-linear", "bspline2-linear", "bspline3-linear", "bspline2-bspline2")
+PAIRS = (
+    "linear-linear", "gimp-linear", "gimp-gimp", "bspline2-linear", "bspline2-gimp",
+    "bspline2-bspline2", "bspline3-gimp",
+)  # fmt: skip
 WATER = mpm.Fluid()
 K0 = 1e-3  # m/s
 
@@ -52,7 +55,7 @@ def arguments():
     add("--height", type=float, default=1.0, help="of the layer (m)")
     add("--h", type=float, default=1 / 32, help="size of the cells (m); need not divide the height")
     add("--points-per-cell", type=int, default=4)
-    add("--pair", choices=PAIRS, default="gimp-linear", help="bases of displacement, pressure")
+    add("--pair", choices=PAIRS, default="gimp-gimp", help="bases of displacement, pressure")
     add("--projection", default="auto", help="factor of the pressure projection; none; auto")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
     add("--steps", type=int, default=200, help="up to the last time, in geometric progression")
@@ -228,6 +231,10 @@ for row in zip(args.times, U, exact_U, np.array(base) / total, exact_base / tota
 
 # %% [markdown]
 # ## What to expect
+# With GIMP for both fields (the default) U is within a percent of the exact one at any time from
+# T = 0.05 on, at loads of 0.001 and 0.3 M, and the pressure is smooth. With linear functions for
+# the pressure (`--pair gimp-linear`) it wavers by some percent where points cross cells.
+# `--projection none` lets the first step overshoot by half the load.
 
 # %%
 if not args.no_plot:

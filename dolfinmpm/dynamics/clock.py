@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
@@ -36,7 +38,7 @@ class Time(float):
 
 
 def times(
-    end: float, dt: float | str = "auto", start: float = 0.0, label: str = ""
+    end: float | Sequence[float], dt: float | str = "auto", start: float = 0.0, label: str = ""
 ) -> Iterator[Time]:
     """Times to step to, with a progress bar in simulated time on rank 0, as `steps` draws it.
 
@@ -44,7 +46,7 @@ def times(
     each step: `t` is then the time at its start, and the loop ends when the end is reached.
 
     Args:
-        end: The last time (s), which the last step ends at exactly.
+        end: The last time (s), which the last step ends at exactly; or all times to step to.
         dt: Length of the steps (s), made a little shorter if the whole is no multiple of it; or
             "auto".
         start: Time before the first step (s).
@@ -54,6 +56,11 @@ def times(
         ParameterError: The times do not rise, or a step was not taken in an automatic loop.
     """
     start = number("start", start, unit="s")
+    if np.ndim(end) == 1:
+        listed = [number("time", t, unit="s") for t in np.asarray(end, object)]
+        if not listed or np.any(np.diff([start, *listed]) <= 0):
+            raise ParameterError(f"times = {shown(end)} must rise, from after {start:g} s")
+        return _given(start, listed[-1], listed, label)
     end = number("end", end, start, math.inf, "s")
     if isinstance(dt, str):
         if dt != "auto":
