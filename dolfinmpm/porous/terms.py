@@ -6,7 +6,8 @@ and total Kirchhoff stress τ' − J p I, per initial volume V0,
     Σ V0 (τ' − J p I) : ∇v − Σ V0 m b·v = 0,
     Σ V0 {q (J − J_n) + q J n (p − p_n)/K_w + Δt J ∇q · (k/γ_w)(∇p − ρ_w b)} = 0,
 
-gradients being spatial ones at the end of the step, n = 1 − (1 − n0)/J the porosity and
+(the second times M/h, so that both are forces), gradients being spatial ones at the end of the
+step, n = 1 − (1 − n0)/J the porosity and
 m = m_n + (J − J_n) ρ_w the mass of the mixture, which loses the water that drains (Coussy 2004,
 "Poromechanics", ch. 2; Borja & Alarcón 1995, doi 10.1016/0045-7825(94)00720-8).
 
@@ -186,6 +187,10 @@ def poromechanics(
     keeps: list[CarriedField] = [carried(points, "porosity", n, "", _first(porosity))]
     keeps[0].bounds = 0.0, 1.0
 
+    # volumes in newtons, as forces are: M/h times q, so that solvers see equations alike
+    scale = M / _size(points)
+    q = scale * q
+
     dX = points.dX("everywhere" if tag is None else tag)
     acts = p if suction is None else ufl.max_value(p, -_suction(suction, points))
     div = ufl.tr(at.grad(v))
@@ -216,7 +221,7 @@ def poromechanics(
     marked = {
         **dX.metadata(),
         CARRIED: tuple(keeps),
-        PENALTY: {p: _penalty(M, n0, fluid, K0, points)},
+        PENALTY: {p: scale * _penalty(M, n0, fluid, K0, points)},
     }
     form += terms * dX(metadata=marked)
     for surface, value in _surfaces("drained", drained, points):

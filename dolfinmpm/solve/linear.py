@@ -18,7 +18,7 @@ from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
-from dolfinmpm.solve.spectra import near_kernel
+from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -205,9 +205,22 @@ class LinearSolver:
             A.setOption(PETSc.Mat.Option.SPD, True)
         if here.unknowns.block > 1:
             A.setNearNullSpace(near_kernel(here, A))
+        if self.snes.getKSP().getPC().getType() == "fieldsplit":
+            self._split(here, A)
         self._use_mumps()
         if self.reuse is not None:
             self.reuse.renew()
+
+    def _split(self, here: Activation, A: PETSc.Mat) -> None:
+        """Tell PETSc which rows are of which field, and rigid modes of the first. Collective."""
+        unknowns = here.unknowns
+        first = A.getOwnershipRange()[0]
+        parts = []
+        for k in range(len(unknowns.fields)):
+            rows = np.flatnonzero(unknowns.only(k, np.ones(unknowns.owned))).astype(np.int32)
+            parts.append(PETSc.IS().createGeneral(first + rows, comm=self._comm))
+        parts[0].compose("nearnullspace", near_kernel_within(here, A, parts[0]))
+        self.snes.getKSP().getPC().setFieldSplitIS(("u", parts[0]), ("p", parts[1]))
 
     def _looks_symmetric(self, operator: Operator) -> bool:
         """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""

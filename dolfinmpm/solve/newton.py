@@ -95,7 +95,7 @@ class Balance:
         relative = norm / reference if reference else 0.0
         for one, own in parts if parts is not None else ():
             relative = max(relative, one / own if own else 0.0)
-        self.residuals.append(relative)
+        self.residuals.append(float(relative))
         if relative <= self.tolerance:
             return Reason.CONVERGED_FNORM_RELATIVE
         return Reason.DIVERGED_MAX_IT if iteration >= self.most else Reason.ITERATING
@@ -198,7 +198,7 @@ class Newton:
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         found: Residual = Residual(start, 0.0, 0.0)
-        spare = _SPARE * self.tolerance
+        spare, smallest = _SPARE * self.tolerance, 0.0
         # a solver that kept what keeps the solver would never be freed
         ready = weakref.proxy(linear)
 
@@ -209,12 +209,16 @@ class Newton:
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
-            ready.assembled(found.norm, spare * found.reference)
+            # each field is to be balanced by its own measure
+            least = found.reference if found.parts is None else smallest
+            ready.assembled(found.norm, spare * least)
 
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
+            nonlocal smallest
             parts = None
             if found.parts is not None and iteration > 0:
                 parts = _references(operator, matrix.petsc, snes.getSolution(), found.parts)
+                smallest = float(parts[:, 1].min())
             return balance.test(norms[2], found.reference, iteration, parts)
 
         snes, x = linear.snes, linear.vector()

@@ -121,7 +121,11 @@ class QuasiStatic(Problem):
         options = Options(self, options_prefix, own)
         # several fields are as a rule a saddle point
         definite = len(self.fields) == 1
-        tangent = Tangent(symmetric(self.form), definite, self.form.softening is not None)
+        shapes = [space.increment.ufl_shape for space in self.form.spaces]
+        tangent = Tangent(
+            symmetric(self.form), definite, self.form.softening is not None, len(shapes),
+            shapes == [(points.gdim,), ()],
+        )  # fmt: skip
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations
         )

@@ -13,7 +13,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["condition_number", "critical_step", "near_kernel", "rigid_modes"]
+__all__ = ["condition_number", "critical_step", "near_kernel", "near_kernel_within", "rigid_modes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -190,16 +190,22 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
     return 2 / math.sqrt(largest) if largest > 0 else math.inf
 
 
-def _rigid(unknowns: Unknowns, x: Array) -> list[Array]:
-    """Orthonormal rigid modes in the owned rows, of nodes that have all components. Collective."""
+def _motions(comm: MPI.Comm, x: Array) -> list[Array]:
+    """Orthonormal rigid motions of nodes at positions, shape (nodes here, d) each. Collective."""
     # about the middle, so that rotations do not drown in translations
-    x = x - unknowns.comm.allreduce(x.sum(axis=0)) / unknowns.comm.allreduce(len(x))
-    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=x.shape[1], comm=unknowns.comm)
+    count = comm.allreduce(len(x))
+    x = x - comm.allreduce(x.sum(axis=0)) / count
+    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=x.shape[1], comm=comm)
     kernel = PETSc.NullSpace().createRigidBody(coordinates)
     modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
     if kernel.hasConstant():  # a line's only mode
-        modes.append(np.full(unknowns.mine, 1 / math.sqrt(unknowns.rows)))
-    return [unknowns.shared_out(mode) for mode in modes]
+        modes.append(np.full(x.size, 1 / math.sqrt(count)))
+    return [np.array(mode).reshape(x.shape) for mode in modes]
+
+
+def _rigid(unknowns: Unknowns, x: Array) -> list[Array]:
+    """Orthonormal rigid modes in the owned rows, of nodes that have all components. Collective."""
+    return [unknowns.shared_out(mode.ravel()) for mode in _motions(unknowns.comm, x)]
 
 
 def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
@@ -215,6 +221,33 @@ def near_kernel(here: Activation, matrix: PETSc.Mat) -> PETSc.NullSpace:
         vectors.append(matrix.createVecRight())
         vectors[-1].getArray()[:] = mode
     return PETSc.NullSpace().create(vectors=vectors, comm=unknowns.comm)
+
+
+def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> PETSc.NullSpace:
+    """Rigid modes of a displacement that is the first of several fields, without held components.
+
+    Args:
+        here: What is active.
+        matrix: The tangent of all fields.
+        rows: Rows of the displacement.
+    """
+    unknowns, basis = here.unknowns, here.fields[0].basis
+    field = unknowns.fields[0]
+    nodes, modes = field.owned_nodes, list[PETSc.Vec]()
+    x = basis.node_coordinates()[nodes, : basis.grid.geometry.dim]
+    for mode in _motions(unknowns.comm, x):
+        entries = np.zeros(unknowns.mine)
+        entries[: field.size] = mode.ravel()[~field.fixed[nodes].ravel()]
+        vector = matrix.createVecRight()
+        vector.getArray()[:] = unknowns.shared_out(entries)
+        part = vector.getSubVector(rows)
+        modes.append(part.copy())
+        vector.restoreSubVector(rows, part)
+    for k, one in enumerate(modes):
+        for before in modes[:k]:
+            one.axpy(-one.dot(before), before)
+        one.normalize()
+    return PETSc.NullSpace().create(vectors=modes, comm=unknowns.comm)
 
 
 def rigid_modes(here: Activation) -> Array:

@@ -54,6 +54,9 @@ def few_are_many(monkeypatch):
         (Tangent(True, True, True), 1000, 2, 1, ("gmres", "cholesky", "cholmod")),
         (Tangent(True, True, False), 10**6, 3, 1, ("cg", "gamg", "")),
         (Tangent(False, True, False), 10**6, 3, 1, ("gmres", "gamg", "")),
+        (Tangent(False, False, False, 2, True), 10**6, 3, 1, ("gmres", "fieldsplit", "")),
+        (Tangent(False, False, False, 2, False), 10**6, 3, 1, ("gmres", "lu", "mumps")),
+        (Tangent(False, False, False, 3, True), 100, 3, 1, ("preonly", "lu", "mumps")),
     ],
 )
 def test_what_is_chosen(tangent, count, gdim, ranks, expected):

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, UnstablePairWarning
+from dolfinmpm.solve import method
 
 LAW = mpm.materials.Hencky(E=1e4, nu=0.3)
 WATER = mpm.Fluid(gravity=10.0)
@@ -132,8 +133,9 @@ def test_volumes_of_water_balance():
     through, advance = [], problem._advance
 
     def watched(operator, *given):
-        # all test functions of the pressure together are 1
-        through.append(operator.forces()[1].sum())
+        # all test functions of the pressure together are 1, here M/h
+        modulus, size = LAW.E * 0.7 / (1.3 * 0.4), mpm.cell_size(points.grid).value
+        through.append(operator.forces()[1].sum() * size / modulus)
         return advance(operator, *given)
 
     problem._advance = watched
@@ -231,6 +233,26 @@ def test_a_run_goes_on_from_a_file(tmp_path):
         later.step(t)
     for field in ("x", "pressure", "density", "flow", "porosity", "stress"):
         np.testing.assert_array_equal(later.points[field], whole.points[field])
+
+
+@pytest.mark.parametrize("permeability", [0.0, 1e-3, 1e2])
+@pytest.mark.parametrize("remedy", ["none", "ghost"])
+def test_iterations_on_blocks_find_what_factors_do(monkeypatch, remedy, permeability):
+    found = {}
+    for crossover in (10**9, 100):
+        monkeypatch.setattr(method, "_CROSSOVER", {2: crossover})
+        F, points, V, Q, top = block(u="gimp", height=0.82, n=12, permeability=permeability)
+        half = ufl.conditional(points.x[0] < 0.5, 1.0, 0.0)
+        F -= top.traction(half * fem.Constant(points.grid, (0.0, -500.0)), V.test)
+        problem = problem_of(F, points, V, Q, remedy=remedy, tolerance=1e-10)
+        for t in (0.1, 0.2):
+            record = problem.step(t)
+        found[crossover] = points["x"].copy(), points["pressure"].copy()
+        if crossover == 100:
+            assert problem.newton.linear.method.pc == "fieldsplit"
+            assert max(record.linear_iterations) < 40
+    for direct, iterative in zip(*found.values()):
+        np.testing.assert_allclose(iterative, direct, atol=1e-7 * np.abs(direct).max())
 
 
 def test_soil_cannot_be_compressed_beyond_its_grains():
