@@ -20,6 +20,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space, extraction
 from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
@@ -347,7 +348,7 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         here: What is active.
     """
     fields, unknowns = here.fields, here.unknowns
-    F = points["F"] if here.total else None
+    F = in_section(points, points["F"]) if here.total else None
     chosen = region.chosen(points["tag"])
 
     def part(s: Stencils) -> Stencils:
