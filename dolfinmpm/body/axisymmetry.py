@@ -99,7 +99,7 @@ def section(points: MaterialPoints, volume: str, x: str) -> Array:
     return V / ring(points[x][:, 0], 1.0) if points.axisymmetric else V
 
 
-def gradient(points: MaterialPoints, w) -> Expr:
+def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
     """Gradient of a displacement or a test function at the points, in UFL.
 
     Of shape (d, d), `ufl.grad(w)`; at points that are rings (3, 3), in the axes r, z, θ and with
@@ -108,11 +108,12 @@ def gradient(points: MaterialPoints, w) -> Expr:
     Args:
         points: Material points.
         w: Increment or test function of a displacement.
+        radius: r in terms that are not sums over the points; that of the points by default.
     """
     G = ufl.grad(w)
     if not points.axisymmetric:
         return G
-    hoop = w[0] / points.x[0]
+    hoop = w[0] / (points.x[0] if radius is None else radius)
     return ufl.as_tensor([[G[0, 0], G[0, 1], 0], [G[1, 0], G[1, 1], 0], [0, 0, hoop]])
 
 

@@ -294,9 +294,11 @@ def activate(
     entities = _entities(points, bases, seen, terms.moving)
     active = []
     for k, field in enumerate(fields):
-        active.append(
-            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
-        )
+        found = _field(
+            field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k],
+            points.axisymmetric,
+        )  # fmt: skip
+        active.append(found)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
@@ -468,15 +470,16 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    entities: Entities,
+    entities: Entities, rings: bool,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
     remedy, penalty, active = field.remedy, None, nodes
     C = remedy.ties(where, basis, seen, nodes, fixed, roots) if field.ties_nodes else None
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
+        radius = basis.node_coordinates()[:, 0] if rings else None
         rows, columns, values = remedy.penalty(
-            field.space.grid, basis.degree, C, owned, field.space.components
+            field.space.grid, basis.degree, C, owned, field.space.components, radius
         )
         penalty, C = Blocks(number, number, rows, columns, values), None
     if field.prolongate is not None:
