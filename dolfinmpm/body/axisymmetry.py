@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "checked_radii",
     "deformation",
+    "full_gradient",
     "gradient",
     "in_section",
     "require_axis",
@@ -132,18 +133,25 @@ def in_section(points: MaterialPoints, F):
     return np.ascontiguousarray(F[:, :2, :2])
 
 
-def deformation(points: MaterialPoints, u: Array, H: Array) -> Array:
-    """ΔF = I + ∇ũ of an increment, shape (n, strain_dim, strain_dim).
+def full_gradient(points: MaterialPoints, u: Array, H: Array) -> Array:
+    """∇ũ of an increment, or a velocity, at the points, with the hoop term of rings.
 
     Args:
         points: Material points.
-        u: The increment at the points (m), shape (n, d).
+        u: The increment (m), shape (n, d).
         H: Its gradient on the grid, shape (n, d, d).
+
+    Returns:
+        Shape (n, strain_dim, strain_dim); H itself where there is no hoop term.
     """
-    d = points.gdim
     if not points.axisymmetric:
-        return H + np.eye(d)
-    dF = np.zeros((len(u), 3, 3))
-    dF[:, :d, :d] = H + np.eye(d)
-    dF[:, 2, 2] = 1.0 + u[:, 0] / points["x"][:, 0]
-    return dF
+        return H
+    G = np.zeros((len(u), 3, 3))
+    G[:, :2, :2] = H
+    G[:, 2, 2] = u[:, 0] / points["x"][:, 0]
+    return G
+
+
+def deformation(points: MaterialPoints, u: Array, H: Array) -> Array:
+    """ΔF = I + ∇ũ of an increment; see `full_gradient`."""
+    return full_gradient(points, u, H) + np.eye(points.strain_dim)
