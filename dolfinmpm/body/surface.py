@@ -143,6 +143,7 @@ class Surface:
         across = np.delete(points["l0"], axis, axis=1)
         area = np.prod(2 * across, axis=1)[:, None] * n
         if points.axisymmetric:
+            raise_together(points.comm, _on_axis(points, faces, chosen))
             area = ring(faces[:, :1], area)
         self._set(points, np.where(chosen[:, None], offset, 0.0),
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
@@ -185,6 +186,8 @@ class Surface:
                     f"{what} = {values[p]} of the point at {points['x'][p]} m must be finite"
                 )
         raise_together(points.comm, error)
+        if points.axisymmetric:
+            raise_together(points.comm, _on_axis(points, points["x0"] + R, np.any(A, axis=1)))
         if not points.comm.allreduce(bool(np.any(A)), op=MPI.LOR):
             raise EmptyShapeError("all areas of the surface are zero; give some point an area")
         surface = cls.__new__(cls)
@@ -200,8 +203,6 @@ class Surface:
             )
         if f"{name}_area" in points.fields:
             raise ParameterError(f"the points have a surface '{name}' already; choose another name")
-        if points.axisymmetric:
-            raise_together(points.comm, _on_axis(points, R, A))
         self.points, self.name, self.normal = points, name, normal
         self.offset = points.add_field(f"{name}_offset", (points.gdim,), "m")
         self.area = points.add_field(f"{name}_area", (points.gdim,), "m^(d-1)")
@@ -350,10 +351,10 @@ class Surface:
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
 
 
-def _on_axis(points: MaterialPoints, R: Array, A: Array) -> ParameterError | None:
-    """An error if faces of rings lie on the axis."""
-    radius = points["x0"][:, 0] + R[:, 0]
-    bad = np.flatnonzero(np.any(A != 0.0, axis=1) & ~(radius > 1e-9 * points["x0"][:, 0]))
+def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
+    """An error if chosen faces of rings, at these centres, lie on the axis."""
+    radius = faces[:, 0]
+    bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
     if not bad.size:
         return None
     p = bad[0]

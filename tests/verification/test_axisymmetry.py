@@ -36,9 +36,9 @@ def uniform(basis, law, strain, stretches=(0.97, 0.95), steps=2, **options):
     grid = grid_of((3, 3), (1.0, 1.0))
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1.0, axisymmetric=True)
     V = mpm.Space(grid, basis)
-    bcs = [
-        c for i, s in enumerate(stretches) for c in everywhere(V, i, lambda x, i=i, s=s: (s - 1) * x[i])
-    ]  # fmt: skip
+    bcs = []
+    for i, s in enumerate(stretches):
+        bcs += everywhere(V, i, lambda x, i=i, s=s: (s - 1) * x[i])
     F = mpm.momentum(law, points, V.increment, V.test, strain=strain, **options)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
     for _ in range(steps):
