@@ -196,7 +196,7 @@ def picture(path, gathered):
     """The curve, and stresses over the present radius."""
     x, sigma = gathered
     r, radial = body.radius(x)[0], body.radial(x, sigma)
-    fine = np.linspace(1.0, curve[-1, 0], 60)[1:]
+    fine = np.linspace(1.0, curve[-1, 0], 25)[1:]
     closed = [0.0, *(exact(a)[0] for a in fine)]
     name = "E" if elastic else "c_u"
     with mpm.figure(path, 6.5, 2.6, ncols=2) as (_, (left, right)):

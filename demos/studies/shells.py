@@ -12,8 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
-from mpi4py import MPI
+from footing import rectangle
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -92,15 +91,6 @@ def graded(h, end, even, growth):
     return np.array([*lines, lines[-1] + h, lines[-1] + 2 * h])
 
 
-def grid_of(r, z):
-    """A rectangular grid with these lines."""
-    cells, kind = (len(r) - 1, len(z) - 1), mesh.CellType.quadrilateral
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), cells], cells, kind)
-    for axis, lines in enumerate((r, z)):
-        grid.geometry.x[:, axis] = np.interp(grid.geometry.x[:, axis], np.arange(len(lines)), lines)
-    return grid
-
-
 def skin(radius, size):
     """Positions, and area vectors that point outwards, of parts of a sphere of about that size."""
     ends = np.linspace(0, np.pi / 2, max(4, round(0.5 * np.pi * radius / size)) + 1)
@@ -127,12 +117,12 @@ def shell(shape, a, b, h, per_cell, room=1.0, even=None, growth=1.0):
     end = room * b
     lines = graded(h, end, end if even is None else min(even, end), growth)
     if shape == "cylinder":
-        grid = grid_of(lines, np.array([0, h]))
+        grid = rectangle(lines, np.array([0, h]))
         points = mpm.fill(grid, mpm.Box((a, 0), (b, h)), per_cell, 1.0, axisymmetric=True)
         inner = mpm.Surface(points, lambda x: np.isclose(x[0], a), (-1, 0), "inner")
         outer = mpm.Surface(points, lambda x: np.isclose(x[0], b), (1, 0), "outer")
         return Shell(shape, a, b, points, inner, outer, ("bottom", "top"))
-    grid = grid_of(lines, lines)
+    grid = rectangle(lines, lines)
     body = mpm.Where(lambda x: (np.hypot(*x[:2]) > a) & (np.hypot(*x[:2]) < b))
     body.volume = 0.25 * np.pi * (b**2 - a**2)
     body.centroid = np.full(2, 4 / (3 * np.pi) * (b**3 - a**3) / (b**2 - a**2))

@@ -13,6 +13,7 @@ from . import (
     plasticity,
     remedies,
     restart,
+    rings,
     tables,
     transport,
 )
@@ -71,6 +72,10 @@ CASES = {
         dynamics.dynamics,
         dynamics.dynamics_lumped,
         dynamics.dynamics_restart,
+        rings.rings_bases,
+        rings.rings_remedies,
+        rings.rings_in_time,
+        rings.rings_restart,
         explicit.explicit_steps,
         explicit.explicit_restart,
     )
