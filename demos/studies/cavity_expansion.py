@@ -23,6 +23,7 @@ started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
 from shells import HenckyShell, TrescaCavity, shell
 
@@ -168,7 +169,9 @@ figures = {
     "modelled_radius": float(b),
     "radii": curve[:, 0].tolist(),
     "pressures": curve[:, 1].tolist(),
-    "hoop_stretch_error": points.comm.allreduce(float(np.abs(turned - 1).max(initial=0)), op=max),
+    "hoop_stretch_error": points.comm.allreduce(
+        float(np.abs(turned - 1).max(initial=0)), op=MPI.MAX
+    ),
     **solver_figures(problem),
     "seconds_setup": ready - started,
     "seconds_solve": sum(record.seconds for record in problem.history),

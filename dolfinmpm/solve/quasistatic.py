@@ -282,7 +282,8 @@ class QuasiStatic(Problem):
         first = here.fields[0]
         named = any(field.remedy.kind != "none" for field in self.fields)
         active = active_on_grid(first)
-        return advice(named or here.ghost_facets > 0, self.bcs, first.space, active)
+        stabilised = named or here.ghost_facets > 0
+        return advice(stabilised, self.bcs, first.space, active, self.points.axisymmetric)
 
 
 def _spread(what: str, counts: list[int], total: int | None = None) -> str:

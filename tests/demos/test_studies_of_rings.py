@@ -161,3 +161,16 @@ def test_a_circular_footing_within_four_per_cent(rough):
     assert abs(figures["error"]) < 0.04
     # the ground flows
     assert figures["factors"][-1] < 1.01 * figures["factors"][-4]
+
+
+def test_a_round_column_collapses(tmp_path):
+    options = ["--h", "0.02", "--duration", "1.2", "--output", str(tmp_path)]
+    figures = run("round_collapse", *options)
+    assert figures["mass"] == pytest.approx(1600 * np.pi * 0.1**2 * 0.08, rel=1e-12)
+    # all of the sand is under the surface
+    assert figures["volume"] == pytest.approx(figures["mass"] / 1600, rel=1e-9)
+    assert figures["unfused"] == "points that are rings about an axis"
+    assert 0.1 < figures["runout"] < 1.2
+    assert 0.5 < figures["height"] < 0.81
+    assert 0.02 < max(figures["kinetic"]) < 0.2
+    assert (tmp_path / "round_collapse.png").stat().st_size > 0

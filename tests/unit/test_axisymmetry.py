@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
 )
 from dolfinmpm.assembly.points import add_product
+from dolfinmpm.basis.conditions import free_motions
 
 HENCKY = mpm.materials.Hencky(10.0, 0.3)
 
@@ -137,6 +138,15 @@ def test_a_body_that_may_leave_its_axis_is_warned_of():
     # held there, or with a hole: warnings are errors in tests
     activate(0.0, "bottom", "left")
     activate(0.1, "bottom")
+
+
+def test_rings_move_rigidly_along_their_axis_alone():
+    points = cylinder()
+    V = mpm.Space(points.grid, "gimp")
+    active = np.arange(V.basis.nodes.size, dtype=np.int32)
+    assert free_motions([], V, active, True) == ["along y"]
+    assert free_motions(mpm.rollers(V, "left"), V, active, True) == ["along y"]
+    assert free_motions(mpm.rollers(V, "bottom"), V, active, True) == []
 
 
 def test_a_checkpoint_keeps_rings(tmp_path):
