@@ -8,8 +8,9 @@ the same all around strains a ring by u_r/r around itself, so that its gradient 
 in the axes r, z, θ. With that in the place of the plane gradient all kinematics hold as they are in
 three dimensions; r is that of the point at the start of the step, as gradients are by positions
 then. So the hoop component of F, a product of 1 + u_r/r over the steps, is the ratio of the
-present radius of the ring to its first one. In GIMP u_r is the mean over the domain, and r the
-radius of its centre, which differs from the mean of u_r/r by terms of the order (l/r)².
+present radius of the ring to its first one. Functions that are averaged over domains are averaged
+over rings: u_r/r has the mean of u_r over the section of the domain by the radius of its centre,
+and slopes along the radius are weighted with it (`dolfinmpm.basis.lattice.ring_slopes`).
 
 Amounts are those of whole rings, 2π r times those of the section: volumes (m³), masses (kg), areas
 of faces (m²), forces (N), and energies (J).

@@ -421,7 +421,8 @@ class MaterialPoints:
             configuration: "updated" for where they are now, "total" for where they were at first.
         """
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
-        return Placement(self[x], self[half], section(self, volume, x), self["cell"])
+        size = section(self, volume, x)
+        return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
     def __setattr__(self, name: str, value: Any) -> None:
         # without this `points.density = 5000.0` would hide the field and change nothing
