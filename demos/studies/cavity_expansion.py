@@ -141,7 +141,7 @@ curve = np.array(curve)
 
 # %% [markdown]
 # ## Against the closed form
-# In a cylinder stretch and stress inside are extrapolated from the points within four cells, in a
+# In a cylinder stretch and stress inside are extrapolated from the points within some cells, in a
 # sphere the skin has them. Where clay yields, F-bar leaves waves in the pressure, but not in the
 # difference of hoop and radial stress, of which the latter is the pressure inside.
 
@@ -152,7 +152,7 @@ apart = sigma[:, 2, 2] - body.radial(points["x"], sigma)
 turned = deformation[:, 2, 2] * x0[:, 0] / points["x"][:, 0]
 ratio = float(curve[-1, 0])
 p, far, stretch, hoop = exact(ratio)
-hoop_inside = body.inside(sigma[:, 2, 2], 4 * args.h)
+hoop_inside = body.inside(sigma[:, 2, 2], 6 * args.h, exact.k + 1)
 if not elastic:
     hoop_inside = body.inside(apart, 4 * args.h) - curve[-1, 1]
 figures = {

@@ -61,7 +61,7 @@ class Shell:
         total = self.points.comm.allreduce(float(np.sum(area * surface.displacements())))
         return total / surface.total_area
 
-    def inside(self, values, reach):
+    def inside(self, values, reach, power=-1):
         """Value of a field at the inner face: of the skin, or by a parabola. Collective.
 
         Strain at single points beside a face alternates about what it should be.
@@ -69,13 +69,15 @@ class Shell:
         Args:
             values: The field, shape (points,).
             reach: First distance from the face to which points are taken in.
+            power: Parabola in R^(-power); small elastic stresses of a shell go by k + 1.
         """
         points = self.points
         if self.shape == "sphere":
             weight = np.linalg.norm(points[self.inner.area.name], axis=1)
             return float(points.comm.allreduce(weight @ values)) / self.inner.total_area
-        z = self.radius(points["x0"])[0] - self.a
-        near = (points["tag"] == 0) & (z < reach)
+        R = self.radius(points["x0"])[0]
+        near = (points["tag"] == 0) & (self.a + reach > R)
+        z = (R / self.a) ** -power - 1
         A = np.column_stack([np.ones_like(z), z, z**2])[near]
         square, right = (points.comm.allreduce(A.T @ q) for q in (A, values[near]))
         return float(np.linalg.solve(square, right)[0])
