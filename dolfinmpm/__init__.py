@@ -7,6 +7,7 @@ from dolfinmpm._platform.report import info
 from dolfinmpm._platform.stages import measure_stages
 from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.axisymmetry import gradient
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.footing import RigidFooting
 from dolfinmpm.body.meshparts import partitioner
@@ -69,6 +70,7 @@ __all__ = [
     "frictional",
     "geostatic_stress",
     "ghost",
+    "gradient",
     "info",
     "kozeny_carman",
     "materials",

@@ -25,6 +25,7 @@ __all__ = [
     "EmptyShapeError",
     "FieldShapeError",
     "FormError",
+    "FreeAxisWarning",
     "IdleConditionWarning",
     "InstabilityError",
     "MigrationError",
@@ -117,6 +118,10 @@ class DolfinMPMWarning(UserWarning):
 
 class IdleConditionWarning(DolfinMPMWarning):
     """An essential condition holds no node that the body moves."""
+
+
+class FreeAxisWarning(DolfinMPMWarning):
+    """A body of revolution reaches its axis, and nothing holds it there radially."""
 
 
 class DegreesWarning(DolfinMPMWarning):

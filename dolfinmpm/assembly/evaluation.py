@@ -412,10 +412,16 @@ class _Region:
         slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
         slopes *= coupling.means.weight[s.order, None]
         flux = np.zeros((len(slopes), components, 1 + d))
-        flux[:, :, 1:] = slopes.reshape(len(slopes), components, d)
-        out = coupling.forces(components)
         # a rank without points has no size that could be found
         flat = flux.reshape(len(flux), components * (1 + d))
+        program = self.terms.mean_flux.get(k)
+        if program is None:
+            flux[:, :, 1:] = slopes.reshape(len(slopes), components, d)
+        else:
+            own = "mean slope", k
+            data = self._taken([key for key in program.inputs if key != own], s.order)
+            program.run({**data, own: slopes}, flat)
+        out = coupling.forces(components)
         coupling.add_forces(0, s.groups.size - 1, flat, 0, out)
         return out
 
@@ -429,7 +435,7 @@ class _Region:
 
     def moduli(self, out: Array) -> None:
         """Write the moduli of the tangents of laws at their points."""
-        s, points, d = self.part.stencils[0], self._points, self._points.gdim
+        s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
         chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
         for k in chosen:
             for first, last in self._chunks():

@@ -26,6 +26,7 @@ __all__ = [
     "functions_of",
     "greville",
     "integrals",
+    "middles",
     "number_functions",
     "spline_weights",
     "uniform_averages",
@@ -172,6 +173,16 @@ def integrals(line: Array, degree: int) -> Array:
     """Integrals (m) of the functions over the whole line: support over degree + 1."""
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     return (knots[degree + 1 :] - knots[: -degree - 1]) / (degree + 1)
+
+
+def middles(line: Array, degree: int) -> Array:
+    """Centroids (m) of the functions over the whole line: means of their knots.
+
+    The first moment of B-splines as densities (Curry & Schoenberg 1966, doi 10.1007/BF02788653).
+    """
+    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
+    windows = np.lib.stride_tricks.sliding_window_view(knots, degree + 2)
+    return np.asarray(windows.mean(axis=1), np.float64)
 
 
 def _moments(line: Array, degree: int, function: int, origin: float) -> Array:

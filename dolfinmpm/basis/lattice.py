@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 
 import numba
 import numpy as np
@@ -105,6 +106,38 @@ def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slop
 
 
 @numba.njit(cache=True, error_model="numpy")
+def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
+    """Averages of the slopes along the radius over a domain that is a ring, r dN/dr by mean r.
+
+    Beside S/r around the ring they are what is left of an integral of (r N)', so that an even
+    pressure is in balance for all functions, wherever their slopes vary within domains.
+
+    Args:
+        line, uniform, degree, first, count, x, half, part, slope: See `line_weights`; the
+            half-length is positive.
+        dS: Written (1/m), count + degree.
+    """
+    for i in range(count + degree):
+        dS[i] = 0.0
+    left = max(x - half, line[first])
+    right = min(x + half, line[first + count])
+    mean = 0.5 * (left + right)
+    for c in range(count):
+        a, b = max(left, line[first + c]), min(right, line[first + c + 1])
+        share, middle = 0.5 * (b - a) / (right - left) / mean, 0.5 * (a + b)
+        reach = 0.5 * (b - a) / math.sqrt(3.0)
+        for side in range(2):
+            at = middle - reach if side == 0 else middle + reach
+            if degree == 1:
+                slope[1] = 1.0 / (line[first + c + 1] - line[first + c])
+                slope[0] = -slope[1]
+            else:
+                weights_at(line, uniform, first + c, degree, at, part, slope)
+            for i in range(degree + 1):
+                dS[c + i] += share * at * slope[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def line_shares(line, uniform, degree, first, count, x, half, dS, shares, room, part, slope):
     """Splines one degree lower that a point sees in one direction, or its shares in cells.
 
@@ -148,7 +181,7 @@ def _keys(low, count, table_shape, key):
 
 
 @functools.cache
-def _fill(linear: bool):
+def _fill(linear: bool, rings: bool):
     """The loop that makes stencils, of linear functions without what splines need."""
 
     @numba.njit(cache=True, error_model="numpy")
@@ -210,6 +243,11 @@ def _fill(linear: bool):
                             line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d],
                             dS[d], part, slope,
                         )  # fmt: skip
+                if rings and half[p, 0] > 0.0:
+                    ring_slopes(
+                        lines[line_start[0] : line_start[1]], uniform, degree,
+                        origin[0] + low[p, 0], count[p, 0], x[p, 0], half[p, 0], dS[0], part, slope,
+                    )  # fmt: skip
                 start = value_start[g] + (position - groups[g]) * m
                 for a in range(m):
                     to, product = start + rank[a], 1.0
@@ -428,7 +466,7 @@ class LatticeBasis:
         known = bool(np.all(low >= 0) and np.all(low + count <= table))
         if not self.averaged and self.grid.comm.allreduce(known, op=MPI.LAND):
             low = self._beside_others(where.x, low)
-        result = self.stencils_in(where.x, half, low, count) if known else None
+        result = self.stencils_in(where.x, half, low, count, where.rings) if known else None
         if result is None:
             raise PointsOutsideGridError(
                 f"domains reach beyond the {self.halo.layers} layers of cells that are known "
@@ -436,13 +474,14 @@ class LatticeBasis:
             )
         return result
 
-    def stencils_in(self, x, half, low, count) -> Stencils | None:
+    def stencils_in(self, x, half, low, count, rings: bool = False) -> Stencils | None:
         """Stencils where the overlapped cells are given; None if a node is not known here.
 
         Args:
             x, half: Positions and half-lengths (m), shape (points, gdim).
             low: Position of the first overlapped cell in the halo's tables, likewise.
             count: Number of overlapped cells, likewise.
+            rings: Whether domains are rings about x[0] = 0.
         """
         halo, gdim = self.halo, x.shape[1]
         cell_shape = np.array(halo.cell_table.shape, np.int64)
@@ -460,7 +499,7 @@ class LatticeBasis:
             np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
-        known = _fill(self.degree == 1)(
+        known = _fill(self.degree == 1, rings)(
             x, half, self._lines, self._line_start, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,

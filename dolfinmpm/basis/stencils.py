@@ -34,12 +34,14 @@ class Placement:
         half: Half-lengths of their domains (m), likewise.
         volume: Volumes (m^gdim), shape (n,).
         cell: Local cells, shape (n,).
+        rings: Whether they are rings about x[0] = 0; averages of gradients are those over rings.
     """
 
     x: npt.NDArray[np.float64]
     half: npt.NDArray[np.float64]
     volume: npt.NDArray[np.float64]
     cell: npt.NDArray[np.int32]
+    rings: bool = False
 
 
 @dataclass(frozen=True)

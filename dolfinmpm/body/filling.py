@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     ShapeOutsideGridError,
     call_together,
 )
+from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
@@ -44,6 +45,7 @@ def fill(
     aligned: str = "grid",
     tag: int = 0,
     exact: bool = False,
+    axisymmetric: bool = False,
 ) -> MaterialPoints:
     """Place material points in a shape. Collective.
 
@@ -72,6 +74,9 @@ def fill(
             wherever the grid's lines are.
         tag: Number of the part of the body that these points are, from 0.
         exact: Whether parts that the surface cuts are filled with what is inside of them.
+        axisymmetric: Whether the shape is the section of a body of revolution about the axis
+            x[0] = 0, and the points are rings: volumes are 2π r times those of the parts, and
+            masses, forces and energies those of the whole body.
 
     Raises:
         ParameterError: An argument is not what it may be, or the volume cannot be made
@@ -79,7 +84,8 @@ def fill(
         ShapeOutsideGridError: The shape reaches outside the grid.
         EmptyShapeError: No point falls into the shape.
         UnsupportedGridError: The cells are curved, coordinates of single precision, or
-            `aligned="body"` is asked for on a grid that is not rectangular.
+            `aligned="body"` is asked for on a grid that is not rectangular; or a grid of rings
+            is not two-dimensional, or reaches beyond the axis.
 
     A box that ends in the middle of a row of cells is filled exactly:
 
@@ -93,7 +99,9 @@ def fill(
     """
     require_grid(grid)
     _check_arguments(shape, per_cell, aligned, tag)
-    exact = truth("exact", exact)
+    exact, axisymmetric = truth("exact", exact), truth("axisymmetric", axisymmetric)
+    if axisymmetric:
+        require_axis(grid)
     if not callable(density):
         number("density", density, 0.0, unit="kg/m^d")
     _check_inside(grid, shape)
@@ -113,10 +121,16 @@ def fill(
     if callable(density):
         rho = call_together(grid.comm, lambda: ask("density", density, x))
     ids = numbers_in_order(grid.comm, key[:, None])
-    points = MaterialPoints(grid, x, cell, volume, half, rho, tag, ids)
-    if shape.volume is not None:
+    whole = shape.volume
+    if axisymmetric:
+        volume = ring(x[:, 0], volume)
+        # by Pappus, where the centroid is known
+        middle = None if shape.centroid is None else shape.centroid[0]
+        whole = None if middle is None or whole is None else ring(middle, whole)
+    points = MaterialPoints(grid, x, cell, volume, half, rho, tag, ids, axisymmetric)
+    if whole is not None:
         total = grid.comm.allreduce(float(volume.sum()), op=MPI.SUM)
-        points.shape_volume = float(shape.volume)
+        points.shape_volume = float(whole)
         points.volume_error = (total - points.shape_volume) / points.shape_volume
     return points
 

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import own_constant
@@ -100,7 +101,7 @@ class RigidFooting:
 
     def _faces(self) -> Array:
         points, R = self.surface.points, self.surface.points[self.surface.offset.name]
-        return points["x"] + np.einsum("pij,pj->pi", points["F"], R)
+        return points["x"] + np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
 
     def contact(self, u, v) -> ufl.Form:
         """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.
@@ -130,7 +131,10 @@ class RigidFooting:
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
     def reaction(self) -> Array:
-        """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective."""
+        """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
+
+        On rings it is the whole force.
+        """
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 

@@ -55,7 +55,7 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
         a, b = beside(a, None), beside(b, None)
     rows = _rows_of_both(a, b)
     names = ("x", "cell", "V", "l", "density", "tag", "id")
-    points = type(a)(a.grid, *(rows[name] for name in names))
+    points = type(a)(a.grid, *(rows[name] for name in names), a.axisymmetric)  # type: ignore
     for body in (a, b):
         for name, field in body._ufl.items():
             if name not in points._ufl:
@@ -130,6 +130,11 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
         raise ParameterError(f"points are joined with points only, got a {type(b).__name__}")
     if a.grid is not b.grid:
         raise ParameterError("the bodies are on two grids; fill both on the same grid object")
+    if a.axisymmetric != b.axisymmetric:
+        raise ParameterError(
+            f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: rings "
+            "and points of plane strain cannot be joined; fill both alike"
+        )
     for name, field in b._ufl.items():
         if name in a._ufl and a._ufl[name].ufl_shape != field.ufl_shape:
             raise FieldShapeError(
@@ -160,7 +165,7 @@ def _overlap(a: MaterialPoints, b: MaterialPoints) -> ParameterError | None:
     if not len(a) or not len(b):
         return None
     # a point without a domain has no size but that of its volume
-    size = 0.5 * np.minimum(a["V"].min(), b["V"].min()) ** (1 / a.gdim)
+    size = 0.5 * min(c.placement().volume.min() for c in (a, b)) ** (1 / a.gdim)
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(a["x"]).query(b["x"], distance_upper_bound=_SAME * size)

@@ -14,6 +14,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import truth
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
     FieldShapeError,
@@ -23,6 +24,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
 from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
@@ -78,10 +80,15 @@ class MaterialPoints:
     x, x0        (n, d)      m        position, now and at first
     V, V0        (n,)        m^d      volume, now and at first
     density      (n,)        kg/m^d   mass per initial volume
-    F            (n, d, d)   -        deformation gradient
+    F            (n, e, e)   -        deformation gradient
     l, l0        (n, d)      m        half-lengths of the GIMP domain
     stress       (n, 3, 3)   Pa       Cauchy stress
     ===========  ==========  =======  =====================================
+
+    e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where points
+    are rings. Rings about the axis x[0] = 0 (`axisymmetric`) have volumes in m³, 2π r times the
+    area of their section, and so whole masses and forces; gradients at them have a hoop term,
+    see `dolfinmpm.body.axisymmetry`.
 
     Points come from `fill`, from `from_arrays`, `from_csv` and `from_mesh`, and from `a + b`; the
     constructor takes what these have found. Arrays in `fields` get other sizes when
@@ -98,8 +105,11 @@ class MaterialPoints:
             shape (n,).
         id: Their numbers, different on all ranks, shape (n,); by default in the order of the
             ranks.
+        axisymmetric: Whether the points are rings about the axis x[0] = 0; volumes are those of
+            whole rings then.
 
     Attributes:
+        strain_dim: Dimension of the gradients' tensors, gdim or 3.
         total: Number of points on all ranks; needs no communication.
         dt: Length of a step in time (s), a constant for UFL that `Transient`, `Newmark` and
             `GeneralisedAlpha` set.
@@ -114,7 +124,8 @@ class MaterialPoints:
             negative, not finite or larger than the grid's, a position not finite.
         FieldShapeError: An array has another shape.
         PointsOutsideGridError: A point is not in its cell.
-        UnsupportedGridError: The cells are curved, or coordinates of single precision.
+        UnsupportedGridError: The cells are curved, or coordinates of single precision; the grid of
+            rings is not two-dimensional, or reaches beyond the axis.
     """
 
     def __init__(
@@ -127,12 +138,17 @@ class MaterialPoints:
         density: float | npt.NDArray[np.float64],
         tag: int | npt.NDArray[np.int32] = 0,
         id: npt.NDArray[np.int64] | None = None,
+        axisymmetric: bool = False,
     ):
         require_grid(grid)
+        self.axisymmetric = truth("axisymmetric", axisymmetric)
+        if axisymmetric:
+            require_axis(grid)
         self.grid = grid
         self.comm: MPI.Intracomm = grid.comm
         self.number = next(_numbers)
-        self.gdim = d = grid.geometry.dim
+        self.gdim = grid.geometry.dim
+        self.strain_dim = e = 3 if axisymmetric else self.gdim
         self.fields: dict[str, npt.NDArray[Any]] = {}
         self._ufl: dict[str, PointField] = {}
         # which positions their ranks and cells are those of; see `settle`
@@ -147,15 +163,18 @@ class MaterialPoints:
         self.partition: Partition | None = None
         bounds(grid)  # all ranks ask for them together, once
 
-        values = call_together(
-            self.comm,
-            lambda: checked_rows(grid, x, cell, volume, half_length, density, tag, id),
-        )
+        def checked() -> dict[str, npt.NDArray[Any]]:
+            rows = checked_rows(grid, x, cell, volume, half_length, density, tag, id)
+            if axisymmetric:
+                checked_radii(rows["x"])
+            return rows
+
+        values = call_together(self.comm, checked)
         n = len(values["x"])
         if id is None:
             values["id"] += self.comm.exscan(n) or 0
         values |= {"x0": values["x"], "V0": values["V"], "l0": values["l"]}
-        values |= {"F": np.broadcast_to(np.eye(d), (n, d, d)), "stress": np.zeros((n, 3, 3))}
+        values |= {"F": np.broadcast_to(np.eye(e), (n, e, e)), "stress": np.zeros((n, 3, 3))}
         for name in ("id", "cell", "tag"):
             self.fields[name] = values[name]
         # measure of strain of the last step, see kinematics.history
@@ -189,6 +208,7 @@ class MaterialPoints:
         half_length: npt.ArrayLike | None = None,
         fields: Mapping[str, npt.ArrayLike] | None = None,
         id: npt.ArrayLike | None = None,
+        axisymmetric: bool = False,
     ) -> MaterialPoints:
         """Points at given positions, wherever they are on the grid. Collective.
 
@@ -199,15 +219,17 @@ class MaterialPoints:
         Args:
             grid: Background grid.
             x: Positions (m), shape (n, gdim).
-            volume: Volumes (m^d), a number or shape (n,).
+            volume: Volumes (m^d), a number or shape (n,); of rings the whole ones (m³).
             density: Mass per volume (kg/m^d): a number, shape (n,), or a function of
                 positions in DOLFINx's layout, shape (gdim, n), to n values.
             tag: Which part of the body the points belong to, a number or shape (n,).
             half_length: Half-lengths of the points' domains (m): a number, shape (gdim,) or
-                (n, gdim); by default those of a cube of the point's volume.
+                (n, gdim); by default those of a cube of the point's volume, or of a square of the
+                area of the ring's section.
             fields: Further fields by name, shape (n, ...).
             id: Numbers of the points, shape (n,); by default in the order of their
                 coordinates, whatever rank gave them.
+            axisymmetric: Whether they are rings about the axis x[0] = 0.
 
         Raises:
             FieldShapeError: An array has the wrong shape, or the ranks give different fields.
@@ -218,9 +240,10 @@ class MaterialPoints:
             UnsupportedGridError: The cells are curved, or coordinates of single precision.
         """
         rows, others = sources.located(
-            grid, x, volume, density, tag, half_length, fields or {}, id, reserved=_RESERVED
-        )
-        points = cls(grid, **rows)
+            grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
+            reserved=_RESERVED,
+        )  # fmt: skip
+        points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():
             points.add_field(name, values.shape[1:])
             points[name] = values
@@ -234,6 +257,7 @@ class MaterialPoints:
         density: Density | None = None,
         tag: int = 0,
         delimiter: str = ",",
+        axisymmetric: bool = False,
     ) -> MaterialPoints:
         """Points from a table of text, one a line, read on rank 0. Collective.
 
@@ -247,13 +271,15 @@ class MaterialPoints:
             density: As `from_arrays`, for a file without that column.
             tag: Tag of the points of a file without that column.
             delimiter: What separates columns.
+            axisymmetric: As `from_arrays`.
 
         Raises:
             ParameterError: A column is missing, named twice or has no value that is a
                 number; the message has line and column. Or as `from_arrays`.
             OSError: The file cannot be read.
         """
-        return cls.from_arrays(grid, **files.from_csv(grid, path, density, tag, delimiter))
+        rows = files.from_csv(grid, path, density, tag, delimiter)
+        return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     @classmethod
     def from_mesh(
@@ -264,6 +290,7 @@ class MaterialPoints:
         points: str = "quadrature",
         degree: int = 2,
         tag: int | None = None,
+        axisymmetric: bool = False,
     ) -> MaterialPoints:
         """Points in the cells of a mesh of the body, such as Gmsh's. Collective.
 
@@ -280,6 +307,8 @@ class MaterialPoints:
             degree: Degree of the polynomials that the quadrature integrates.
             tag: Tag of all the points; by default the number of the physical group of
                 their cell, 0 for cells in none.
+            axisymmetric: Whether the mesh is the section of a body of revolution about x[0] = 0,
+                and the points are rings.
 
         Raises:
             ParameterError: `points` or `degree` is not what it may be, a cell has no volume, or
@@ -288,7 +317,10 @@ class MaterialPoints:
             PointsOutsideGridError: Points are outside the grid.
             OSError: The file cannot be read.
         """
-        return cls.from_arrays(grid, **files.from_mesh(grid, mesh, density, points, degree, tag))
+        rows = files.from_mesh(grid, mesh, density, points, degree, tag)
+        if truth("axisymmetric", axisymmetric):
+            rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
+        return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     def _mark(self, volume: str) -> dict[str, Any]:
         return {"points": self.number, "volume": volume}
@@ -394,7 +426,8 @@ class MaterialPoints:
             configuration: "updated" for where they are now, "total" for where they were at first.
         """
         x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
-        return Placement(self[x], self[half], self[volume], self["cell"])
+        size = section(self, volume, x)
+        return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
     def __setattr__(self, name: str, value: Any) -> None:
         # without this `points.density = 5000.0` would hide the field and change nothing

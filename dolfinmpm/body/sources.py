@@ -7,6 +7,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -15,6 +16,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring
 from dolfinmpm.body.checks import checked, checked_tag, require_grid
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
@@ -26,19 +28,33 @@ Array = npt.NDArray[np.float64]
 
 
 def located(
-    grid: Mesh, x, volume, density, tag, half_length, fields, id, reserved: tuple[str, ...]
+    grid: Mesh,
+    x,
+    volume,
+    density,
+    tag,
+    half_length,
+    fields,
+    id,
+    axisymmetric: bool,
+    reserved: tuple[str, ...],
 ) -> tuple[Rows, Rows]:
     """Arguments of `MaterialPoints` and further fields, of points given anyhow. Collective.
 
     Args:
-        grid, x, volume, density, tag, half_length, fields, id: As `MaterialPoints.from_arrays`.
+        grid, x, volume, density, tag, half_length, fields, id, axisymmetric: As
+            `MaterialPoints.from_arrays`.
         reserved: Names that further fields cannot have.
     """
     require_grid(grid)
+    if truth("axisymmetric", axisymmetric):
+        require_axis(grid)
     comm, gdim = grid.comm, grid.geometry.dim
     given = call_together(
         comm,
-        lambda: _rows(gdim, x, volume, density, tag, half_length, fields, id, reserved),
+        lambda: _rows(
+            gdim, x, volume, density, tag, half_length, fields, id, axisymmetric, reserved
+        ),
     )
     rows = _once(comm, _alike(comm, given))
     numbers = numbers_in_order(comm, rows["x"])
@@ -73,7 +89,9 @@ def _outside(id, x) -> PointsOutsideGridError | None:
     )
 
 
-def _rows(gdim, x, volume, density, tag, half_length, fields, id, reserved) -> Rows:
+def _rows(
+    gdim, x, volume, density, tag, half_length, fields, id, axisymmetric: bool, reserved
+) -> Rows:
     """The arrays that this rank gives, checked."""
     try:
         at = np.asarray(x, float)
@@ -102,8 +120,11 @@ def _rows(gdim, x, volume, density, tag, half_length, fields, id, reserved) -> R
                 f"{name} = {rows[name][bad[0]]} of row {bad[0]}, at {at[bad[0]]} m, must be {rule} "
                 f"({len(bad)} such points on this rank)"
             )
+    if axisymmetric:
+        checked_radii(at)
     if half_length is None:
-        half_length = 0.5 * rows["volume"][:, None] ** (1 / gdim)
+        size = rows["volume"] / ring(at[:, 0], 1.0) if axisymmetric else rows["volume"]
+        half_length = 0.5 * size[:, None] ** (1 / gdim)
         half_length = np.repeat(half_length, gdim, axis=1)
     rows["half_length"] = checked("half_length", half_length, (n, gdim))
     if id is not None:

@@ -36,6 +36,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
@@ -80,6 +81,9 @@ class Surface:
     both as they were at first, and zero for points that are not at the face. A
     point at an edge of the body may belong to several surfaces.
 
+    Faces of rings are rings themselves: their area is 2π r times the length of their section, with
+    r the radius of the centre of the face, and the forces of loads are those on the whole body.
+
     Args:
         points: Material points.
         where: Function of the centres of the points' faces as they were at first (m),
@@ -97,7 +101,8 @@ class Surface:
 
     Raises:
         ParameterError: The points, the place or the name is not what it may be, the normal
-            is not a unit axis, the name is taken, or some of the faces lie inside the body.
+            is not a unit axis, the name is taken, some of the faces lie inside the body, or, of
+            rings, on the axis.
         EmptyShapeError: No face lies there.
         UnsupportedGridError: The grid is not rectangular.
     """
@@ -137,6 +142,9 @@ class Surface:
         _check_exposed(points, chosen, n)
         across = np.delete(points["l0"], axis, axis=1)
         area = np.prod(2 * across, axis=1)[:, None] * n
+        if points.axisymmetric:
+            raise_together(points.comm, _on_axis(points, faces, chosen))
+            area = ring(faces[:, :1], area)
         self._set(points, np.where(chosen[:, None], offset, 0.0),
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
@@ -155,7 +163,7 @@ class Surface:
             offset: From the points' centres to their faces, as at first (m), shape
                 (points on this rank, gdim).
             area: Area times outward unit normal, as at first (m^(d-1)), likewise; zero
-                for points that are not at the face.
+                for points that are not at the face. Of rings the whole area (m²).
             name: Name of the fields.
 
         Raises:
@@ -178,6 +186,8 @@ class Surface:
                     f"{what} = {values[p]} of the point at {points['x'][p]} m must be finite"
                 )
         raise_together(points.comm, error)
+        if points.axisymmetric:
+            raise_together(points.comm, _on_axis(points, points["x0"] + R, np.any(A, axis=1)))
         if not points.comm.allreduce(bool(np.any(A)), op=MPI.LOR):
             raise EmptyShapeError("all areas of the surface are zero; give some point an area")
         surface = cls.__new__(cls)
@@ -214,13 +224,18 @@ class Surface:
         """
         return ufl.sqrt(ufl.dot(self.area, self.area)) / self.points.V0
 
+    @property
+    def _reach(self) -> Expr:
+        """From the centres of the points to their faces at the start of the step, F_n R (m)."""
+        return ufl.dot(in_section(self.points, self.points.F), self.offset)
+
     def at(self, w) -> Expr:
         """An increment or a test function at the face: w + ∇w·F_n R."""
-        return w + ufl.dot(ufl.grad(w), ufl.dot(self.points.F, self.offset))
+        return w + ufl.dot(ufl.grad(w), self._reach)
 
     def position(self, u=None) -> Expr:
         """Position of the face (m) at the start of the step, or under the increment u."""
-        start = self.points.x + ufl.dot(self.points.F, self.offset)
+        start = self.points.x + self._reach
         return start if u is None else start + self.at(u)
 
     def traction(self, t, v) -> ufl.Form:
@@ -282,7 +297,7 @@ class Surface:
         """Virtual work of a pressure that follows the face, to be subtracted.
 
         −∫ p J F⁻ᵀ A0 · v(x_s) with F = (I + ∇ũ) F_n, by Nanson's formula. The tangent is
-        derived from it, that of the load included.
+        derived from it, that of the load included. The hoop stretch of a ring is that of the face.
 
         Args:
             p: Pressure on the face as it is now (Pa), positive towards the body: a DOLFINx
@@ -299,8 +314,11 @@ class Surface:
                 "is a traction"
             )
         check_displacement(points, u=u, v=v)
-        F = ufl.dot(ufl.Identity(points.gdim) + ufl.grad(u), points.F)
+        F = ufl.Identity(points.gdim) + ufl.grad(u)
+        F = ufl.dot(F, in_section(points, points.F))
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
+        if points.axisymmetric:
+            face *= self.position(u)[0] / (points.x0 + self.offset)[0]
         work = -p * ufl.dot(face, self.at(v)) / points.V0
         return acting(work, points, f"the pressure on '{self.name}'")
 
@@ -325,12 +343,26 @@ class Surface:
     def displacements(self) -> Array:
         """Displacements of the faces since the first (m), shape (points on this rank, gdim)."""
         points, R = self.points, self.points[self.offset.name]
-        moved = np.einsum("pij,pj->pi", points["F"], R) - R
+        moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area
+
+
+def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
+    """An error if chosen faces of rings, at these centres, lie on the axis."""
+    radius = faces[:, 0]
+    bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
+    if not bad.size:
+        return None
+    p = bad[0]
+    return ParameterError(
+        f"the face of point {points['id'][p]} has the radius {radius[p]:.3g} m, and it must be "
+        f"positive: the axis is no boundary of the body ({bad.size} such faces here); leave them "
+        "out"
+    )
 
 
 def _axis(normal: Any, gdim: int) -> Array:

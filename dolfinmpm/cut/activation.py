@@ -20,6 +20,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space, extraction
 from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
@@ -293,9 +294,11 @@ def activate(
     entities = _entities(points, bases, seen, terms.moving)
     active = []
     for k, field in enumerate(fields):
-        active.append(
-            _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
-        )
+        found = _field(
+            field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k],
+            points.axisymmetric,
+        )  # fmt: skip
+        active.append(found)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
@@ -347,7 +350,7 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         here: What is active.
     """
     fields, unknowns = here.fields, here.unknowns
-    F = points["F"] if here.total else None
+    F = in_section(points, points["F"]) if here.total else None
     chosen = region.chosen(points["tag"])
 
     def part(s: Stencils) -> Stencils:
@@ -467,15 +470,16 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    entities: Entities,
+    entities: Entities, rings: bool,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
     remedy, penalty, active = field.remedy, None, nodes
     C = remedy.ties(where, basis, seen, nodes, fixed, roots) if field.ties_nodes else None
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
+        radius = basis.node_coordinates()[:, 0] if rings else None
         rows, columns, values = remedy.penalty(
-            field.space.grid, basis.degree, C, owned, field.space.components
+            field.space.grid, basis.degree, C, owned, field.space.components, radius
         )
         penalty, C = Blocks(number, number, rows, columns, values), None
     if field.prolongate is not None:

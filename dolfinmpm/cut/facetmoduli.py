@@ -5,6 +5,9 @@ modulus M and the shear modulus G of the isotropic tensor that is nearest to it.
 means over the points of its two cells, weighted with volumes. They are frozen in a step, so
 that the penalty stays linear in the increment.
 
+At points that are rings facets are rings too: a value has the factor 2π r, r being that of the
+middle between the centres of the facet's cells.
+
 Not the tangent at the start of a step: there yielding points stand on the yield surface, where
 rounding decides between an elastic and a plastic one.
 """
@@ -18,7 +21,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis import Placement
+from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.fractions import cell_sums
 from dolfinmpm.grid.lattice import once_per_grid
@@ -26,7 +31,15 @@ from dolfinmpm.grid.lattice import once_per_grid
 if TYPE_CHECKING:
     from dolfinmpm.cut.activation import ActiveField
 
-__all__ = ["FIELD", "LEAST", "FacetModulus", "bounded", "isotropic_moduli", "update"]
+__all__ = [
+    "FIELD",
+    "LEAST",
+    "FacetModulus",
+    "FacetRing",
+    "bounded",
+    "isotropic_moduli",
+    "update",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -60,8 +73,8 @@ class FacetModulus(fem.Function):
 
     Attributes:
         points, increment, target, scaling: The arguments.
-        moduli: M and G of each facet (Pa), in the order of the field's entities, shape
-            (facets, 2).
+        moduli: M and G of each facet (Pa; of rings, times 2π r), in the order of the field's
+            entities, shape (facets, 2).
         values: Value at each facet (Pa), shape (facets,).
     """
 
@@ -73,6 +86,30 @@ class FacetModulus(fem.Function):
         self.scaling = scaling
         self.moduli: Array = np.empty((0, 2))
         self.values: Array = np.empty(0)
+
+
+class FacetRing(FacetModulus):
+    """2π r of ghost facets that are rings (m), in a term whose modulus is a number.
+
+    Args:
+        points: Material points.
+        u: Increment that the term is of.
+    """
+
+    def __init__(self, points: MaterialPoints, u):
+        super().__init__(points, u, None, "literal")
+
+
+@once_per_grid
+def _radii(grid) -> Array:
+    """Radii of the centres of the local cells (m)."""
+    return grid.geometry.x[geometry_dofmap(grid), 0].mean(axis=1)
+
+
+def _rings(points: MaterialPoints, facets: npt.NDArray[np.int32]) -> Array:
+    """2π r of facets, shape (facets, 1)."""
+    cells = _radii(points.grid)[facets[:, [0, 2]]]
+    return ring(cells.mean(axis=1, keepdims=True), 1.0)
 
 
 def isotropic_moduli(tangent: Array) -> Array:
@@ -110,6 +147,10 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
         field: Field of its increment on the active cells.
     """
     points = modulus.points
+    facets = field.entities[GHOST_FACETS].reshape(-1, 4)
+    if isinstance(modulus, FacetRing):
+        modulus.moduli = _rings(points, facets) * [1.0, 0.0]
+        return
     where: Placement = points.placement(field.space.configuration)
     M, G = points[FIELD].T
     # points without a law do not count
@@ -119,7 +160,6 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     ]
     if field.basis.grid_cells is not None:
         sums = [s[field.basis.grid_cells] for s in sums]
-    facets = field.entities[GHOST_FACETS].reshape(-1, 4)
     weight, M, G = (s[facets[:, 0]] + s[facets[:, 2]] for s in sums)
     means = np.stack([M, G], axis=1)
     known = weight > 0
@@ -131,4 +171,4 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
         )
         total = points.comm.allreduce(own)
         means[~known] = total[1:] / total[0] if total[0] > 0 else 0.0
-    modulus.moduli = means
+    modulus.moduli = means * _rings(points, facets) if points.axisymmetric else means

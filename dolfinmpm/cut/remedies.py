@@ -24,9 +24,10 @@ from dolfinmpm.body.arguments import (
     check_points,
     check_test,
 )
+from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.aggregation import MeshRoots, ties
-from dolfinmpm.cut.facetmoduli import FacetModulus
+from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import cell_size
@@ -93,7 +94,8 @@ def ghost(
     Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
     (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
     increment, so that nothing accumulates. On splines of degree q, which are smooth
-    up to the derivative q − 1, only the term k = q is there.
+    up to the derivative q − 1, only the term k = q is there. Of points that are rings facets
+    are rings too, with areas of 2π r times their lengths.
 
     Args:
         points: Material points; the facets are those of their boundary cells.
@@ -147,6 +149,8 @@ def ghost(
             factor *= gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
     else:
         factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
+        if points.axisymmetric:
+            factor *= FacetRing(points, u)("+")
     space = getattr(u, "_dolfinmpm_space", None)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
@@ -195,9 +199,11 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
     check_displacement(points, u=u, v=v)
     number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0)
     lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
-    strain = ufl.sym(ufl.grad(u))
-    stress = lmbda * ufl.tr(strain) * ufl.Identity(points.gdim) + 2 * mu * strain
-    return ufl.inner(stress, ufl.grad(v)) * points.dC
+    radius = ufl.SpatialCoordinate(points.grid)[0]
+    strain = ufl.sym(gradient(points, u, radius))
+    stress = lmbda * ufl.tr(strain) * ufl.Identity(points.strain_dim) + 2 * mu * strain
+    energy = ufl.inner(stress, gradient(points, v, radius))
+    return (ring(radius, energy) if points.axisymmetric else energy) * points.dC
 
 
 @dataclass(frozen=True)
@@ -334,14 +340,21 @@ class Stabilisation:
         return ties(basis, nodes, filled, level, extended, fixed, roots)
 
     def penalty(
-        self, grid: Mesh, degree: int, C: sparse.csr_matrix, nodes, components: int
+        self,
+        grid: Mesh,
+        degree: int,
+        C: sparse.csr_matrix,
+        nodes,
+        components: int,
+        radius: npt.NDArray[np.float64] | None = None,
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Weak aggregation: γ E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
 
         The distance of a node from the continued polynomial is penalised in place
         of being made zero (after Badia, Neiva & Verdugo 2022, doi
         10.1016/j.cma.2021.114093). The continuation is taken to have the scale of a
-        stiffness, E h^{d−2}.
+        stiffness, E h^{d−2}; of rings, which have a radius, with the factor 2π r, r being no less
+        than half a cell.
 
         Returns:
             Rows, columns and blocks, as the ordinary terms give them.
@@ -359,6 +372,8 @@ class Stabilisation:
         share = own / np.maximum(norms, 1.0)
         gamma = WEAK_FACTORS[degree] if self.gamma is None else self.gamma
         assert not isinstance(gamma, str)
+        if radius is not None:
+            share *= ring(np.maximum(radius, 0.5 * size), 1.0)
         weights = sparse.diags(share * gamma * self.E * size ** (grid.geometry.dim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
         blocks = product.data[:, None, None] * np.eye(components)

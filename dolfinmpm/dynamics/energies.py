@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.operator import Operator
 
@@ -45,7 +46,7 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
 
 @dataclass
 class Work:
-    """Work done since the first step (J, a metre across in 2D).
+    """Work done since the first step (J; a metre across in 2D, the whole of rings).
 
     Attributes:
         external: By loads and prescribed motions.
@@ -72,8 +73,8 @@ class Work:
             operator: The step's equations, moved to the increments.
             external: Work of loads and prescribed motions (J).
         """
-        d = points.gdim
-        H = operator.points.gradient[0]
+        d, at = points.strain_dim, operator.points
+        H = full_gradient(points, at.value[0], at.gradient[0])
         # rate of deformation at the middle of the step
         rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
         before, after = points["V"].copy(), new["V"].copy()
@@ -93,7 +94,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies of a body (J, a metre across in 2D).
+    """Energies of a body (J; a metre across in 2D, the whole of rings).
 
     Attributes:
         kinetic: ½ Σ m v².

@@ -133,7 +133,7 @@ class Explicit(Problem):
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         self._kept_state = Snapshot(points)
-        sides = Sides(faces, points.gdim)
+        sides = Sides(faces, points)
         found = self._fused(sides, options) if fused else "it was not to be"
         self._loop: Fused | General
         if isinstance(found, str):

@@ -13,9 +13,11 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import number
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.bspline import integrals
+from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.axisymmetry import ring
+from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import handed_on
 from dolfinmpm.grid.lattice import require_lattice
 
@@ -129,12 +131,13 @@ class Faces:
         faces: The faces.
         basis: Basis with the overlap that steps need.
         d: Dimension of space.
+        rings: Whether the body's points are rings, and the faces with them.
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
     """
 
-    def __init__(self, faces: Sequence[Face], basis: Any, d: int):
+    def __init__(self, faces: Sequence[Face], basis: Any, d: int, rings: bool = False):
         self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
@@ -150,6 +153,8 @@ class Faces:
                 if self.dashpots is None:
                     self.dashpots = np.zeros((basis.nodes.size, d))
                 area = _areas(basis, nodes, face.axis)
+                if rings:
+                    area = ring(_middles(basis, nodes, face), area)
                 for k in range(d):
                     rate = face.impedance[0 if k == face.axis else 1]
                     self.dashpots[nodes, k] += rate * area
@@ -200,11 +205,11 @@ class Sides:
 
     Args:
         faces: The faces.
-        d: Dimension of space.
+        points: Material points that they act on.
     """
 
-    def __init__(self, faces: Sequence[Face], d: int):
-        self._faces, self._d = list(faces), d
+    def __init__(self, faces: Sequence[Face], points: MaterialPoints):
+        self._faces, self._d, self._rings = list(faces), points.gdim, points.axisymmetric
         # a basis goes with the partition of the lattice that it is for
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
@@ -216,8 +221,16 @@ class Sides:
         if not self._faces:
             return None
         if basis not in self._on:
-            self._on[basis] = Faces(self._faces, basis, self._d)
+            self._on[basis] = Faces(self._faces, basis, self._d, self._rings)
         return self._on[basis]
+
+
+def _middles(basis: LatticeBasis, nodes: npt.NDArray[np.intp], face: Face) -> Array:
+    """Radii of the centroids of the nodes' functions on a side (m)."""
+    line = basis.lattice.lines[0]
+    if face.axis == 0:
+        return np.full(nodes.size, line[-1 if face.end else 0])
+    return middles(line, basis.degree)[basis.halo.node_ijk[nodes, 0]]
 
 
 def _areas(basis: LatticeBasis, nodes: npt.NDArray[np.intp], axis: int) -> Array:

@@ -34,6 +34,8 @@ def why_not(form: WeakForm) -> str | None:
     space = form.spaces[0]
     if points.gdim == 1:
         return "they are written for two and three dimensions"
+    if points.axisymmetric:
+        return "points that are rings about an axis"
     if any(one is not None for one in form.parts.grid.external):
         return "loads over cells or facets of the grid"
     kinds = {_kind(d) for d in declarations}

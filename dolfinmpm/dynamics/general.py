@@ -17,6 +17,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.held import Held
@@ -28,7 +29,7 @@ from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.dynamics.settings import Settings
-from dolfinmpm.dynamics.transfer import collect, scatter_stress
+from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import advance, commit
 from dolfinmpm.solve.method import only_momentum
@@ -194,19 +195,19 @@ class General:
             forces.arrays[0][:] = -operator.forces()[0]
             return forces
         points = self._problem.points
-        d = points.gdim
         weight, stress = points["V"].copy(), points["stress"]
         if u is not None:
             operator.place([u])
             state = advance(operator, self._updates, False, self._cell, self._number)
             if isinstance(state, str):
                 return state
-            weight *= np.linalg.det(operator.points.gradient[0] + np.eye(d))
+            at = operator.points
+            weight *= np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
             stress = state.fields["stress"]
         for declaration in self._problem.form.parts.declarations:
             if declaration.strain == "small":
                 weight[declaration.rows] = points["V0"][declaration.rows]
-        scatter_stress(s, weight[:, None, None] * stress[:, :d, :d], forces.arrays[0])
+        scatter_tensor(points, s, weight[:, None, None] * stress, forces.arrays[0])
         forces.arrays[0][:] *= -1.0
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
@@ -219,7 +220,8 @@ class General:
         if b != (0.0, 0.0):
             speeds = wave_speed(points, self._problem.form.parts.declarations)
             viscous = mass.nodal()
-            scatter_stress(s, viscous_pressure(points, s, V, b, speeds), viscous.arrays[0])
+            pressure = viscous_pressure(points, s, V, b, speeds)
+            scatter_tensor(points, s, pressure, viscous.arrays[0])
             viscous.add_up()
             forces.arrays[0][:] -= viscous.arrays[0]
         for one in self._settings.filters:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils, gather
+from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.mass import Mass
 from dolfinmpm.grid.lattice import smallest_height
@@ -154,12 +155,13 @@ def viscous_pressure(
         c: Wave speeds (m/s), shape (points,).
 
     Returns:
-        Shape (points, d, d) (N m).
+        Shape (points, strain_dim, strain_dim) (N m).
     """
     n, d = len(points), points.gdim
-    gradient = np.empty((n, d, d))
-    gather(s, V, np.empty((n, d)), gradient)
+    velocity, gradient = np.empty((n, d)), np.empty((n, d, d))
+    gather(s, V, velocity, gradient)
+    gradient = full_gradient(points, velocity, gradient)
     rate = np.minimum(np.trace(gradient, axis1=1, axis2=2), 0.0)
     h = smallest_height(points.grid)
     q = points["density"] * points["V0"] * h * (b[0] * c * -rate + b[1] ** 2 * h * rate**2)
-    return -q[:, None, None] * np.eye(d)
+    return -q[:, None, None] * np.eye(points.strain_dim)

@@ -140,7 +140,7 @@ class TimeStepping(QuasiStatic):
                 )
         super().__init__(form, increment, points, conditions, **options)
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
-        sides = Sides(faces, points.gdim)
+        sides = Sides(faces, points)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
         self.form.inertia = terms
 

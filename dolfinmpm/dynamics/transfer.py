@@ -11,8 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["collect", "mass_entries", "moments", "scatter", "scatter_affine", "scatter_stress"]
+__all__ = [
+    "collect",
+    "mass_entries",
+    "moments",
+    "scatter",
+    "scatter_affine",
+    "scatter_stress",
+    "scatter_tensor",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -160,6 +169,23 @@ def scatter_stress(s: Stencils, stress: Array, out: Array) -> None:
         out: Sums, shape (nodes, d).
     """
     _scatter_stress(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.dN, stress, out)
+
+
+def scatter_tensor(points: MaterialPoints, s: Stencils, stress: Array, out: Array) -> None:
+    """Add the forces (N) of stresses at the points to nodal sums, of rings with their hoop stress.
+
+    Args:
+        points: Material points.
+        s: Their stencils.
+        stress: Stresses times volumes (N m), shape (points, e, e), e being 3 or `strain_dim`.
+        out: Sums, shape (nodes, d).
+    """
+    d = points.gdim
+    scatter_stress(s, stress[:, :d, :d], out)
+    if points.axisymmetric:
+        radial = np.zeros((len(stress), d))
+        radial[:, 0] = stress[:, 2, 2] / points["x"][:, 0]
+        scatter(s, np.ones(len(stress)), radial, out)
 
 
 def collect(s: Stencils, q: Array) -> Array:

@@ -108,8 +108,8 @@ class PointTerms:
         for k, operator in enumerate(slots.operators):
             if isinstance(operator.law, AveragingLaw) and self.field_of(k) is None:
                 raise FormError(
-                    f"'{operator}' averages over cells and takes the gradient of an increment, not "
-                    f"'{brief(operator.operand)}'"
+                    f"'{operator}' averages over cells and takes the gradient of one increment, "
+                    f"not '{brief(operator.operand)}'"
                 )
 
     def _has(self, tags: Tags) -> bool:
@@ -182,17 +182,27 @@ class PointTerms:
         """Flux that does, or None. Collective at first."""
         return _flux_program(self._fluxes[True], self.slots) if self._fluxes[True] else None
 
-    def field_of(self, k: int) -> int | None:
-        """The field whose gradient is the k-th operator's operand, or None."""
+    def _direct(self, k: int) -> int | None:
+        """The field whose gradient itself is the k-th operator's operand, or None."""
         direct = [f for f, g in enumerate(self.slots.gradient) if self._operands[k] is g]
         return direct[0] if direct else None
+
+    def field_of(self, k: int) -> int | None:
+        """The one field whose gradient, or value, the k-th operator's operand is made of."""
+        direct = self._direct(k)
+        if direct is not None:
+            return direct
+        nodes = set(unique_pre_traversal(self._operands[k]))
+        both = zip(self.slots.value, self.slots.gradient)
+        found = [f for f, variables in enumerate(both) if nodes & set(variables)]
+        return found[0] if len(found) == 1 else None
 
     @functools.cached_property
     def operands(self) -> list[Program | tuple]:
         """For every operator the program of its operand, or the key of its data."""
         made: list[Program | tuple] = []
         for k, expression in enumerate(self._operands):
-            field = self.field_of(k)
+            field = self._direct(k)
             if field is not None:
                 made.append(("gradient", field))
                 continue
@@ -221,6 +231,25 @@ class PointTerms:
             for k, operator in enumerate(self.operators)
             if isinstance(operator.law, AveragingLaw) and self._fluxes[True]
         }
+
+    @functools.cached_property
+    def mean_flux(self) -> dict[int, Program]:
+        """For operators whose law averages over cells, and whose operand is more than a gradient,
+        what nodes do to the mean: flux of the field of the operand, of the derivative
+        ("mean slope", k) of the averaged scalar by the operand. Collective at first."""
+        return {
+            k: self._mean_flux(k)
+            for k, operator in enumerate(self.operators)
+            if isinstance(operator.law, AveragingLaw) and self._direct(k) is None
+        }
+
+    def _mean_flux(self, k: int) -> Program:
+        slots, operand, field = self.slots, self._operands[k], self.field_of(k)
+        assert field is not None
+        slope = slots.slot(("mean slope", k), operand.ufl_shape)
+        total = ufl.inner(slope, operand)
+        flux = [_derive(total, slots.value[field]), _derive(total, slots.gradient[field])]
+        return _flux_program([flux], slots, [field])
 
     def _by_mean(self, k: int) -> list[list[Expr]]:
         slots = self.slots
@@ -285,9 +314,10 @@ class PointTerms:
         return TangentBlock(program, row_value, value)
 
 
-def _flux_program(fluxes, slots: Slots) -> Program:
+def _flux_program(fluxes, slots: Slots, fields: Sequence[int] | None = None) -> Program:
     components = []
-    for (value, gradient), space in zip(fluxes, slots.spaces):
+    spaces = slots.spaces if fields is None else [slots.spaces[f] for f in fields]
+    for (value, gradient), space in zip(fluxes, spaces):
         for i in np.ndindex(*space.increment.ufl_shape):
             components.append(_at(value, i))
             components += [_at(gradient, (*i, j)) for j in range(slots.points.gdim)]

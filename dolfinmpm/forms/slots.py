@@ -32,8 +32,9 @@ class Slots(MultiFunction):
     """Replaces all that varies from point to point by constants, and keeps their sources.
 
     The keys of the sources: ("value", k) and ("gradient", k) of field k's
-    increment; ("field", name); ("operator", k), ("operator tangent", k) and
-    ("operator by mean", k); ("function", k) for the k-th of `functions`; ("constant", k).
+    increment; ("field", name); ("operator", k), ("operator tangent", k),
+    ("operator by mean", k) and ("mean slope", k); ("function", k) for the k-th of
+    `functions`; ("constant", k).
     """
 
     spaces: Sequence[Space]

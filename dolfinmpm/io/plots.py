@@ -13,6 +13,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.figures import check_picture, check_size, two_numbers
@@ -102,6 +103,7 @@ def plot(
     error: Exception | None = None
     if gathered is not None:
         x, F, half, half0, values = gathered
+        F = in_section(points, F)
         unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
         scalars, symbol = _scalar(x - values if derived else values, component, points.gdim)
         missing = np.flatnonzero(~np.isfinite(scalars))
@@ -111,7 +113,7 @@ def plot(
                 f"{x[missing[0]]} m; give limits to leave such points blank"
             )
         scale, prefix = _prefix(scalars, limits) if unit == "Pa" else (1.0, "")
-        unit = prefix + unit.replace("^d", f"^{points.gdim}")
+        unit = prefix + unit.replace("^d", f"^{points.strain_dim}")
         # columns are the half-edges of the points' domains
         edges = half[:, None] * np.eye(points.gdim) if draw == "domains" else F * half0[:, None]
         scene = Scene(

@@ -178,7 +178,7 @@ class FBar:
     With ΔF = I + H, ΔJ = det ΔF and ΔJ̄ its mean over the cells of the point, or over
     splines one degree lower (see `CellMeans`), weighted with the volumes at the start of the
     step, the framework is given ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), d the dimension of space (2
-    in plane strain). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
+    in plane strain, 3 of rings). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
     volume with true spatial gradients, S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ: Cauchy stress belongs to
     the F̄ that made it, σ = τ/J̄, and the factor J/J̄ is left in as de Souza Neto et al. have
     it, who integrate σ(F̄) over the true volume.
@@ -266,7 +266,7 @@ class FBar:
     def describe(self, operand: Array, row: int) -> str:
         """What is known of a point at which there is no stress; see `Framework`."""
         changed = np.empty((1, operand.size))
-        here, d = slice(row, row + 1), self.points.gdim
+        here, d = slice(row, row + 1), self.points.strain_dim
         flat = np.ascontiguousarray(operand, float).reshape(1, -1)
         bad = _replace_volume(
             flat, self._measure[here], self._mean[here], d, self._multiplicative, changed
@@ -275,7 +275,7 @@ class FBar:
 
     def _measured(self, operand: Array) -> Array:
         out = np.empty(len(operand))
-        _measure(operand, self.points.gdim, self._multiplicative, out)
+        _measure(operand, self.points.strain_dim, self._multiplicative, out)
         return out
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
@@ -286,12 +286,12 @@ class FBar:
     def measure_slope(self, operand: Array) -> Array:
         """ΔJ ΔF⁻ᵀ, or I; see `AveragingLaw`."""
         out = np.empty_like(operand)
-        _slope(operand, self.points.gdim, self._multiplicative, out)
+        _slope(operand, self.points.strain_dim, self._multiplicative, out)
         return out
 
     def _history(self, rows) -> Array:
         """J/J̄ at the start of the step."""
-        points, d = self.points, self.points.gdim
+        points, d = self.points, self.points.strain_dim
         F = points["F"][rows].reshape(-1, d * d)
         J = np.empty(len(F))
         _measure(F - np.eye(d).ravel(), d, True, J)
@@ -302,7 +302,7 @@ class FBar:
         by_mean: Array | None = None, kept: Kept | None = None,
     ) -> int:  # fmt: skip
         """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
-        d, kind = self.points.gdim, self._multiplicative
+        d, kind = self.points.strain_dim, self._multiplicative
         measure, mean = self._measure[rows], self._mean[rows]
         changed = np.empty_like(operand)
         bad = _replace_volume(operand, measure, mean, d, kind, changed)
@@ -324,7 +324,7 @@ class FBar:
         points = self.points
         changed = np.empty_like(operand)
         _replace_volume(
-            operand, self._measure[rows], self._mean[rows], points.gdim, self._multiplicative,
+            operand, self._measure[rows], self._mean[rows], points.strain_dim, self._multiplicative,
             changed,
         )  # fmt: skip
         new = self.framework.commit(changed, rows, **if_kept(kept))

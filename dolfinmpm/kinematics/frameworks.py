@@ -62,8 +62,8 @@ class Framework:
         self.points = points
         self.tags = tags
         self._parameters = PointParameters(law, points, tags)
-        self._measure = measure_in(self.kinematics, points.gdim)
-        self._kernel = stress_kernel(points.gdim)
+        self._measure = measure_in(self.kinematics, points.strain_dim)
+        self._kernel = stress_kernel(points.strain_dim)
 
     @property
     def rows(self) -> Rows:
@@ -108,7 +108,7 @@ class Framework:
     @property
     def keeps(self) -> int:
         """Numbers of a point that are kept between residual and tangent; see `KeepingLaw`."""
-        return kept_numbers(self.points.gdim, len(self.law.internal))
+        return kept_numbers(self.points.strain_dim, len(self.law.internal))
 
     def _run(
         self, operand: Array, rows: Rows, kept: Kept | None, S, A, new, internal, sigma
@@ -121,7 +121,7 @@ class Framework:
         return self._kernel(
             self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
             measure.checks, measure.logarithmic, np.ascontiguousarray(operand),
-            points["F"].take(rows, axis=0).reshape(n, points.gdim**2),
+            points["F"].take(rows, axis=0).reshape(n, points.strain_dim**2),
             points[self.state].take(rows, axis=0), self.internal(rows), values, known, S, A, new,
             internal, sigma,
         )  # fmt: skip
@@ -191,11 +191,11 @@ class Framework:
         Returns:
             Shape (n, 3, 3); not a number where the increment admits none.
         """
-        H = np.array(operand, float).reshape(len(rows), self.points.gdim**2)
+        H = np.array(operand, float).reshape(len(rows), self.points.strain_dim**2)
         state = self.points[self.state][rows]
         trial, good = self._measure.trials(H, state)
         six = components(3)
-        for k, index in enumerate(components(self.points.gdim)):
+        for k, index in enumerate(components(self.points.strain_dim)):
             state[:, six.index(index)] = trial[:, k]
         tensor = symmetric(state)
         good &= np.isfinite(trial).all(axis=1)
@@ -214,7 +214,7 @@ class Framework:
             operand: Gradient of the increment there, shape (d, d).
             row: Which point of this rank it is.
         """
-        d = self.points.gdim
+        d = self.points.strain_dim
         H = np.asarray(operand, float).reshape(1, d, d)
         det = float(np.linalg.det(np.eye(d) + H[0]))
         trial = self.trial_strain(H, np.array([row], np.int32))[0]

@@ -17,6 +17,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.axisymmetry import gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
@@ -79,7 +80,7 @@ def framework(
 
 def _end(points: MaterialPoints, u) -> Expr:
     """Deformation gradient at the end of the step."""
-    return (ufl.Identity(points.gdim) + ufl.grad(u)) * points.F
+    return (ufl.Identity(points.strain_dim) + gradient(points, u)) * points.F
 
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
@@ -141,7 +142,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     outer: PointwiseLaw = inner
     if fbar:
         outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
-    operand = ufl.grad(u)
+    operand = gradient(points, u)
     operator = PointOperator(points, outer, operand, operand.ufl_shape, repr(law), tags)
 
     def bind() -> None:
@@ -191,7 +192,7 @@ def _declare_energy(law, points, u, tags: Tags) -> Declaration:
 
 def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParameters, tags: Tags):
     """The law's energy per initial volume at its points (J/m³)."""
-    rows, d = rows_within(points, tags), points.gdim
+    rows, d = rows_within(points, tags), points.strain_dim
     number = len(law.parameters)
     element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
     z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(d * d + number,))
@@ -283,7 +284,7 @@ def momentum(
         energy = law.energy(_end(points, u), **declaration.given)
         term = ufl.derivative(energy * dX, u, v)
     else:
-        term = ufl.inner(declaration.operator, ufl.grad(v)) * dX
+        term = ufl.inner(declaration.operator, gradient(points, v)) * dX
     declaration.terms.extend(integral.integrand() for integral in term.integrals())
     return term
 
@@ -312,14 +313,14 @@ def stress(
             term to the same tags, `points.dX(tag)`.
 
     Returns:
-        An expression of shape (gdim, gdim).
+        An expression of shape (strain_dim, strain_dim), which is (3, 3) at rings.
 
     Raises:
         ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
     """
     number = _declare(law, points, u, strain, fbar, tag)
     declaration = points.declarations[number]
-    d, S = points.gdim, declaration.operator
+    d, S = points.strain_dim, declaration.operator
     if S is None:
         sigma = law.cauchy_stress(_end(points, u), **declaration.given)
         return ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
@@ -331,7 +332,7 @@ def stress(
             'to the mean volume; use strain="large" or fbar=False'
         )
     # with F-bar the flux holds J/J̄, so that σ = τ/J̄
-    dF = ufl.Identity(d) + ufl.grad(u)
+    dF = ufl.Identity(d) + gradient(points, u)
     return S * dF.T / ufl.det(dF * points.F)
 
 

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.balance import balance
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.location import Destinations, destinations
@@ -66,7 +67,7 @@ def advance(
         PointsOutsideGridError: Points would leave the grid, by no more than a cell.
     """
     points, comm = operator.form.points, operator.form.points.comm
-    d, evaluation = points.gdim, operator.points
+    evaluation = operator.points
     moduli = evaluation.moduli() if operator.form.moduli else None
     new = evaluation.commit()
     if moduli is not None:
@@ -81,14 +82,15 @@ def advance(
         return reason
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
-        dF = evaluation.gradient[0] + np.eye(d)
+        dF = deformation(points, evaluation.value[0], evaluation.gradient[0])
         new["F"] = np.ascontiguousarray(dF @ points["F"])
         J = np.linalg.det(new["F"])
         bad = np.flatnonzero(~(J > 0))
         new["V"] = J * points["V0"]
         new["x"] = points["x"] + evaluation.value[0] if x is None else x
         if operator.here.fields[0].basis.averaged:
-            new["l"] = update_domains(new["F"], points["l0"], operator.here.fields[0].space.domains)
+            growth = operator.here.fields[0].space.domains
+            new["l"] = update_domains(in_section(points, new["F"]), points["l0"], growth)
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:

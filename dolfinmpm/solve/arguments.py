@@ -352,6 +352,7 @@ def advice(
     bcs: Sequence[Condition],
     space: Space,
     active: npt.NDArray[np.int32],
+    rings: bool = False,
 ) -> str:
     """What to do about a step that failed. Collective.
 
@@ -360,11 +361,12 @@ def advice(
         bcs: Essential conditions.
         space: Space of the first field.
         active: Its active nodes.
+        rings: Whether the body is one of revolution.
     """
     text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
     if space.increment.ufl_shape != (space.grid.geometry.dim,):
         return text
-    free = free_motions(bcs, space, active)
+    free = free_motions(bcs, space, active, rings)
     if not free:
         return text
     if not bcs:

@@ -20,7 +20,7 @@ from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on
-from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
+from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.forms.carriedfields import CellOffset
@@ -84,7 +84,8 @@ class WeakForm:
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
-        self.moduli = self.grid.moduli
+        self._facets = self.grid.moduli
+        self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
         self.softening: GridAssembler | None = None
         if softening is not None:
@@ -172,7 +173,7 @@ class WeakForm:
         blocks: list[Blocks] = []
         if self.parts.grid:
             self.grid.attach(fields)
-            for modulus in self.moduli:
+            for modulus in self._facets:
                 (field,) = (f for f in fields if f.space.increment is modulus.increment)
                 update(modulus, field)
             blocks = self.grid.tangent(fields)

@@ -42,6 +42,7 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     remedies_of,
 )
+from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator, WeakForm
@@ -258,6 +259,8 @@ class Problem:
             self.points, self.fields, self._held, self.form, share, self.here, kept,
             self._in_blocks if step is not None else None,
         )  # fmt: skip
+        if first and kept is None:
+            warn_of_free_axis(self.points, self.here)
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [active_on_grid(field) for field in self.here.fields]

@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Prolongate, active_on_grid
@@ -252,11 +253,13 @@ class QuasiStatic(Problem):
 
     def _worst(self, operator: Operator) -> str:
         """The point whose law failed, or that is compressed most, for messages. Collective."""
-        points, d = self.points, self.points.gdim
+        points = self.points
         found = None
         if len(points):
-            dF = operator.points.gradient[0][:, :d, :d] + np.eye(d) if self._moves else None
-            J = np.linalg.det(dF) if dF is not None else np.ones(len(points))
+            J = np.ones(len(points))
+            if self._moves:
+                at = operator.points
+                J = np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
             failure = operator.points.failure
             p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
             place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
@@ -283,7 +286,8 @@ class QuasiStatic(Problem):
         first = here.fields[0]
         named = any(field.remedy.kind != "none" for field in self.fields)
         active = active_on_grid(first)
-        return advice(named or here.ghost_facets > 0, self.bcs, first.space, active)
+        stabilised = named or here.ghost_facets > 0
+        return advice(stabilised, self.bcs, first.space, active, self.points.axisymmetric)
 
 
 def _spread(what: str, counts: list[int], total: int | None = None) -> str:

@@ -14,6 +14,7 @@ from . import (
     porous,
     remedies,
     restart,
+    rings,
     tables,
     transport,
 )
@@ -73,6 +74,10 @@ CASES = {
         dynamics.dynamics,
         dynamics.dynamics_lumped,
         dynamics.dynamics_restart,
+        rings.rings_bases,
+        rings.rings_remedies,
+        rings.rings_in_time,
+        rings.rings_restart,
         explicit.explicit_steps,
         explicit.explicit_restart,
         porous.consolidation,

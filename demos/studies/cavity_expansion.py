@@ -1,0 +1,224 @@
+# %% [markdown]
+# # A cavity expands, long and round like a borehole or round like a ball
+#
+# A pressure widens a cavity of radius $a = 1$ in an elastic shell (Hencky), or in clay
+# (Hencky and Tresca), whose outer face at $b$ is free or, with `--outer inf`, infinitely far away.
+# Cones, piles and pressuremeters are judged by it. Both are bodies of revolution: a long
+# cylinder is a slice between smooth plates, a sphere a quarter of its section. In the sphere
+# nothing is aligned with the grid; the axis is no boundary of the body.
+#
+# With $k = 1$ (cylinder) or $2$ (sphere) the exact solutions are those of
+#
+# $$\frac{d\sigma_r}{dr} + \frac kr (\sigma_r - \sigma_\theta) = 0, \qquad
+#   \lambda_r = \frac{dr}{dR}, \quad \lambda_\theta = \frac rR .$$
+#
+# An incompressible body keeps its volume, $r^{k+1} - R^{k+1} = r(a)^{k+1} - a^{k+1}$, so that
+# strains are known and the pressure is an integral. With $I_r = G/c_u$ an infinite one has the
+# limits $1 + \ln I_r$ and $\frac43 (1 + \ln I_r)$ (Hill 1950, chapter V; Gibson & Anderson 1961).
+
+# %%
+import time
+
+started = time.perf_counter()
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from scene import finish, parser, say, solver_figures
+from shells import HenckyShell, TrescaCavity, shell
+
+import dolfinmpm as mpm
+
+# Clay is next to incompressible: the closed form is that of ν = 0.5
+DEFAULTS = {
+    "hencky": {"poisson": 0.3, "outer": 2.0, "fbar": "off"},
+    "tresca": {"poisson": 0.49, "outer": np.inf, "fbar": "on"},
+}
+
+
+def arguments():
+    """The command line; what is not given takes the law's value in DEFAULTS."""
+    options = parser("Expansion of a cylindrical or spherical cavity.")
+    options.add_argument("--shape", choices=("cylinder", "sphere"), default="cylinder")
+    options.add_argument("--law", choices=tuple(DEFAULTS), default="hencky")
+    options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
+    options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
+    options.add_argument("--outer", type=float, help="outer radius by the inner one, or inf")
+    options.add_argument("--ratio", type=float, default=1.5, help="r(a)/a at the end")
+    options.add_argument(
+        "--h", type=float, help="size of the cells at the cavity; by default a 16th of the wall, "
+        "and no more than an 8th of the cavity's radius in clay"
+    )  # fmt: skip
+    options.add_argument("--growth", type=float, default=1.12, help="of cells far from the cavity")
+    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+    options.add_argument(
+        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="bspline2"
+    )
+    options.add_argument("--configuration", choices=("total", "updated"), default="total")
+    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
+    options.add_argument("--stabilisation", choices=("ghost", "aggregation"), default="ghost")
+    options.add_argument("--steps", type=int, default=20, help="of equal growth of the cavity")
+    given = options.parse_args()
+    for name, value in DEFAULTS[given.law].items():
+        if getattr(given, name) is None:
+            setattr(given, name, value)
+    if not given.outer > 1:
+        options.error(f"outer = {given.outer:g} must be above 1, the inner radius")
+    if given.law == "hencky" and not np.isfinite(given.outer):
+        options.error("outer = inf is for clay: what is far away is taken for incompressible")
+    if not given.ratio > 1 or given.steps < 1 or given.points_per_cell < 1:
+        options.error("ratio must be above 1, steps and points-per-cell at least 1")
+    if not 0 <= given.poisson < 0.5 or not given.rigidity_index > 0 or not given.growth >= 1:
+        options.error("poisson must be in [0, 0.5), the rigidity index positive, growth at least 1")
+    if given.h is None:
+        wall = given.outer - 1 if np.isfinite(given.outer) else np.inf
+        given.h = min(wall / 16, 0.125 if given.law == "tresca" else 1.0)
+    if not 0 < given.h <= min(1.0, 0.5 * (given.outer - 1)):
+        options.error(f"h = {given.h:g} must be positive and at most half the wall, and 1")
+    return given
+
+
+# %% [markdown]
+# ## The body
+# An infinite one is cut off outside of what yields. What is beyond is elastic and
+# incompressible and follows $\sigma_r = -2k\,G\,u/r$: springs on the outer face. Cells are of
+# one size out to twice the cavity's radius and grow from there if the body is large.
+
+# %%
+args = arguments()
+elastic, infinite = args.law == "hencky", not np.isfinite(args.outer)
+exact = (
+    HenckyShell(args.shape, args.poisson, args.outer) if elastic else
+    TrescaCavity(args.shape, args.rigidity_index, args.outer)
+)  # fmt: skip
+if elastic:
+    law = mpm.materials.Hencky(E=1.0, nu=args.poisson)
+else:
+    E = 2 * args.rigidity_index * (1 + args.poisson)
+    law = mpm.materials.Tresca(E, args.poisson, cohesion=1.0)
+b = max(10.0, 1.3 * exact.front(args.ratio)) if infinite else args.outer
+# how far the grid is needed: under total increments it stays that of the body at first
+moves = args.configuration == "updated"
+room = TrescaCavity(args.shape, 1.0, b)(args.ratio)[1] / b if moves else 1.0
+room = max(room, exact(args.ratio)[1] / b) if moves and not infinite else room
+even = None if b <= 6 else 2.0 * (args.ratio if moves else 1.0)
+body = shell(args.shape, 1.0, b, args.h, args.points_per_cell, room, even, args.growth)
+points = body.points
+V = mpm.Space(points.grid, args.basis, configuration=args.configuration)
+u, v = V.increment, V.test
+pressure = fem.Constant(points.grid, 1.0)
+F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on") - body.inner.pressure(pressure, u, v)
+if infinite:
+    stiffness = 2 * exact.k * args.rigidity_index / b
+    moved = body.outer.position(u) - points.x0 - body.outer.offset
+    F -= body.outer.traction(-fem.Constant(points.grid, stiffness) * moved, v)
+growth = args.ratio ** (1 / args.steps) - 1
+problem = mpm.ArcLength(
+    F,
+    u,
+    points,
+    bcs=mpm.rollers(V, *body.sides),
+    load=pressure,
+    control=-body.inner.mean_normal(v),
+    length=growth,
+    stabilisation=args.stabilisation,
+)
+
+# %% [markdown]
+# ## Steps of equal growth
+# The pressure is found with the increment, past its largest value too.
+
+# %%
+ready = time.perf_counter()
+curve, shares = [(1.0, 0.0)], mpm.steps(args.steps, label="radius of the cavity")
+while curve[-1][0] < args.ratio * (1 - 1e-9):
+    next(shares, None)
+    now = curve[-1][0]
+    problem.path.length = min(growth * now, args.ratio - now)
+    record = problem.step()
+    curve.append((1.0 + record.displacement, record.factor))
+curve = np.array(curve)
+
+# %% [markdown]
+# ## Against the closed form
+# In a cylinder stretch and stress inside are extrapolated from the points within some cells, in a
+# sphere the skin has them. Where clay yields, F-bar leaves waves in the pressure, but not in the
+# difference of hoop and radial stress, of which the latter is the pressure inside.
+
+# %%
+x0, deformation, sigma = points["x0"], points["F"], points["stress"]
+outer_radius = b + body.mean_radial(body.outer)
+apart = sigma[:, 2, 2] - body.radial(points["x"], sigma)
+turned = deformation[:, 2, 2] * x0[:, 0] / points["x"][:, 0]
+ratio = float(curve[-1, 0])
+p, far, stretch, hoop = exact(ratio)
+hoop_inside = body.inside(sigma[:, 2, 2], 6 * args.h, exact.k + 1)
+if not elastic:
+    hoop_inside = body.inside(apart, 4 * args.h) - curve[-1, 1]
+figures = {
+    "pressure": float(curve[-1, 1]),
+    "pressure_exact": float(p),
+    "error": float(curve[-1, 1] / p - 1),
+    "outer_radius": float(outer_radius) if not infinite else None,
+    "outer_radius_exact": float(far) if not infinite else None,
+    "stretch": body.inside(body.radial(x0, deformation), 4 * args.h),
+    "stretch_exact": float(stretch),
+    "hoop_stress": float(hoop_inside),
+    "hoop_stress_exact": float(hoop),
+    "inner_radius": ratio,
+    "modelled_radius": float(b),
+    "radii": curve[:, 0].tolist(),
+    "pressures": curve[:, 1].tolist(),
+    "hoop_stretch_error": points.comm.allreduce(
+        float(np.abs(turned - 1).max(initial=0)), op=MPI.MAX
+    ),
+    **solver_figures(problem),
+    "seconds_setup": ready - started,
+    "seconds_solve": sum(record.seconds for record in problem.history),
+}
+if infinite:
+    args.outer = None
+unit = "E" if elastic else "c_u"
+say(
+    f"{args.shape}, {args.law}, {args.basis}, h = {args.h:g}, {figures['points']} points, "
+    f"{points.comm.size} rank(s): at r(a)/a = {ratio:.4f} the pressure is {curve[-1, 1]:.6f} "
+    f"{unit}, {figures['error']:+.2%} from {p:.6f}; stretch {figures['stretch']:.4f} "
+    f"({stretch:.4f}), hoop stress {figures['hoop_stress']:.4f} ({hoop:.4f}); "
+    f"{figures['newton_iterations']} Newton iterations in {len(curve) - 1} steps, "
+    f"{figures['seconds_solve']:.1f} s"
+)
+
+
+# %% [markdown]
+# ## Picture
+# Pressure over the radius of the cavity, and the radial and hoop stress of all points at the end.
+
+
+# %%
+def picture(path, gathered):
+    """The curve, and stresses over the present radius."""
+    x, sigma = gathered
+    r, radial = body.radius(x)[0], body.radial(x, sigma)
+    fine = np.linspace(1.0, curve[-1, 0], 25)[1:]
+    closed = [0.0, *(exact(a)[0] for a in fine)]
+    name = "E" if elastic else "c_u"
+    with mpm.figure(path, 6.5, 2.6, ncols=2) as (_, (left, right)):
+        left.plot([1.0, *fine], closed, color="C0", label="closed form")
+        left.plot(curve[:, 0], curve[:, 1], "o", ms=3, color="C1", label="material points")
+        left.set(xlabel="$r(a)/a$", ylabel=f"pressure $p/{name}$", ylim=(0, None))
+        left.legend(loc="lower right")
+        right.plot(r, radial, ".", ms=1.5, color="C2", rasterized=True, label=r"$\sigma_r$")
+        right.plot(r, sigma[:, 2, 2], ".", ms=1.5, color="C1", rasterized=True,
+                   label=r"$\sigma_\theta$")  # fmt: skip
+        right.set(xlabel="$r/a$", ylabel=f"stress by ${name}$")
+        if b > 6:
+            right.set_xscale("log")
+        right.legend()
+        right.set_title(args.shape, fontsize=8)
+
+
+gathered = None if args.no_plot else points.gather("x", "stress")
+if gathered is not None:
+    picture(args.output / f"cavity_expansion_{args.shape}_{args.law}.png", gathered)
+
+finish(args, figures)
