@@ -7,6 +7,7 @@ from dolfinmpm._platform.report import info
 from dolfinmpm._platform.stages import measure_stages
 from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.footing import RigidFooting
 from dolfinmpm.body.meshparts import partitioner
@@ -27,7 +28,7 @@ from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
-from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress, stress
+from dolfinmpm.kinematics import dirichlet, geostatic_stress, momentum, set_stress, stress
 from dolfinmpm.solve import ArcLength, QuasiStatic
 
 __version__ = "0.1.0"
@@ -35,6 +36,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ArcLength",
     "Ball",
+    "Boundary",
     "Box",
     "Disc",
     "Explicit",
@@ -56,6 +58,7 @@ __all__ = [
     "Where",
     "absorbing",
     "cell_size",
+    "dirichlet",
     "errors",
     "figure",
     "fill",

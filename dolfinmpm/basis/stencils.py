@@ -22,6 +22,7 @@ __all__ = [
     "joined",
     "pushed_forward",
     "selected",
+    "together",
 ]
 
 
@@ -40,6 +41,18 @@ class Placement:
     half: npt.NDArray[np.float64]
     volume: npt.NDArray[np.float64]
     cell: npt.NDArray[np.int32]
+
+
+def together(placements: Sequence[Placement]) -> Placement:
+    """Several sets of points as one, in their order; one alone is itself."""
+    if len(placements) == 1:
+        return placements[0]
+    return Placement(
+        *(
+            np.concatenate([getattr(p, name) for p in placements])
+            for name in ("x", "half", "volume", "cell")
+        )
+    )
 
 
 @dataclass(frozen=True)

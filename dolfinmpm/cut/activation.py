@@ -19,7 +19,8 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space, extraction
-from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.basis.stencils import joined, pushed_forward, selected, together
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
@@ -44,6 +45,7 @@ __all__ = [
     "Field",
     "activate",
     "active_on_grid",
+    "regions_of",
 ]
 
 Basis = LatticeBasis | LinearBasis
@@ -66,6 +68,18 @@ class Region(Protocol):
         """Which points belong to it, or None if all do."""
 
 
+class BoundaryOf(Protocol):
+    """Terms over a boundary that does not fit the grid."""
+
+    @property
+    def boundary(self) -> Boundary:
+        """The boundary."""
+
+    @property
+    def regions(self) -> Sequence[Region]:
+        """Parts of it with terms of their own."""
+
+
 class Terms(Protocol):
     """What an activation must know of a weak form."""
 
@@ -76,6 +90,10 @@ class Terms(Protocol):
     @property
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
+
+    @property
+    def boundaries(self) -> Sequence[BoundaryOf]:
+        """Boundaries that do not fit the grid, with the parts that have terms of their own."""
 
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
         """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
@@ -119,6 +137,8 @@ class ActiveField:
         to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
         entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
         penalty: Penalty of weak aggregation, or None.
+        whole: Stencils of points and markers on all active nodes.
+        of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
     """
 
     space: Space
@@ -131,11 +151,13 @@ class ActiveField:
     to_grid: sparse.csr_matrix | None
     entities: Entities
     penalty: Blocks | None
+    whole: Stencils
+    of_markers: tuple[Stencils, ...] = ()
 
     @functools.cached_property
     def cells(self) -> npt.NDArray[np.bool_]:
         """Whether each local cell is active. Collective at first."""
-        return active_cells(self.seen, self.basis.cells)
+        return active_cells(self.whole, self.basis.cells)
 
 
 @dataclass(frozen=True)
@@ -227,6 +249,7 @@ class Activation(Participants):
         soft: The same of terms of the tangent only.
         mass: The mass between these nodes (kg), if there are inertial forces.
         later: What is made when it is first asked for.
+        of_boundaries: The parts of each boundary that does not fit the grid.
     """
 
     terms: Terms
@@ -237,6 +260,7 @@ class Activation(Participants):
     soft: list[Blocks]
     mass: list[Blocks]
     later: Later
+    of_boundaries: list[list[ActiveRegion]]
 
     @property
     def pattern(self) -> Pattern:
@@ -285,6 +309,10 @@ def activate(
     if total and old is not None and _unmoved(points, where, old):
         return _renewed(points, held, terms, share, old)
     averages = any(region.averages for region in terms.regions)
+    bodies = where
+    # markers activate cells as points without volume do
+    sets = [where, *(b.boundary.placement() for b in terms.boundaries)]
+    where = together(sets)
     bases = _bases(fields, where, averages, points.partition)
     seen = _shared(bases, lambda basis: basis.stencils(where))
     nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
@@ -296,6 +324,7 @@ def activate(
         active.append(
             _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
         )
+    active = _parted(active, [len(one.x) for one in sets])
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
@@ -303,19 +332,19 @@ def activate(
         unknowns = Unknowns([b.nodes for b in bases], remaining, fixed, blocked)
         old = None
     grid, soft = terms.grid_blocks(active)
-    here = Participants(where, total, tuple(active), unknowns)
+    here = Participants(bodies, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
+    of_boundaries = regions_of(terms.boundaries, here)
     mass = terms.mass_blocks(active)
     pairs = pairs_of([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
-    later = Later(
-        lambda: Pattern.build(lists_of(regions, active, unknowns), unknowns, pairs, former)
-    )
+    every = [*regions, *(region for parts in of_boundaries for region in parts)]
+    later = Later(lambda: Pattern.build(lists_of(every, active, unknowns), unknowns, pairs, former))
     driven = held.changing and held.driven
     return Activation(
-        where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later,
+        bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
+        later, of_boundaries,
     )  # fmt: skip
 
 
@@ -491,5 +520,55 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen
     )
+
+
+def _parted(fields: list[ActiveField], sizes: Sequence[int]) -> list[ActiveField]:
+    """Fields with the stencils of the points, and those of each boundary's markers apart.
+
+    Args:
+        fields: Fields with stencils of all together.
+        sizes: How many points, and markers of each boundary, there are on this rank.
+    """
+    if len(sizes) == 1:
+        return fields
+    ends = np.cumsum(sizes)
+    number = np.arange(ends[-1])
+
+    def part(s: Stencils, k: int) -> Stencils:
+        first = ends[k] - sizes[k]
+        own = selected(s, (number >= first) & (number < ends[k]))
+        return replace(own, order=own.order - np.int32(first))
+
+    return [
+        replace(
+            field,
+            seen=part(field.seen, 0),
+            stencils=part(field.stencils, 0),
+            of_markers=tuple(part(field.stencils, k) for k in range(1, len(sizes))),
+        )
+        for field in fields
+    ]
+
+
+def regions_of(boundaries: Sequence[BoundaryOf], here: Participants) -> list[list[ActiveRegion]]:
+    """The parts of boundaries that do not fit the grid, on what is active.
+
+    Args:
+        boundaries: Terms over them; those of the form that the activation is made for, or none.
+        here: What is active.
+    """
+    within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
+    made = []
+    for k, of in enumerate(boundaries):
+        parts = []
+        for region in of.regions:
+            chosen = region.chosen(of.boundary.markers["tag"])
+            whole = {id(f.of_markers[k]): f.of_markers[k] for f in here.fields}
+            if chosen is not None:
+                whole = {key: selected(s, chosen) for key, s in whole.items()}
+            own = joined([whole[id(f.of_markers[k])] for f in here.fields])
+            parts.append(ActiveRegion(own, None, within))
+        made.append(parts)
+    return made

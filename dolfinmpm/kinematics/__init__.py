@@ -11,12 +11,14 @@ from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
 from dolfinmpm.kinematics.terms import framework, momentum, set_stress, stress
+from dolfinmpm.kinematics.weakly import dirichlet
 
 __all__ = [
     "Framework",
     "Jaumann",
     "LargeStrain",
     "SmallStrain",
+    "dirichlet",
     "framework",
     "geostatic_stress",
     "momentum",

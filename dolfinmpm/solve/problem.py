@@ -110,6 +110,11 @@ class Problem:
         whole, softening = with_remedies(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, softening)
         check_fields(form, spaces)
+        if self.form.boundaries and self.configuration == "total":
+            raise ParameterError(
+                'boundaries that do not fit the grid need Space(..., configuration="updated"), got '
+                '"total": their markers move with the body'
+            )
         self.here: Activation | None = None
         self._kept: Kept | None = None
         self._held = Held(bcs, spaces)
@@ -253,11 +258,13 @@ class Problem:
         """
         share = 1.0 if step is None else step.share
         self.form.bind()
+        self.form.place_markers()
         first, kept, self._kept = self.here is None, self._kept, None
         self.here = activate(
             self.points, self.fields, self._held, self.form, share, self.here, kept,
             self._in_blocks if step is not None else None,
         )  # fmt: skip
+        self.form.set_penalties(self.here)
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [active_on_grid(field) for field in self.here.fields]

@@ -1,0 +1,81 @@
+"""The state of a body at the markers of a boundary: that of the nearest material point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.exchange import exchange
+
+__all__ = ["take_state"]
+
+Array = npt.NDArray[np.float64]
+
+# What is of the markers themselves
+_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area"})
+# Points that are as near as another but for this share are equally near: the first number counts
+_SAME = 1e-7
+
+
+def take_state(boundary: Boundary) -> None:
+    """Give each marker the state of the nearest material point as it is now. Collective.
+
+    Fields that the markers alone have stay as they are.
+    """
+    points, markers = boundary.points, boundary.markers
+    names = [name for name in points.fields if name not in _OWN]
+    if points.comm.size == 1:
+        rows = _nearest(points["x"], points["id"], markers["x"])[2]
+        found: dict[str, npt.NDArray[Any]] = {name: points[name][rows] for name in names}
+    else:
+        found = _from_all(boundary, names)
+    for name, values in found.items():
+        if name in markers.fields:
+            markers.fields[name][...] = values
+        elif name in points._ufl:
+            like = points._ufl[name]
+            markers.add_field(name, like.ufl_shape, like.unit)
+            markers.fields[name][...] = values
+        else:
+            markers.fields[name] = values
+
+
+def _nearest(x: Array, number: npt.NDArray[np.int64], at: Array):
+    """Distances (m), numbers and rows of the points nearest to positions, each of shape (n,)."""
+    from scipy.spatial import cKDTree
+
+    if len(x) == 0 or len(at) == 0:
+        far = np.full(len(at), np.inf)
+        return far, np.full(len(at), np.iinfo(np.int64).max), np.zeros(len(at), np.intp)
+    count = min(4, len(x))
+    distance, rows = cKDTree(x).query(at, count)
+    distance, rows = distance.reshape(len(at), count), rows.reshape(len(at), count)
+    same = distance <= distance[:, :1] * (1 + _SAME)
+    numbers = np.where(same, number[rows], np.iinfo(np.int64).max)
+    best = np.argmin(numbers, axis=1)
+    every = np.arange(len(at))
+    return distance[:, 0], numbers[every, best], rows[every, best]
+
+
+def _from_all(boundary: Boundary, names: list[str]) -> dict[str, npt.NDArray[Any]]:
+    """State of the nearest points of all ranks, in the order of this rank's markers. Collective."""
+    points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
+    counts = comm.allgather(len(markers))
+    at = np.concatenate(comm.allgather(markers["x"]))
+    distance, number, rows = _nearest(points["x"], points["id"], at)
+    least = np.empty_like(distance)
+    comm.Allreduce(distance, least, op=MPI.MIN)
+    number[distance > least * (1 + _SAME)] = np.iinfo(np.int64).max
+    first = np.empty_like(number)
+    comm.Allreduce(number, first, op=MPI.MIN)
+    mine = np.flatnonzero(number == first)
+    to = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[mine]
+    rows = rows[mine]
+    sent: dict[str, npt.NDArray[Any]] = {name: points[name][rows] for name in names}
+    found = exchange(comm, {**sent, "of marker": mine}, to)
+    order = np.argsort(found.pop("of marker"))
+    return {name: values[order] for name, values in found.items()}
