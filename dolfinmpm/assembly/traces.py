@@ -82,6 +82,13 @@ def _around(
     return parts, where.getIndices().astype(np.int64)
 
 
+def _ringed(A: sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
+    """Rows and those around them that they are coupled to, ring by ring."""
+    for _ in range(rings):
+        rows = np.unique(A[rows].indices)
+    return rows
+
+
 def _largest(energy: Array, traction: Array) -> float:
     """Largest eigenvalue of tractions by energy; infinite where there is traction without it."""
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.T))
@@ -130,18 +137,17 @@ def trace_constants(
     tractions = _assembled(here, k, [(s, square)], False)
     unknowns = here.unknowns
     row_of, to_global = unknowns.fields[k].row_of, unknowns.to_global
-    groups = []
+    groups: list[npt.NDArray[np.int64]] = []
     for g in range(s.groups.size - 1):
-        rows = row_of[s.nodes[s.node_start[g] : s.node_start[g + 1]]].ravel()
-        groups.append(to_global[rows[rows >= 0]].astype(np.int64))
+        seen = row_of[s.nodes[s.node_start[g] : s.node_start[g + 1]]].ravel()
+        groups.append(to_global[seen[seen >= 0]].astype(np.int64))
     rings = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
     wanted = np.concatenate([np.empty(0, np.int64), *groups])
     (A, N), numbers = _around(here, [energy, tractions], wanted, rings)
-    constants, lost = np.zeros(len(markers)), None
+    constants = np.zeros(len(markers))
+    lost: Array | None = None
     for g, rows in enumerate(groups):
-        patch: npt.NDArray[Any] = np.searchsorted(numbers, rows)
-        for _ in range(rings):
-            patch = np.union1d(patch, A[patch].indices)
+        patch = _ringed(A, np.searchsorted(numbers, rows), rings)
         constant = _largest(A[patch][:, patch].toarray(), N[patch][:, patch].toarray())
         members = s.order[s.groups[g] : s.groups[g + 1]]
         constants[members] = constant
