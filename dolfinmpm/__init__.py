@@ -28,7 +28,14 @@ from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
-from dolfinmpm.kinematics import dirichlet, geostatic_stress, momentum, set_stress, stress
+from dolfinmpm.kinematics import (
+    dirichlet,
+    geostatic_stress,
+    momentum,
+    set_stress,
+    signorini,
+    stress,
+)
 from dolfinmpm.solve import ArcLength, QuasiStatic
 
 __version__ = "0.1.0"
@@ -76,6 +83,7 @@ __all__ = [
     "prescribed",
     "rollers",
     "set_stress",
+    "signorini",
     "soft",
     "steps",
     "stress",

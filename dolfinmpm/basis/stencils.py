@@ -42,6 +42,10 @@ class Placement:
     volume: npt.NDArray[np.float64]
     cell: npt.NDArray[np.int32]
 
+    def of(self, rows: npt.NDArray[np.integer]) -> Placement:
+        """Some of the points."""
+        return Placement(self.x[rows], self.half[rows], self.volume[rows], self.cell[rows])
+
 
 def together(placements: Sequence[Placement]) -> Placement:
     """Several sets of points as one, in their order; one alone is itself."""

@@ -23,11 +23,12 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.basis import Placement
+from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import lattice_of, smallest_height
+from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
 from dolfinmpm.grid.positions import ask
 
 if TYPE_CHECKING:
@@ -61,12 +62,16 @@ class Boundary:
         area: Area vectors (m^(d-1)), area times outward unit normal, likewise.
         follows: Whether the markers move with the body; else they stay where they are.
         name: Name in messages and checkpoints.
+        activates: Whether the cells that markers are in become active. If not, markers
+            take part as long as the body is in their cells, as those of walls.
 
     Attributes:
         points: The body.
         markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
             and `V`, its length, and those that hold the state of the nearest material point.
-        follows, name: The arguments.
+        follows, name, activates: The arguments.
+        forces: Names of the markers' fields that hold the forces of conditions on the body
+            in the last step (N), see `force`.
         ds: Measure over the markers.
 
     Raises:
@@ -83,15 +88,17 @@ class Boundary:
         area: npt.ArrayLike,
         follows: bool = True,
         name: str | None = None,
+        activates: bool = True,
     ):
         check_points(points)
-        truth("follows", follows)
+        truth("follows", follows), truth("activates", activates)
         at, vectors = call_together(points.comm, lambda: _rows(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
             raise EmptyShapeError("the boundary has no markers; its markers must lie in the grid")
         at = at - _inward(points.grid, at) * vectors / sizes[:, None]
-        self.points, self.follows = points, follows
+        self.points, self.follows, self.activates = points, follows, activates
+        self.forces: list[str] = []
         self.name = name or f"boundary{next(_numbers)}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0, fields={"area": vectors}
@@ -158,6 +165,41 @@ class Boundary:
             ends, None if lattice is None else lattice.lines, smallest_height(points.grid) / 2, rule
         )
         return cls(points, x, area, follows, name)
+
+    @classmethod
+    def from_side(
+        cls, points: MaterialPoints, side: str, rule: int = 2, name: str | None = None
+    ) -> Boundary:
+        """A side of a rectangular grid, as a wall: it stays, and activates no cells. Collective.
+
+        Args:
+            points: Material points of the body.
+            side: "left", "right", "bottom", "top", "front" or "back"; see `prescribed`.
+            rule: Gauss points of a cell's side in each direction.
+            name: Name of the boundary; that of the side by default.
+
+        Raises:
+            ParameterError: There is no such side.
+            UnsupportedGridError: The grid is not rectangular.
+        """
+        check_points(points)
+        word, axis, end = side_of(side, points.gdim)
+        lattice = require_lattice(points.grid, "a boundary at a side of the grid")
+        at, weights = np.polynomial.legendre.leggauss(whole("rule", rule, 1))
+        places, lengths = [], []
+        for d, line in enumerate(lattice.lines):
+            middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
+            across = d == axis
+            places.append(
+                line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel()
+            )
+            lengths.append(np.ones(1) if across else (half[:, None] * weights).ravel())
+        x = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1)
+        area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
+        normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
+        return cls(
+            points, x.reshape(-1, points.gdim), area * normal, False, name or word, activates=False
+        )
 
     @classmethod
     def from_triangles(
@@ -306,6 +348,16 @@ class Boundary:
             p = own_constant(self.points.grid, float(p))
         dF = ufl.Identity(self.points.gdim) + ufl.grad(u)
         return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, ufl.inv(dF)), v) * self.ds
+
+    def force(self) -> Array:
+        """Force of all conditions on the body in the last step (N), shape (gdim,). Collective."""
+        sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
+        return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
+
+    @property
+    def gdim(self) -> int:
+        """Dimension of space."""
+        return self.points.gdim
 
     @property
     def total_area(self) -> float:

@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 
 # What is of the markers themselves
 _OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area"})
+# Where the point is that the state is of, for markers that ask
+_PLACE = {"body_x": "x", "body_l": "l"}
 # Points that are as near as another but for this share are equally near: the first number counts
 _SAME = 1e-7
 
@@ -27,10 +29,11 @@ def take_state(boundary: Boundary) -> None:
     Fields that the markers alone have stay as they are.
     """
     points, markers = boundary.points, boundary.markers
-    names = [name for name in points.fields if name not in _OWN]
+    names = {name: name for name in points.fields if name not in _OWN}
+    names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
     if points.comm.size == 1:
         rows = _nearest(points["x"], points["id"], markers["x"])[2]
-        found: dict[str, npt.NDArray[Any]] = {name: points[name][rows] for name in names}
+        found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     else:
         found = _from_all(boundary, names)
     for name, values in found.items():
@@ -61,7 +64,7 @@ def _nearest(x: Array, number: npt.NDArray[np.int64], at: Array):
     return distance[:, 0], numbers[every, best], rows[every, best]
 
 
-def _from_all(boundary: Boundary, names: list[str]) -> dict[str, npt.NDArray[Any]]:
+def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArray[Any]]:
     """State of the nearest points of all ranks, in the order of this rank's markers. Collective."""
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
@@ -75,7 +78,7 @@ def _from_all(boundary: Boundary, names: list[str]) -> dict[str, npt.NDArray[Any
     mine = np.flatnonzero(number == first)
     to = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[mine]
     rows = rows[mine]
-    sent: dict[str, npt.NDArray[Any]] = {name: points[name][rows] for name in names}
+    sent: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     found = exchange(comm, {**sent, "of marker": mine}, to)
     order = np.argsort(found.pop("of marker"))
     return {name: values[order] for name, values in found.items()}

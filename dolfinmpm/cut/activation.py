@@ -309,11 +309,14 @@ def activate(
     if total and old is not None and _unmoved(points, where, old):
         return _renewed(points, held, terms, share, old)
     averages = any(region.averages for region in terms.regions)
-    bodies = where
+    bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
     # markers activate cells as points without volume do
-    sets = [where, *(b.boundary.placement() for b in terms.boundaries)]
-    where = together(sets)
+    where = together([bodies, *sets])
     bases = _bases(fields, where, averages, points.partition)
+    members: list[npt.NDArray[Any]] = [np.arange(len(p.x), dtype=np.int32) for p in sets]
+    if not all(b.boundary.activates for b in terms.boundaries):
+        members = _in_active_cells(terms.boundaries, bodies, sets, bases)
+        where = together([bodies, *(one.of(rows) for one, rows in zip(sets, members))])
     seen = _shared(bases, lambda basis: basis.stencils(where))
     nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
     bases, nodes, roots = _with_roots(fields, bases, where, seen, nodes)
@@ -324,7 +327,7 @@ def activate(
         active.append(
             _field(field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k])
         )
-    active = _parted(active, [len(one.x) for one in sets])
+    active = _parted(active, len(bodies.x), members)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
@@ -334,7 +337,7 @@ def activate(
     grid, soft = terms.grid_blocks(active)
     here = Participants(bodies, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
-    of_boundaries = regions_of(terms.boundaries, here)
+    of_boundaries = regions_of(terms.boundaries, here, terms.boundaries)
     mass = terms.mass_blocks(active)
     pairs = pairs_of([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
@@ -524,45 +527,69 @@ def _field(
     )
 
 
-def _parted(fields: list[ActiveField], sizes: Sequence[int]) -> list[ActiveField]:
+def _in_active_cells(
+    boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases
+) -> list[npt.NDArray[Any]]:
+    """Which markers take part: those of passive boundaries in cells that points see. Collective."""
+    members = [np.ones(len(one.x), bool) for one in sets]
+    for basis in {id(b): b for b in bases}.values():
+        cells = active_cells(basis.stencils(bodies), basis.cells)
+        for of, one, chosen in zip(boundaries, sets, members):
+            if of.boundary.activates:
+                continue
+            s = basis.stencils(one)
+            # a marker without a domain is in one cell
+            chosen[s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
+    return [np.asarray(np.flatnonzero(chosen), np.int32) for chosen in members]
+
+
+def _parted(
+    fields: list[ActiveField], points: int, members: Sequence[npt.NDArray[np.int32]]
+) -> list[ActiveField]:
     """Fields with the stencils of the points, and those of each boundary's markers apart.
 
     Args:
         fields: Fields with stencils of all together.
-        sizes: How many points, and markers of each boundary, there are on this rank.
+        points: How many points there are on this rank.
+        members: Which markers of each boundary take part.
     """
-    if len(sizes) == 1:
+    if not members:
         return fields
-    ends = np.cumsum(sizes)
+    ends = np.cumsum([points, *(len(rows) for rows in members)])
     number = np.arange(ends[-1])
+    rows_of = [np.arange(points, dtype=np.int32), *members]
 
     def part(s: Stencils, k: int) -> Stencils:
-        first = ends[k] - sizes[k]
+        first = ends[k] - len(rows_of[k])
         own = selected(s, (number >= first) & (number < ends[k]))
-        return replace(own, order=own.order - np.int32(first))
+        return replace(own, order=rows_of[k][own.order - first])
 
     return [
         replace(
             field,
             seen=part(field.seen, 0),
             stencils=part(field.stencils, 0),
-            of_markers=tuple(part(field.stencils, k) for k in range(1, len(sizes))),
+            of_markers=tuple(part(field.stencils, k) for k in range(1, len(rows_of))),
         )
         for field in fields
     ]
 
 
-def regions_of(boundaries: Sequence[BoundaryOf], here: Participants) -> list[list[ActiveRegion]]:
+def regions_of(
+    boundaries: Sequence[BoundaryOf], here: Participants, of_main: Sequence[BoundaryOf]
+) -> list[list[ActiveRegion]]:
     """The parts of boundaries that do not fit the grid, on what is active.
 
     Args:
-        boundaries: Terms over them; those of the form that the activation is made for, or none.
+        boundaries: Terms over them.
         here: What is active.
+        of_main: Those of the form that the activation is made for, among which they are.
     """
     within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
+    number = {id(of.boundary): k for k, of in enumerate(of_main)}
     made = []
-    for k, of in enumerate(boundaries):
-        parts = []
+    for of in boundaries:
+        parts, k = [], number[id(of.boundary)]
         for region in of.regions:
             chosen = region.chosen(of.boundary.markers["tag"])
             whole = {id(f.of_markers[k]): f.of_markers[k] for f in here.fields}

@@ -11,6 +11,7 @@ from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
 from dolfinmpm.kinematics.terms import framework, momentum, set_stress, stress
+from dolfinmpm.kinematics.walls import signorini
 from dolfinmpm.kinematics.weakly import dirichlet
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "geostatic_stress",
     "momentum",
     "set_stress",
+    "signorini",
     "stress",
     "update_domains",
 ]

@@ -78,15 +78,18 @@ class WeakCondition:
         """Whether the penalty follows from the constants of the cells."""
         return self.fixed is None and self.beta is None
 
-    def prepare(self) -> None:
+    def prepare(self, rows: npt.NDArray[np.integer]) -> None:
         """Set the penalty where it is in units of M/h, or given, and the law's tangent.
+
+        Args:
+            rows: Markers in active cells.
 
         The law has none where its state is impossible; the step fails there itself.
         """
         markers = self.boundary.markers
         if self.slope is not None:
             assert self.declaration is not None
-            rows, d = self.declaration.rows, markers.gdim
+            rows, d = np.intersect1d(rows, self.declaration.rows), markers.gdim
             values, slopes = np.empty((len(rows), d * d)), np.empty((len(rows), d * d, d * d))
             law = self.declaration.operator.law
             if law.evaluate(np.zeros((len(rows), d * d)), values, slopes, rows) >= 0:
@@ -176,6 +179,7 @@ def dirichlet(
     missing = gap + u - (wanted - reached)
     along = onto(missing)
     term, slope = k * ufl.dot(along, v), None
+    force = -k * along
     if declaration is not None and traction is not None and method != "penalty":
         sign = -1.0 if method == "nitsche" else 1.0
         if declaration.operator is None:
@@ -186,10 +190,13 @@ def dirichlet(
             i, j, p, q = ufl.indices(4)
             turned = D[i, j, p, q] * ufl.grad(v)[p, q] * boundary.normal[j]
             change = ufl.as_vector(turned, i)
+        force += onto(traction)
         term += -ufl.dot(onto(traction), v) + sign * ufl.dot(change, along)
+    total = markers.add_field(f"{name}_force", (d,), "N")
+    boundary.forces.append(total.name)
     condition = WeakCondition(
         boundary, declaration, method, beta, stiffness, k.name, slope,
-        {gap.name: along, reached.name: wanted},
+        {gap.name: along, reached.name: wanted, total.name: force * markers.V},
     )  # fmt: skip
     mark = {**boundary.ds.metadata(), "condition": condition}
     where: Any = "everywhere"

@@ -51,9 +51,10 @@ def set_penalties(
     """
     for number, of in enumerate(boundaries):
         markers = of.boundary.markers
+        rows = np.sort(here.fields[0].of_markers[number].order)
         known: dict[int, Array] = {}
         for condition in of.conditions:
-            condition.prepare()
+            condition.prepare(rows)
             if not condition.local:
                 continue
             declaration = condition.declaration
@@ -64,8 +65,8 @@ def set_penalties(
                     at[one.rows] = one.moduli()
                 points = of.boundary.points
                 known[k] = trace_constants(here, k, points, moduli(), markers, at, number)
-            rows = declaration.rows
-            markers[condition.stiffness][rows] = 2.0 * known[k][rows]
+            of_law = declaration.rows
+            markers[condition.stiffness][of_law] = 2.0 * known[k][of_law]
 
 
 def advance_markers(

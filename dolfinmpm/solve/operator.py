@@ -255,7 +255,7 @@ class Operator:
         parts, of_boundaries = here.regions, here.of_boundaries
         if not self._main:
             parts = [region_on(r, form.points, here) for r in form.regions]
-            of_boundaries = regions_of(form.boundaries, here)
+            of_boundaries = regions_of(form.boundaries, here, here.terms.boundaries)
             if form.parts.grid:
                 form.grid.attach(here.fields)
         self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
