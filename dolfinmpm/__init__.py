@@ -29,6 +29,8 @@ from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
 from dolfinmpm.kinematics import (
+    Deposit,
+    Layer,
     dirichlet,
     geostatic_stress,
     momentum,
@@ -36,7 +38,7 @@ from dolfinmpm.kinematics import (
     signorini,
     stress,
 )
-from dolfinmpm.solve import ArcLength, QuasiStatic
+from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate
 
 __version__ = "0.1.0"
 
@@ -45,10 +47,12 @@ __all__ = [
     "Ball",
     "Boundary",
     "Box",
+    "Deposit",
     "Disc",
     "Explicit",
     "GeneralisedAlpha",
     "History",
+    "Layer",
     "Mapping",
     "MaterialPoints",
     "Newmark",
@@ -66,6 +70,7 @@ __all__ = [
     "absorbing",
     "cell_size",
     "dirichlet",
+    "equilibrate",
     "errors",
     "figure",
     "fill",

@@ -101,8 +101,9 @@ class Boundary:
         self.forces: list[str] = []
         self.name = name or f"boundary{next(_numbers)}"
         self.markers = markers = MaterialPoints.from_arrays(
-            points.grid, at, sizes, 1.0, half_length=0.0, fields={"area": vectors}
-        )
+            points.grid, at, sizes, 1.0, half_length=0.0,
+            fields={"area": vectors, "area0": vectors},
+        )  # fmt: skip
         # laws whose parameters vary have fields of the same names on both
         markers.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}

@@ -16,7 +16,7 @@ __all__ = ["take_state"]
 Array = npt.NDArray[np.float64]
 
 # What is of the markers themselves
-_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area"})
+_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0"})
 # Where the point is that the state is of, for markers that ask
 _PLACE = {"body_x": "x", "body_l": "l"}
 # Points that are as near as another but for this share are equally near: the first number counts

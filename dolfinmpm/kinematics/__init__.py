@@ -5,6 +5,7 @@ strain of an increment joins that of before, and in which stress the law's is.
 """
 
 from dolfinmpm.body.domains import update_domains
+from dolfinmpm.kinematics.deposits import Deposit, Layer
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.initial import geostatic_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
@@ -15,9 +16,11 @@ from dolfinmpm.kinematics.walls import signorini
 from dolfinmpm.kinematics.weakly import dirichlet
 
 __all__ = [
+    "Deposit",
     "Framework",
     "Jaumann",
     "LargeStrain",
+    "Layer",
     "SmallStrain",
     "dirichlet",
     "framework",
