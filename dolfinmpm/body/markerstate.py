@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["take_state"]
 
@@ -19,8 +20,10 @@ Array = npt.NDArray[np.float64]
 _OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0"})
 # Where the point is that the state is of, for markers that ask
 _PLACE = {"body_x": "x", "body_l": "l"}
-# Points that are as near as another but for this share are equally near: the first number counts
+# Points that are as near as another but for this share are equally near: one of them is chosen by
+# a sum of its first coordinates, with weights that no lattice has ties for
 _SAME = 1e-7
+_WEIGHTS = np.sqrt([2.0, 3.0, 7.0])
 
 
 def take_state(boundary: Boundary) -> None:
@@ -32,7 +35,7 @@ def take_state(boundary: Boundary) -> None:
     names = {name: name for name in points.fields if name not in _OWN}
     names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
     if points.comm.size == 1:
-        rows = _nearest(points["x"], points["id"], markers["x"])[2]
+        rows = _nearest(points, markers["x"])[2]
         found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     else:
         found = _from_all(boundary, names)
@@ -47,21 +50,26 @@ def take_state(boundary: Boundary) -> None:
             markers.fields[name] = values
 
 
-def _nearest(x: Array, number: npt.NDArray[np.int64], at: Array):
-    """Distances (m), numbers and rows of the points nearest to positions, each of shape (n,)."""
+def _nearest(points: MaterialPoints, at: Array):
+    """Distances (m), keys and rows of the points nearest to positions, each of shape (n,).
+
+    Of points that are equally near the one with the least key counts, a function of its first
+    position: numbers of points depend on the ranks.
+    """
     from scipy.spatial import cKDTree
 
-    if len(x) == 0 or len(at) == 0:
+    if len(points) == 0 or len(at) == 0:
         far = np.full(len(at), np.inf)
-        return far, np.full(len(at), np.iinfo(np.int64).max), np.zeros(len(at), np.intp)
-    count = min(4, len(x))
-    distance, rows = cKDTree(x).query(at, count)
+        return far, far.copy(), np.zeros(len(at), np.intp)
+    key = points["x0"] @ _WEIGHTS[: points.gdim]
+    count = min(4, len(points))
+    distance, rows = cKDTree(points["x"]).query(at, count)
     distance, rows = distance.reshape(len(at), count), rows.reshape(len(at), count)
     same = distance <= distance[:, :1] * (1 + _SAME)
-    numbers = np.where(same, number[rows], np.iinfo(np.int64).max)
-    best = np.argmin(numbers, axis=1)
+    keys = np.where(same, key[rows], np.inf)
+    best = np.argmin(keys, axis=1)
     every = np.arange(len(at))
-    return distance[:, 0], numbers[every, best], rows[every, best]
+    return np.ascontiguousarray(distance[:, 0]), keys[every, best], rows[every, best]
 
 
 def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArray[Any]]:
@@ -69,13 +77,13 @@ def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArra
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
     at = np.concatenate(comm.allgather(markers["x"]))
-    distance, number, rows = _nearest(points["x"], points["id"], at)
+    distance, key, rows = _nearest(points, at)
     least = np.empty_like(distance)
     comm.Allreduce(distance, least, op=MPI.MIN)
-    number[distance > least * (1 + _SAME)] = np.iinfo(np.int64).max
-    first = np.empty_like(number)
-    comm.Allreduce(number, first, op=MPI.MIN)
-    mine = np.flatnonzero(number == first)
+    key[distance > least * (1 + _SAME)] = np.inf
+    first = np.empty_like(key)
+    comm.Allreduce(key, first, op=MPI.MIN)
+    mine = np.flatnonzero((key == first) & np.isfinite(key))
     to = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[mine]
     rows = rows[mine]
     sent: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}

@@ -12,7 +12,6 @@ Where a wall has had no contact yet, the gap is the way from the nearest point's
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +41,6 @@ __all__ = ["Wall", "signorini"]
 _BETA, _SLIP = 1e2, 0.5
 # slip below this share of a cell has no direction
 _STILL = 1e-12
-_numbers = itertools.count(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +141,7 @@ def signorini(
         raise ParameterError("law = None needs a stiffness (Pa/m); give the law of the body")
     else:
         declaration = flux(law, markers, u, strain, tag)[1]
-    name = f"wall{next(_numbers)}"
+    name = f"wall{len(boundary.forces) + 1}"
     markers.add_field("body_x", (d,), "m")
     markers.add_field("body_l", (d,), "m")
     gap = markers.add_field(f"{name}_gap", (), "m")

@@ -3,21 +3,22 @@
 With the traction t(u) of the law at a marker, and what is missing of the prescribed
 displacement, w(u) = gap + u − Δg, Nitsche's method (Nitsche 1971, doi 10.1007/BF02995904) adds
 
-    − ∫ t(u)·v da ∓ ∫ t'(0)[v]·w(u) da + ∫ k w(u)·v da
+    − ∫ t(u)·v da ∓ ∫ t_e(v)·w(u) da + ∫ k w(u)·v da
 
 to the internal forces: the reaction of the boundary, what makes the whole symmetric (−) or skew
-(+), and a penalty that is no more than stability needs. In the second term the tangent is that at
-the start of the step: where much of the displacement is still missing, second derivatives of the
-law would make the tangent of the whole indefinite. For the symmetric one k must exceed the
-constant of ∫ |t(v)|² da ≤ k a(v, v), which `dolfinmpm.cut.traces` computes from the cells with
-their remedy against small cuts; twice that is taken. The penalty method keeps the last term alone.
+(+), and a penalty that is no more than stability needs. In the second term the traction is that of
+the law's elasticity: where much of the displacement is still missing, second derivatives of the
+law would make the tangent of the whole indefinite, and whether a point at the yield surface has
+a plastic tangent at the start of a step is a matter of rounding. For the symmetric one k must
+exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembly.traces` computes from
+the cells with their remedy against small cuts; twice that is taken. The penalty method keeps the
+last term alone.
 
 The gap is what former steps have left of w, so that nothing accumulates.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -26,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
@@ -46,7 +46,6 @@ METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
 # thousandth of a cell's extension; the skew method is stable with any.
 _BETA = {"skew": 1.0, "penalty": 1e3}
-_numbers = itertools.count(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,7 @@ class WeakCondition:
         beta: Penalty in units of M/h; None for twice the constant of the cells.
         fixed: Penalty (Pa/m), or None.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
-        slope: Name of that of the law's tangent at the start of a step (Pa), or None.
+        moduli: Name of that of the law's elastic moduli M and G (Pa), or None.
         updates: The gap and the displacement reached, by name, as a step leaves them.
     """
 
@@ -70,7 +69,7 @@ class WeakCondition:
     beta: float | None
     fixed: float | None
     stiffness: str
-    slope: str | None
+    moduli: str | None
     updates: dict[str, Expr]
 
     @property
@@ -79,24 +78,15 @@ class WeakCondition:
         return self.fixed is None and self.beta is None
 
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
-        """Set the penalty where it is in units of M/h, or given, and the law's tangent.
+        """Set the penalty where it is in units of M/h, or given, and the law's moduli.
 
         Args:
             rows: Markers in active cells.
-
-        The law has none where its state is impossible; the step fails there itself.
         """
         markers = self.boundary.markers
-        if self.slope is not None:
+        if self.moduli is not None:
             assert self.declaration is not None
-            rows, d = np.intersect1d(rows, self.declaration.rows), markers.gdim
-            values, slopes = np.empty((len(rows), d * d)), np.empty((len(rows), d * d, d * d))
-            law = self.declaration.operator.law
-            if law.evaluate(np.zeros((len(rows), d * d)), values, slopes, rows) >= 0:
-                slopes[:] = 0.0
-            if self.declaration.strain != "small" and len(rows):
-                slopes /= np.linalg.det(markers["F"][rows])[:, None, None]
-            markers[self.slope][rows] = slopes.reshape(-1, d, d, d, d)
+            markers[self.moduli][self.declaration.rows] = self.declaration.moduli()
         if self.fixed is not None:
             markers[self.stiffness] = self.fixed
         elif self.beta is not None:
@@ -170,7 +160,7 @@ def dirichlet(
     beta = _BETA.get(method) if beta is None and stiffness is None else beta
     onto = _projection(boundary, direction)
     shape = (d,) if direction is None else ()
-    name = f"dirichlet{next(_numbers)}"
+    name = f"dirichlet{len(boundary.forces) + 1}"
     gap = markers.add_field(f"{name}_gap", (d,), "m")
     reached = markers.add_field(f"{name}_reached", (d,), "m")
     k = markers.add_field(f"{name}_stiffness", (), "Pa/m")
@@ -178,24 +168,19 @@ def dirichlet(
     wanted = g if direction is None else g * _axis(boundary, direction)
     missing = gap + u - (wanted - reached)
     along = onto(missing)
-    term, slope = k * ufl.dot(along, v), None
+    term, moduli = k * ufl.dot(along, v), None
     force = -k * along
     if declaration is not None and traction is not None and method != "penalty":
         sign = -1.0 if method == "nitsche" else 1.0
-        if declaration.operator is None:
-            change = expand_derivatives(ufl.derivative(traction, u, v))
-            change = ufl.replace(change, {u: ufl.zero(u.ufl_shape)})
-        else:
-            D = markers.add_field(slope := f"{name}_slope", (d, d, d, d), "Pa")
-            i, j, p, q = ufl.indices(4)
-            turned = D[i, j, p, q] * ufl.grad(v)[p, q] * boundary.normal[j]
-            change = ufl.as_vector(turned, i)
+        M = markers.add_field(moduli := f"{name}_moduli", (2,), "Pa")
+        strain_of_v, n = ufl.sym(ufl.grad(v)), boundary.normal
+        change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n + 2 * M[1] * ufl.dot(strain_of_v, n)
         force += onto(traction)
         term += -ufl.dot(onto(traction), v) + sign * ufl.dot(change, along)
     total = markers.add_field(f"{name}_force", (d,), "N")
     boundary.forces.append(total.name)
     condition = WeakCondition(
-        boundary, declaration, method, beta, stiffness, k.name, slope,
+        boundary, declaration, method, beta, stiffness, k.name, moduli,
         {gap.name: along, reached.name: wanted, total.name: force * markers.V},
     )  # fmt: skip
     mark = {**boundary.ds.metadata(), "condition": condition}

@@ -13,12 +13,21 @@ from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.traces import trace_constants
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.boundary import Boundary
-from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.splitting import BoundaryTerms
 
-__all__ = ["MarkerState", "advance_markers", "commit_markers", "place_markers", "set_penalties"]
+__all__ = [
+    "MarkerState",
+    "advance_markers",
+    "commit_markers",
+    "memory_of_markers",
+    "order_of_markers",
+    "place_markers",
+    "set_markers",
+    "set_penalties",
+]
 
 Array = npt.NDArray[np.float64]
 MarkerState = tuple[Boundary, dict[str, Array], Destinations | None]
@@ -114,6 +123,66 @@ def commit_markers(states: Sequence[MarkerState]) -> None:
             boundary.markers.fields[name][...] = values
         if to is not None:
             boundary.markers.migrate(to)
+
+
+def memory_of_markers(boundaries: Sequence[BoundaryTerms]) -> dict[str, npt.NDArray[Any]]:
+    """What markers keep, in the order of their numbers, the same on all ranks. Collective."""
+    state: dict[str, npt.NDArray[Any]] = {}
+    for k, of in enumerate(boundaries):
+        markers = of.boundary.markers
+        names = _kept(of.boundary)
+        found = markers.comm.bcast(markers.gather(*names))
+        state |= {f"boundary {k} {name}": values for name, values in zip(names, found)}
+    return state
+
+
+def order_of_markers(boundaries: Sequence[BoundaryTerms]) -> dict[str, npt.NDArray[Any]]:
+    """Numbers of this rank's markers as they stand, behind whether they are where points are."""
+    made = {}
+    for k, of in enumerate(boundaries):
+        markers = of.boundary.markers
+        placed = markers.partition is of.boundary.points.partition
+        made[f"boundary {k}"] = np.concatenate([[np.int64(placed)], markers["id"]])
+    return made
+
+
+def set_markers(
+    boundaries: Sequence[BoundaryTerms], state: dict[str, Any], local: dict[str, Any] | None
+) -> None:
+    """Set markers to what `memory_of_markers` returned, on any number of ranks. Collective.
+
+    Args:
+        boundaries: Terms over boundaries.
+        state: What that returned.
+        local: What `order_of_markers` did on this rank; None if ranks are others.
+    """
+    for k, of in enumerate(boundaries):
+        markers, names = of.boundary.markers, _kept(of.boundary)
+        markers.partition = of.boundary.points.partition
+        if local is not None:
+            placed, number = local[f"boundary {k}"][0], local[f"boundary {k}"][1:].copy()
+            if not placed:
+                # the next step finds their ranks, as it would have done
+                markers.partition = None
+            for name, values in markers.fields.items():
+                # the state of the nearest points is taken anew
+                markers.fields[name] = np.zeros((len(number), *values.shape[1:]), values.dtype)
+            markers.fields["id"] = number
+        for name in names:
+            markers.fields[name][...] = state[f"boundary {k} {name}"][markers["id"]]
+        if local is None:
+            markers.locate()
+        else:
+            markers.fields["cell"] = cells_here(markers.grid, markers["x"])
+            markers.recount()
+        take_state(of.boundary)
+
+
+def _kept(boundary: Boundary) -> list[str]:
+    """Names of the markers' fields that are not of the nearest point."""
+    state = {*boundary.points.fields, "body_x", "body_l"} - {"x", "V", "x0", "V0"}
+    state.add("cell")
+    return sorted(name for name in boundary.markers.fields if name not in state)
 
 
 def _outside(boundary: Boundary, x: Array, to: Destinations, step: int):

@@ -42,6 +42,7 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     remedies_of,
 )
+from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator, WeakForm
@@ -221,13 +222,15 @@ class Problem:
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
+            "boundaries": str([of.boundary.markers.total for of in self.form.boundaries]),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
         for what, here in self._problem().items():
-            if state.get(what) != here:
+            found = state.get(what, "[]" if what == "boundaries" else None)
+            if found != here:
                 return CheckpointError(
-                    f"{path} is of another problem: its {what} is {state.get(what)}, that of this "
+                    f"{path} is of another problem: its {what} is {found}, that of this "
                     f"one {here}; build the same problem before you load"
                 )
         return None
@@ -237,7 +240,9 @@ class Problem:
         loads, cells = saved_loads(self._loads)
         values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
         given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        return {**self._problem(), **loads, **given}, {}, cells
+        markers = memory_of_markers(self.form.boundaries)
+        order = order_of_markers(self.form.boundaries)
+        return {**self._problem(), **loads, **given, **markers}, order, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
@@ -247,6 +252,7 @@ class Problem:
         for k, value in enumerate(values):
             value.value = state[f"prescribed {k}"]
         set_loads(self._loads, state, cells)
+        set_markers(self.form.boundaries, state, local)
         self.here = None
 
     @stages.activate

@@ -5,6 +5,7 @@ from __future__ import annotations
 from . import (
     arguments,
     bodies,
+    boundaries,
     dynamics,
     explicit,
     failures,
@@ -73,5 +74,10 @@ CASES = {
         dynamics.dynamics_restart,
         explicit.explicit_steps,
         explicit.explicit_restart,
+        boundaries.boundaries,
+        boundaries.boundaries_triangles,
+        boundaries.boundary_3d,
+        boundaries.restart_boundaries,
+        boundaries.deposits,
     )
 }
