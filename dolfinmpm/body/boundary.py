@@ -62,8 +62,9 @@ class Boundary:
         area: Area vectors (m^(d-1)), area times outward unit normal, likewise.
         follows: Whether the markers move with the body; else they stay where they are.
         name: Name in messages and checkpoints.
-        activates: Whether the cells that markers are in become active. If not, markers
-            take part as long as the body is in their cells, as those of walls.
+        activates: Whether the cells that markers are in become active, as those of a body's own
+            boundary should. If not, markers take part as long as points are in their cells, as
+            those of walls. By default markers that follow the body do so.
 
     Attributes:
         points: The body.
@@ -88,10 +89,12 @@ class Boundary:
         area: npt.ArrayLike,
         follows: bool = True,
         name: str | None = None,
-        activates: bool = True,
+        activates: bool | None = None,
     ):
         check_points(points)
-        truth("follows", follows), truth("activates", activates)
+        activates = (
+            truth("follows", follows) if activates is None else truth("activates", activates)
+        )
         at, vectors = call_together(points.comm, lambda: _rows(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
@@ -130,6 +133,7 @@ class Boundary:
         follows: bool = True,
         rule: int = 2,
         name: str | None = None,
+        activates: bool | None = None,
     ) -> Boundary:
         """Along a polygon in the plane, or a chain of segments. Collective.
 
@@ -137,7 +141,7 @@ class Boundary:
             points: Material points of the body.
             vertices: Its corners (m), shape (n, 2), the same on all ranks; the body is to the left.
             closed: Whether the last corner is joined to the first.
-            follows, name: See `Boundary`.
+            follows, name, activates: See `Boundary`.
             rule: Gauss points on each piece of a segment in a cell.
 
         Raises:
@@ -165,7 +169,7 @@ class Boundary:
         x, area = along_segments(
             ends, None if lattice is None else lattice.lines, smallest_height(points.grid) / 2, rule
         )
-        return cls(points, x, area, follows, name)
+        return cls(points, x, area, follows, name, activates)
 
     @classmethod
     def from_side(
@@ -210,6 +214,7 @@ class Boundary:
         triangles: npt.ArrayLike,
         follows: bool = True,
         name: str | None = None,
+        activates: bool | None = None,
     ) -> Boundary:
         """On triangles in space. Collective.
 
@@ -221,7 +226,7 @@ class Boundary:
             vertices: Corners (m), shape (n, 3), the same on all ranks.
             triangles: Three of them each, shape (m, 3); the outward normal is that of their
                 right-handed turn.
-            follows, name: See `Boundary`.
+            follows, name, activates: See `Boundary`.
 
         Raises:
             UnsupportedGridError: The grid is not in three dimensions.
@@ -247,7 +252,7 @@ class Boundary:
             )
         lattice = lattice_of(points.grid)
         x, area = cut_triangles(corners[rows], None if lattice is None else lattice.lines)
-        return cls(points, x, area, follows, name)
+        return cls(points, x, area, follows, name, activates)
 
     @classmethod
     def from_level_set(
@@ -258,6 +263,7 @@ class Boundary:
         follows: bool = True,
         rule: int = 2,
         name: str | None = None,
+        activates: bool | None = None,
     ) -> Boundary:
         """Where a function vanishes, interpolated linearly within parts of the cells. Collective.
 
@@ -267,7 +273,7 @@ class Boundary:
                 body; see `dolfinmpm.grid.positions`.
             subdivisions: Parts of a cell in each direction, on rectangular grids. The error of
                 the boundary's place is of the square of their size.
-            follows, name: See `Boundary`.
+            follows, name, activates: See `Boundary`.
             rule: Gauss points on each piece of a line in 2D.
 
         Raises:
@@ -303,7 +309,7 @@ class Boundary:
             raise EmptyShapeError(
                 "phi changes its sign nowhere on the grid; it has no level 0 there"
             )
-        return cls(points, x, area, follows, name)
+        return cls(points, x, area, follows, name, activates)
 
     # -- of UFL ---------------------------------------------------------------
 

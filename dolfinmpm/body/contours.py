@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["along_segments", "contour", "cut_triangles", "kuhn"]
+__all__ = ["along_segments", "contour", "cut_triangles", "inside", "kuhn"]
 
 Array = npt.NDArray[np.float64]
 
@@ -163,3 +163,34 @@ def contour(corners: Array, values: Array) -> Array:
             largest = np.ptp(x, axis=1).max(axis=1) ** (d - 1)
             pieces.append(made[size > _NONE * largest])
     return np.concatenate(pieces)
+
+
+def inside(triangles: Array, values: Array) -> Array:
+    """Parts of triangles in the plane where functions that are linear on them are negative.
+
+    Args:
+        triangles: Corners (m), shape (n, 3, 2).
+        values: The function there, shape (n, 3).
+
+    Returns:
+        Triangles, shape (pieces, 3, 2).
+    """
+    order = np.argsort(values, axis=1)
+    x = np.take_along_axis(triangles, order[:, :, None], axis=1)
+    f = np.take_along_axis(values, order, axis=1)
+    count = np.sum(f < 0, axis=1)
+
+    def cut(rows, i, j):
+        share = f[rows, i] / (f[rows, i] - f[rows, j])
+        return x[rows, i] + share[:, None] * (x[rows, j] - x[rows, i])
+
+    one, two = count == 1, count == 2
+    a, b = cut(two, 0, 2), cut(two, 1, 2)
+    return np.concatenate(
+        [
+            x[count == 3],
+            np.stack([x[one, 0], cut(one, 0, 1), cut(one, 0, 2)], axis=1),
+            np.stack([x[two, 0], x[two, 1], b], axis=1),
+            np.stack([x[two, 0], b, a], axis=1),
+        ]
+    )

@@ -28,6 +28,7 @@ from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.terms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -77,16 +78,10 @@ class Wall:
         elif self.declaration is not None:
             of_law = self.declaration.rows
             k[of_law] = self.beta * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
-        n = markers["area"] / markers["V"][:, None]
-        away, half = markers["x"] - markers["body_x"], markers["body_l"]
-        ahead = np.sum(away * n, axis=1)
-        aside = np.abs(away - ahead[:, None] * n)
-        slack = 1e-6 * largest_cell(markers.grid)
-        on = np.zeros(len(markers), bool)
-        on[rows] = np.all(aside[rows] <= half[rows] + slack, axis=1)
+        on, way = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new = on & (known == 0.0)
-        gap[new] = np.minimum(np.sum(np.abs(n) * half, axis=1) - ahead, 0.0)[new]
+        gap[new] = np.minimum(-way, 0.0)[new]
         gap[~on] = 0.0
         markers[f"{name}_shear"][~on] = 0.0
         known[:] = on
@@ -142,8 +137,7 @@ def signorini(
     else:
         declaration = flux(law, markers, u, strain, tag)[1]
     name = f"wall{len(boundary.forces) + 1}"
-    markers.add_field("body_x", (d,), "m")
-    markers.add_field("body_l", (d,), "m")
+    look_ahead(boundary)
     gap = markers.add_field(f"{name}_gap", (), "m")
     shear = markers.add_field(f"{name}_shear", (d,), "Pa")
     on = markers.add_field(f"{name}_on")

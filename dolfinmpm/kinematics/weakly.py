@@ -36,6 +36,7 @@ from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.terms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -60,6 +61,8 @@ class WeakCondition:
         fixed: Penalty (Pa/m), or None.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
         moduli: Name of that of the law's elastic moduli M and G (Pa), or None.
+        on: Name of that of whether the body is in front of a marker; None for boundaries of
+            a body, where it always is.
         updates: The gap and the displacement reached, by name, as a step leaves them.
     """
 
@@ -70,6 +73,7 @@ class WeakCondition:
     fixed: float | None
     stiffness: str
     moduli: str | None
+    on: str | None
     updates: dict[str, Expr]
 
     @property
@@ -87,6 +91,11 @@ class WeakCondition:
         if self.moduli is not None:
             assert self.declaration is not None
             markers[self.moduli][self.declaration.rows] = self.declaration.moduli()
+        if self.on is not None:
+            on = in_front(self.boundary, rows)[0]
+            markers[self.on] = on.astype(float)
+            # where the body has gone it leaves nothing behind
+            self.gaps()[~on] = 0.0
         if self.fixed is not None:
             markers[self.stiffness] = self.fixed
         elif self.beta is not None:
@@ -169,7 +178,7 @@ def dirichlet(
     missing = gap + u - (wanted - reached)
     along = onto(missing)
     term, moduli = k * ufl.dot(along, v), None
-    force = -k * along
+    force, on = -k * along, None
     if declaration is not None and traction is not None and method != "penalty":
         sign = -1.0 if method == "nitsche" else 1.0
         M = markers.add_field(moduli := f"{name}_moduli", (2,), "Pa")
@@ -177,10 +186,14 @@ def dirichlet(
         change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n + 2 * M[1] * ufl.dot(strain_of_v, n)
         force += onto(traction)
         term += -ufl.dot(onto(traction), v) + sign * ufl.dot(change, along)
+    if not boundary.activates:
+        look_ahead(boundary)
+        mask = markers.add_field(on := f"{name}_on")
+        term, force, along = mask * term, mask * force, mask * along
     total = markers.add_field(f"{name}_force", (d,), "N")
     boundary.forces.append(total.name)
     condition = WeakCondition(
-        boundary, declaration, method, beta, stiffness, k.name, moduli,
+        boundary, declaration, method, beta, stiffness, k.name, moduli, on,
         {gap.name: along, reached.name: wanted, total.name: force * markers.V},
     )  # fmt: skip
     mark = {**boundary.ds.metadata(), "condition": condition}
