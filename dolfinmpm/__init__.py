@@ -24,6 +24,7 @@ from dolfinmpm.dynamics import (
     frictional,
     times,
 )
+from dolfinmpm.grid.graded import create_lattice, zoned_line
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
@@ -38,7 +39,7 @@ from dolfinmpm.kinematics import (
     signorini,
     stress,
 )
-from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate
+from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrade
 
 __version__ = "0.1.0"
 
@@ -69,6 +70,7 @@ __all__ = [
     "Where",
     "absorbing",
     "cell_size",
+    "create_lattice",
     "dirichlet",
     "equilibrate",
     "errors",
@@ -86,6 +88,7 @@ __all__ = [
     "partitioner",
     "plot",
     "prescribed",
+    "regrade",
     "rollers",
     "set_stress",
     "signorini",
@@ -94,4 +97,5 @@ __all__ = [
     "stress",
     "study",
     "times",
+    "zoned_line",
 ]

@@ -95,6 +95,11 @@ class Boundary:
         activates = (
             truth("follows", follows) if activates is None else truth("activates", activates)
         )
+        if getattr(points, "axisymmetric", False):
+            raise ParameterError(
+                "boundaries that do not fit the grid are of plane bodies and bodies in 3D, these "
+                "points are rings; hold them with conditions at nodes, or load a Surface"
+            )
         at, vectors = call_together(points.comm, lambda: _rows(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:

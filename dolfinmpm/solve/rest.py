@@ -40,7 +40,8 @@ def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -
     check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
     number("tolerance", tolerance, 0.0), whole("most", most, 1)
     points = problem.points
-    moved = float(np.abs(points["F"] - np.eye(points.gdim)).max(initial=0.0))
+    F = points["F"]
+    moved = float(np.abs(F - np.eye(F.shape[1])).max(initial=0.0))
     moved = points.comm.allreduce(moved, op=MPI.MAX)
     if moved > 0:
         raise ParameterError(
@@ -71,7 +72,7 @@ def _out_of_balance(operator: Operator) -> float:
 def _put_back(problem: QuasiStatic) -> None:
     """Undo the deformation of points and markers. Collective."""
     points = problem.points
-    points["F"] = np.eye(points.gdim)
+    points["F"] = np.eye(points["F"].shape[1])
     for sets, names in (
         (points, ("x", "V", "l")),
         *((of.boundary.markers, ("x", "area")) for of in problem.form.boundaries),
