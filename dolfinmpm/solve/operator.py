@@ -209,6 +209,12 @@ class WeakForm:
         self.softening.attach(fields)
         return blocks, self.softening.tangent(fields)
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were."""
+        for grid in (self.grid, self.softening):
+            if grid is not None:
+                grid.lay()
+
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
         return [] if self.inertia is None else self.inertia.blocks(fields)

@@ -277,6 +277,11 @@ class Problem:
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrade`."""
+        self.form.lay()
+        self.here = self._kept = None
+
     def _in_blocks(self, count: int) -> bool:
         """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""
         return False

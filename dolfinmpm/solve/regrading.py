@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import check_kind
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.grid.graded import lay_lines
 from dolfinmpm.grid.lattice import lattice_of
@@ -53,13 +52,7 @@ def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
         assert isinstance(space.basis, LatticeBasis)
         space.basis.lay(lattice)
         space.__dict__.pop("_extractions", None)
-    grids: list[GridAssembler | None] = [form.grid, form.softening]
-    terms = getattr(form.inertia, "form", None)
-    grids.append(getattr(terms, "grid", None))
-    for grid in grids:
-        if grid is not None:
-            grid.lay()
-    problem.here = None
+    problem.lay()
     points.locate()
     for of in form.boundaries:
         of.boundary.markers.locate()

@@ -79,5 +79,6 @@ CASES = {
         boundaries.boundary_3d,
         boundaries.restart_boundaries,
         boundaries.deposits,
+        boundaries.regraded,
     )
 }
