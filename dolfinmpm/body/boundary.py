@@ -12,7 +12,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown, truth, whole
+from dolfinmpm._platform.checks import number, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
@@ -139,6 +139,7 @@ class Boundary:
         rule: int = 2,
         name: str | None = None,
         activates: bool | None = None,
+        spacing: float | None = None,
     ) -> Boundary:
         """Along a polygon in the plane, or a chain of segments. Collective.
 
@@ -148,6 +149,9 @@ class Boundary:
             closed: Whether the last corner is joined to the first.
             follows, name, activates: See `Boundary`.
             rule: Gauss points on each piece of a segment in a cell.
+            spacing: Longest piece (m); by default those that cells cut, or half a cell where the
+                grid is not rectangular. Bodies that move far, or whose grid is laid anew, need
+                markers that are dense enough wherever they come.
 
         Raises:
             UnsupportedGridError: The grid is not in two dimensions.
@@ -171,9 +175,12 @@ class Boundary:
         if short.any():
             raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
         lattice, rule = lattice_of(points.grid), whole("rule", rule, 1)
-        x, area = along_segments(
-            ends, None if lattice is None else lattice.lines, smallest_height(points.grid) / 2, rule
-        )
+        if spacing is not None:
+            number("spacing", spacing, 0.0, unit="m")
+        elif lattice is None:
+            spacing = smallest_height(points.grid) / 2
+        lines = () if lattice is None else lattice.lines
+        x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
         return cls(points, x, area, follows, name, activates)
 
     @classmethod
@@ -307,7 +314,7 @@ class Boundary:
         )
         pieces = contour(simplices, values.reshape(simplices.shape[:2]))
         if d == 2:
-            x, area = along_segments(pieces, None, np.inf, rule)
+            x, area = along_segments(pieces, (), np.inf, rule)
         else:
             x, area = cut_triangles(pieces, None)
         if points.comm.allreduce(len(x), op=MPI.SUM) == 0:

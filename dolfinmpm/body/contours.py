@@ -27,14 +27,14 @@ _NONE = 1e-13
 
 
 def along_segments(
-    ends: Array, lines: Sequence[Array] | None, spacing: float, rule: int
+    ends: Array, lines: Sequence[Array], spacing: float, rule: int
 ) -> tuple[Array, Array]:
     """Gauss points of segments in the plane and their area vectors.
 
     Args:
         ends: First and last point of each segment (m), shape (n, 2, 2).
-        lines: Grid lines (m) in each direction, where the segments are cut; or None.
-        spacing: Longest piece (m) without grid lines.
+        lines: Grid lines (m) in each direction, where the segments are cut; or none.
+        spacing: Longest piece (m).
         rule: Gauss points of a piece.
 
     Returns:
@@ -46,11 +46,8 @@ def along_segments(
     for a, b in ends:
         along = b - a
         length = np.linalg.norm(along)
-        cuts = [np.array([0.0, 1.0])]
-        if lines is None:
-            cuts.append(np.linspace(0.0, 1.0, int(np.ceil(length / spacing)) + 1))
-        else:
-            cuts += [(line - a[d]) / along[d] for d, line in enumerate(lines) if along[d] != 0]
+        cuts = [np.linspace(0.0, 1.0, max(int(np.ceil(length / spacing)), 1) + 1)]
+        cuts += [(line - a[d]) / along[d] for d, line in enumerate(lines) if along[d] != 0]
         t = np.unique(np.clip(np.concatenate(cuts), 0.0, 1.0))
         steps = np.diff(t)
         keep = steps > _NONE

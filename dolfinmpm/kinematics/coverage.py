@@ -12,7 +12,9 @@ __all__ = ["in_front", "look_ahead"]
 
 Array = npt.NDArray[np.float64]
 
-# share of a cell by which a marker may be beside a point's domain
+# Domains of a deformed body leave gaps: a marker may be beside the nearest one by half its size
+_REACH = 1.5
+# and by rounding, as a share of a cell
 _SLACK = 1e-6
 
 
@@ -41,5 +43,5 @@ def in_front(
     aside = np.abs(away - ahead[:, None] * n)
     on = np.zeros(len(markers), bool)
     slack = _SLACK * largest_cell(markers.grid)
-    on[rows] = np.all(aside[rows] <= half[rows] + slack, axis=1)
+    on[rows] = np.all(aside[rows] <= _REACH * half[rows] + slack, axis=1)
     return on, ahead - np.sum(np.abs(n) * half, axis=1)

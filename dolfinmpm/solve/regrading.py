@@ -20,6 +20,7 @@ def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     """Lay the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
 
     Points and markers find their cells again; nothing is transferred, for the grid has no state.
+    Both must be as dense as the finest cells need wherever the zone comes.
     Conditions stay with the nodes that they were made for, and so hold the same sides of the grid.
     A checkpoint of the problem is of the grid as it is then.
 

@@ -249,3 +249,35 @@ def test_a_boundary_that_follows_and_one_that_stays():
     np.testing.assert_allclose(end.force(), 0.0, atol=1e-6 * weight)
     np.testing.assert_allclose(points["x"][:, 0] - points["x0"][:, 0], 1.0, atol=0.01)
     assert abs(points["x"][:, 1].min() - 0.3375) < 1e-3
+
+
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_a_thick_cylinder_at_finite_strain(stabilisation):
+    """Its hole is widened by half, in steps; the boundary follows. Hencky's law, exact values."""
+    n, steps = 4, 5
+    count = int(2.75 * n)
+    grid = mesh.create_rectangle(COMM, [(0, 0), (2.75, 2.75)], (count, count),
+                                 mesh.CellType.quadrilateral)  # fmt: skip
+    shape = mpm.Where(lambda x: (np.hypot(*x) < 2) & (np.hypot(*x) > 1))
+    points = mpm.fill(grid, shape, 3, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    law = mpm.materials.Hencky(E=1.0, nu=0.3)
+    hole = mpm.Boundary.from_level_set(points, lambda x: 1 - np.hypot(*x), subdivisions=4)
+    way = fem.Constant(grid, 0.0)
+    outward = hole.x0 / ufl.sqrt(ufl.dot(hole.x0, hole.x0))
+    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, hole, u, v, way * outward)
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "bottom"),
+                              stabilisation=stabilisation)  # fmt: skip
+    for k in range(steps):
+        way.value = 0.5 * (k + 1) / steps
+        assert problem.step().iterations <= 8
+    x, area = hole.markers["x"], hole.markers["V"]
+    radius = np.linalg.norm(x, axis=1)
+    np.testing.assert_allclose(radius, 1.5, rtol=2e-3)
+    assert area.sum() == pytest.approx(1.5 * np.pi / 2, rel=1e-3)
+    push = np.sum(hole.markers["dirichlet1_force"] * x, axis=1) / radius
+    assert push.sum() / area.sum() == pytest.approx(0.130556, rel=5e-3)
+    first, now = (np.linalg.norm(points[name], axis=1) for name in ("x0", "x"))
+    outer = np.polyval(np.polyfit(first[first > 1.8], now[first > 1.8], 1), 2.0)
+    assert outer == pytest.approx(2.360440, rel=1e-3)
