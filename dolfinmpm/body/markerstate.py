@@ -12,7 +12,7 @@ from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["take_state"]
+__all__ = ["keys_of", "nearest", "take_state"]
 
 Array = npt.NDArray[np.float64]
 
@@ -50,26 +50,38 @@ def take_state(boundary: Boundary) -> None:
             markers.fields[name] = values
 
 
-def _nearest(points: MaterialPoints, at: Array):
-    """Distances (m), keys and rows of the points nearest to positions, each of shape (n,).
+def nearest(x: Array, key: Array, at: Array):
+    """Distances (m), keys and rows of the places nearest to positions, each of shape (n,).
 
-    Of points that are equally near the one with the least key counts, a function of its first
-    position: numbers of points depend on the ranks.
+    Of places that are equally near the one with the least key counts.
+
+    Args:
+        x: Places (m), shape (m, gdim).
+        key: A number of each that does not depend on the ranks, see `keys_of`.
+        at: Positions (m), shape (n, gdim).
     """
     from scipy.spatial import cKDTree
 
-    if len(points) == 0 or len(at) == 0:
+    if len(x) == 0 or len(at) == 0:
         far = np.full(len(at), np.inf)
         return far, far.copy(), np.zeros(len(at), np.intp)
-    key = points["x0"] @ _WEIGHTS[: points.gdim]
-    count = min(4, len(points))
-    distance, rows = cKDTree(points["x"]).query(at, count)
+    count = min(4, len(x))
+    distance, rows = cKDTree(x).query(at, count)
     distance, rows = distance.reshape(len(at), count), rows.reshape(len(at), count)
     same = distance <= distance[:, :1] * (1 + _SAME)
     keys = np.where(same, key[rows], np.inf)
     best = np.argmin(keys, axis=1)
     every = np.arange(len(at))
     return np.ascontiguousarray(distance[:, 0]), keys[every, best], rows[every, best]
+
+
+def keys_of(x0: Array) -> Array:
+    """Keys of places by first positions (m): numbers of points depend on the ranks."""
+    return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
+
+
+def _nearest(points: MaterialPoints, at: Array):
+    return nearest(points["x"], keys_of(points["x0"]), at)
 
 
 def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArray[Any]]:

@@ -22,12 +22,14 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
@@ -43,6 +45,8 @@ __all__ = ["Wall", "signorini"]
 # stiffness; where the wall were much stiffer than the body, the next iteration would have it slide
 # back, and so on.
 _BETA, _SLIP = 1e2, 0.5
+# Markers so many cells apart touch the same part of a body that slides
+_NEAR = 1.0
 # slip below this share of a cell has no direction
 _STILL = 1e-12
 
@@ -83,11 +87,35 @@ class Wall:
             k[of_law] = self.beta * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
         on, way = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
-        new = on & (known == 0.0)
+        new, shear = on & (known == 0.0), markers[f"{name}_shear"]
         gap[new] = np.minimum(-way, 0.0)[new]
-        gap[~on] = 0.0
-        markers[f"{name}_shear"][~on] = 0.0
+        self._inherit(new, known > 0.0, (gap, shear))
+        gap[~on], shear[~on] = 0.0, 0.0
         known[:] = on
+
+    def _inherit(
+        self,
+        new: npt.NDArray[np.bool_],
+        old: npt.NDArray[np.bool_],
+        fields: tuple[npt.NDArray[np.float64], ...],
+    ) -> None:
+        """Give markers that the body comes to what those have that it is at. Collective.
+
+        Args:
+            new: Markers that it comes to.
+            old: Those that it was at in the last step.
+            fields: Changed.
+        """
+        markers, comm = self.boundary.markers, self.boundary.points.comm
+        if not comm.allreduce(bool(new.any()), op=MPI.LOR):
+            return
+        x = np.concatenate(comm.allgather(markers["x"][old]))
+        values = [np.concatenate(comm.allgather(values[old])) for values in fields]
+        rows = np.flatnonzero(new)
+        distance, _, of = nearest(x, keys_of(x), markers["x"][rows])
+        near = distance < _NEAR * largest_cell(markers.grid)
+        for to, source in zip(fields, values):
+            to[rows[near]] = source[of[near]]
 
 
 def signorini(

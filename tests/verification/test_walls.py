@@ -144,3 +144,44 @@ def test_walls_in_space():
     for (side, wall), n in zip(walls.items(), [(1, 0), (-1, 0), (0, 1), (0, -1)]):
         np.testing.assert_allclose(wall.force()[:2], exact * np.array(n), rtol=0.06, atol=1e-6,
                                    err_msg=side)  # fmt: skip
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 0.8])
+def test_a_slab_on_an_incline(friction):
+    """Gravity grows, then stays: it slides as the point mass does, or is stuck and stays so."""
+    angle, g0, grows, until = np.radians(30.0), 9.81, 0.15, 0.3
+    down = np.array([np.cos(angle), -np.sin(angle)])
+    into = np.array([-np.sin(angle), -np.cos(angle)])
+    grid = mesh.create_rectangle(COMM, [(0, 0), (2.4, 2.0)], (24, 20), mesh.CellType.quadrilateral)
+    start = np.array([0.6, 1.5])
+    a = np.arange(0.025, 0.5, 0.05)
+    x = np.array([start + p * down - q * into for p in a for q in a[:3]])
+    points = mpm.MaterialPoints.from_arrays(grid, x, 0.05**2, 1000.0, half_length=0.025)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    law = mpm.materials.Hencky(E=1e6, nu=0.2)
+    ends = [start - 0.4 * down, start + 1.6 * down]
+    slope = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False, name="slope")
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, slope, u, v, friction=friction)
+    F -= ufl.inner(points.density * g, v) * points.dX
+    problem = mpm.GeneralisedAlpha(F, u, points, rho_inf=0.5, stabilisation="ghost")
+    ways = []
+    for t in mpm.times(until, dt=0.01):
+        g.value[1] = -g0 * min(t / grows, 1.0)
+        problem.step(t)
+        ways.append(np.mean((points["x"] - points["x0"]) @ down))
+    weight = 1000.0 * g0 * 0.5 * 0.15
+    assert slope.force() @ -into == pytest.approx(weight * np.cos(angle), rel=0.05)
+    slides = np.sin(angle) - friction * np.cos(angle)
+    rest = until - grows
+    exact = g0 * max(slides, 0.0) * (grows**2 / 6 + grows / 2 * rest + rest**2 / 2)
+    if slides > 0:
+        assert ways[-1] == pytest.approx(exact, rel=0.01)
+        friction_force = friction * weight * np.cos(angle)
+        assert slope.force() @ -down == pytest.approx(friction_force, abs=0.05 * weight)
+    else:
+        # elastic slip alone, of which none accumulates
+        assert 0 < ways[-1] < 5e-4
+        assert abs(ways[-1] - ways[-6]) < 1e-4
+    assert np.abs((points["x"] - points["x0"]) @ into).max() < 1e-3
