@@ -8,6 +8,7 @@ from dolfinmpm._platform.stages import measure_stages
 from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import gradient
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.filling import fill
 from dolfinmpm.body.footing import RigidFooting
 from dolfinmpm.body.meshparts import partitioner
@@ -26,25 +27,38 @@ from dolfinmpm.dynamics import (
     times,
 )
 from dolfinmpm.forms.carriedfields import carried
+from dolfinmpm.grid.graded import create_lattice, zoned_line
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
 from dolfinmpm.io.history import History
 from dolfinmpm.io.progress import steps
-from dolfinmpm.kinematics import geostatic_stress, momentum, set_stress, stress
+from dolfinmpm.kinematics import (
+    Deposit,
+    Layer,
+    dirichlet,
+    geostatic_stress,
+    momentum,
+    set_stress,
+    signorini,
+    stress,
+)
 from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-from dolfinmpm.solve import ArcLength, QuasiStatic
+from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrade
 
 __version__ = "0.1.0"
 
 __all__ = [
     "ArcLength",
     "Ball",
+    "Boundary",
     "Box",
+    "Deposit",
     "Disc",
     "Explicit",
     "Fluid",
     "GeneralisedAlpha",
     "History",
+    "Layer",
     "Mapping",
     "MaterialPoints",
     "Newmark",
@@ -63,6 +77,9 @@ __all__ = [
     "absorbing",
     "carried",
     "cell_size",
+    "create_lattice",
+    "dirichlet",
+    "equilibrate",
     "errors",
     "figure",
     "fill",
@@ -81,11 +98,14 @@ __all__ = [
     "plot",
     "poromechanics",
     "prescribed",
+    "regrade",
     "rollers",
     "set_stress",
+    "signorini",
     "soft",
     "steps",
     "stress",
     "study",
     "times",
+    "zoned_line",
 ]

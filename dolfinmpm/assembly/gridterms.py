@@ -92,6 +92,10 @@ class _Block:
         if self.moving:
             self._form = None
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were."""
+        self._form, self._penalties = None, {}
+
     def attach(self, entities: Entities) -> None:
         """Integrate over these ghost facets and active cells. Collective after `renew`."""
         if self._form is not None:
@@ -275,6 +279,12 @@ class GridAssembler:
         for forms in (self._external, self._internal):
             for k, block in forms.items():
                 block.attach(self._attached[k])
+
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were."""
+        self._attached = None
+        for block in [*self._vectors, *(self._jacobian or {}).values()]:
+            block.lay()
 
     def tangent(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """Tangent of the internal terms between the solver's nodes. Collective.

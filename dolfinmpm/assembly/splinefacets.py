@@ -192,6 +192,13 @@ class FacetBlock:
         """Forget which facets were integrated over."""
         self._attached = False
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were."""
+        basis = self._space.basis
+        assert isinstance(basis, LatticeBasis)
+        self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
+        self._tensors, self._penalties, self._attached = {}, {}, False
+
     def attach(self, entities: dict[int, Ints], basis: LatticeBasis) -> None:
         """Integrate over these ghost facets, unless nothing has changed.
 

@@ -348,6 +348,17 @@ class LatticeBasis:
             self._grown[key] = wider
         return self._grown[key]
 
+    def lay(self, lattice: Lattice) -> None:
+        """Take a lattice of as many lines in place of the own one.
+
+        Numberings stay; what was computed from places does not.
+        """
+        self.lattice = lattice
+        self._lines = np.concatenate(lattice.lines)
+        self._node_x = self._corners = None
+        # copies with more overlap are made anew
+        self._grown = {}
+
     def node_coordinates(self) -> npt.NDArray[np.float64]:
         """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
         if self._node_x is None:

@@ -22,6 +22,7 @@ __all__ = [
     "joined",
     "pushed_forward",
     "selected",
+    "together",
 ]
 
 
@@ -42,6 +43,22 @@ class Placement:
     volume: npt.NDArray[np.float64]
     cell: npt.NDArray[np.int32]
     rings: bool = False
+
+    def of(self, rows: npt.NDArray[np.integer]) -> Placement:
+        """Some of the points."""
+        return Placement(self.x[rows], self.half[rows], self.volume[rows], self.cell[rows])
+
+
+def together(placements: Sequence[Placement]) -> Placement:
+    """Several sets of points as one, in their order; one alone is itself."""
+    if len(placements) == 1:
+        return placements[0]
+    return Placement(
+        *(
+            np.concatenate([getattr(p, name) for p in placements])
+            for name in ("x", "half", "volume", "cell")
+        )
+    )
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
 from dolfinmpm.basis.space import Space, extraction
-from dolfinmpm.basis.stencils import joined, pushed_forward, selected
+from dolfinmpm.basis.stencils import joined, pushed_forward, selected, together
 from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
@@ -45,6 +46,7 @@ __all__ = [
     "Field",
     "activate",
     "active_on_grid",
+    "regions_of",
 ]
 
 Basis = LatticeBasis | LinearBasis
@@ -67,6 +69,18 @@ class Region(Protocol):
         """Which points belong to it, or None if all do."""
 
 
+class BoundaryOf(Protocol):
+    """Terms over a boundary that does not fit the grid."""
+
+    @property
+    def boundary(self) -> Boundary:
+        """The boundary."""
+
+    @property
+    def regions(self) -> Sequence[Region]:
+        """Parts of it with terms of their own."""
+
+
 class Terms(Protocol):
     """What an activation must know of a weak form."""
 
@@ -77,6 +91,10 @@ class Terms(Protocol):
     @property
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
+
+    @property
+    def boundaries(self) -> Sequence[BoundaryOf]:
+        """Boundaries that do not fit the grid, with the parts that have terms of their own."""
 
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
         """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
@@ -120,6 +138,8 @@ class ActiveField:
         to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
         entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
         penalty: Penalty of weak aggregation, or None.
+        whole: Stencils of points and markers on all active nodes.
+        of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
     """
 
     space: Space
@@ -132,11 +152,13 @@ class ActiveField:
     to_grid: sparse.csr_matrix | None
     entities: Entities
     penalty: Blocks | None
+    whole: Stencils
+    of_markers: tuple[Stencils, ...] = ()
 
     @functools.cached_property
     def cells(self) -> npt.NDArray[np.bool_]:
         """Whether each local cell is active. Collective at first."""
-        return active_cells(self.seen, self.basis.cells)
+        return active_cells(self.whole, self.basis.cells)
 
 
 @dataclass(frozen=True)
@@ -228,6 +250,7 @@ class Activation(Participants):
         soft: The same of terms of the tangent only.
         mass: The mass between these nodes (kg), if there are inertial forces.
         later: What is made when it is first asked for.
+        of_boundaries: The parts of each boundary that does not fit the grid.
     """
 
     terms: Terms
@@ -238,6 +261,7 @@ class Activation(Participants):
     soft: list[Blocks]
     mass: list[Blocks]
     later: Later
+    of_boundaries: list[list[ActiveRegion]]
 
     @property
     def pattern(self) -> Pattern:
@@ -286,7 +310,14 @@ def activate(
     if total and old is not None and _unmoved(points, where, old):
         return _renewed(points, held, terms, share, old)
     averages = any(region.averages for region in terms.regions)
+    bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
+    # markers activate cells as points without volume do
+    where = together([bodies, *sets])
     bases = _bases(fields, where, averages, points.partition)
+    members: list[npt.NDArray[Any]] = [np.arange(len(p.x), dtype=np.int32) for p in sets]
+    if not all(b.boundary.activates for b in terms.boundaries):
+        members = _in_active_cells(terms.boundaries, bodies, sets, bases)
+        where = together([bodies, *(one.of(rows) for one, rows in zip(sets, members))])
     seen = _shared(bases, lambda basis: basis.stencils(where))
     nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
     bases, nodes, roots = _with_roots(fields, bases, where, seen, nodes)
@@ -299,6 +330,7 @@ def activate(
             points.axisymmetric,
         )  # fmt: skip
         active.append(found)
+    active = _parted(active, len(bodies.x), members)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
@@ -306,19 +338,19 @@ def activate(
         unknowns = Unknowns([b.nodes for b in bases], remaining, fixed, blocked)
         old = None
     grid, soft = terms.grid_blocks(active)
-    here = Participants(where, total, tuple(active), unknowns)
+    here = Participants(bodies, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
+    of_boundaries = regions_of(terms.boundaries, here, terms.boundaries)
     mass = terms.mass_blocks(active)
     pairs = pairs_of([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
-    later = Later(
-        lambda: Pattern.build(lists_of(regions, active, unknowns), unknowns, pairs, former)
-    )
+    every = [*regions, *(region for parts in of_boundaries for region in parts)]
+    later = Later(lambda: Pattern.build(lists_of(every, active, unknowns), unknowns, pairs, former))
     driven = held.changing and held.driven
     return Activation(
-        where, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later,
+        bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
+        later, of_boundaries,
     )  # fmt: skip
 
 
@@ -495,5 +527,79 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen
     )
+
+
+def _in_active_cells(
+    boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases
+) -> list[npt.NDArray[Any]]:
+    """Which markers take part: those of passive boundaries in cells that points see. Collective."""
+    members = [np.ones(len(one.x), bool) for one in sets]
+    for basis in {id(b): b for b in bases}.values():
+        cells = active_cells(basis.stencils(bodies), basis.cells)
+        for of, one, chosen in zip(boundaries, sets, members):
+            if of.boundary.activates:
+                continue
+            s = basis.stencils(one)
+            # a marker without a domain is in one cell
+            chosen[s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
+    return [np.asarray(np.flatnonzero(chosen), np.int32) for chosen in members]
+
+
+def _parted(
+    fields: list[ActiveField], points: int, members: Sequence[npt.NDArray[np.int32]]
+) -> list[ActiveField]:
+    """Fields with the stencils of the points, and those of each boundary's markers apart.
+
+    Args:
+        fields: Fields with stencils of all together.
+        points: How many points there are on this rank.
+        members: Which markers of each boundary take part.
+    """
+    if not members:
+        return fields
+    ends = np.cumsum([points, *(len(rows) for rows in members)])
+    number = np.arange(ends[-1])
+    rows_of = [np.arange(points, dtype=np.int32), *members]
+
+    def part(s: Stencils, k: int) -> Stencils:
+        first = ends[k] - len(rows_of[k])
+        own = selected(s, (number >= first) & (number < ends[k]))
+        return replace(own, order=rows_of[k][own.order - first])
+
+    return [
+        replace(
+            field,
+            seen=part(field.seen, 0),
+            stencils=part(field.stencils, 0),
+            of_markers=tuple(part(field.stencils, k) for k in range(1, len(rows_of))),
+        )
+        for field in fields
+    ]
+
+
+def regions_of(
+    boundaries: Sequence[BoundaryOf], here: Participants, of_main: Sequence[BoundaryOf]
+) -> list[list[ActiveRegion]]:
+    """The parts of boundaries that do not fit the grid, on what is active.
+
+    Args:
+        boundaries: Terms over them.
+        here: What is active.
+        of_main: Those of the form that the activation is made for, among which they are.
+    """
+    within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
+    number = {id(of.boundary): k for k, of in enumerate(of_main)}
+    made = []
+    for of in boundaries:
+        parts, k = [], number[id(of.boundary)]
+        for region in of.regions:
+            chosen = region.chosen(of.boundary.markers["tag"])
+            whole = {id(f.of_markers[k]): f.of_markers[k] for f in here.fields}
+            if chosen is not None:
+                whole = {key: selected(s, chosen) for key, s in whole.items()}
+            own = joined([whole[id(f.of_markers[k])] for f in here.fields])
+            parts.append(ActiveRegion(own, None, within))
+        made.append(parts)
+    return made

@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import choice, number
-from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
@@ -129,6 +129,12 @@ class Explicit(Problem):
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
+        if self.form.boundaries:
+            raise FormError(
+                f"the form has terms over {self.form.boundaries[0].boundary}, and Explicit makes "
+                "no equations for them; take Newmark, GeneralisedAlpha or QuasiStatic, or hold "
+                "sides of the grid"
+            )
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)

@@ -216,6 +216,10 @@ class Sides:
     def __len__(self):
         return len(self._faces)
 
+    def lay(self) -> None:
+        """Forget areas of where the grid's lines were."""
+        self._on.clear()
+
     def on(self, basis: Any) -> Faces | None:
         """The faces in a basis's numbering, or None without any. Collective when asked first."""
         if not self._faces:

@@ -115,6 +115,12 @@ class Motion:
         self.varying = varying or self._clock is not None
         self._starting |= jumped
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrade`."""
+        if self.terms.ghost is not None:
+            self.terms.ghost.lay()
+        self._sides.lay()
+
     def set_time(self, t: float) -> None:
         """Tell the form the time (s)."""
         if self._clock is not None:

@@ -242,6 +242,11 @@ class TimeStepping(QuasiStatic):
         self._load_at(step, 1.0)
         return state if reason is None else reason
 
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrade`."""
+        super().lay()
+        self.motion.lay()
+
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()
         change = np.array(self._loads.change)

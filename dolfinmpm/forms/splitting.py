@@ -18,6 +18,8 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
@@ -29,7 +31,24 @@ from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
-__all__ = ["SplitForm", "split"]
+__all__ = ["BoundaryTerms", "SplitForm", "split"]
+
+
+@dataclass(frozen=True)
+class BoundaryTerms:
+    """Terms over a boundary that does not fit the grid.
+
+    Attributes:
+        boundary: The boundary.
+        regions: Terms of its markers, as of points.
+        declarations: What laws in the terms need of the markers.
+        conditions: What makes numbers at the markers before each step; see `dirichlet`.
+    """
+
+    boundary: Boundary
+    regions: list[PointTerms]
+    declarations: list[Declaration]
+    conditions: list[Any]
 
 
 @dataclass(frozen=True)
@@ -42,12 +61,14 @@ class SplitForm:
         grid: Terms over the grid.
         declarations: What the laws in the form keep at the points.
         carried: Fields that its terms carry from step to step, or renew as one begins.
+        boundaries: Terms over boundaries that do not fit the grid.
     """
 
     regions: list[PointTerms]
     grid: GridTerms
     declarations: list[Declaration]
     carried: list[PointField]
+    boundaries: list[BoundaryTerms]
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -80,8 +101,15 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     kept = carried_in(form)
     for field in kept:
         points.add_field(field.name, field.ufl_shape, field.unit, field.first)
+    of_markers = {b.markers.number: b for b in _boundaries(form, points)}
+    of_laws = {number: declared(form, b.markers) for number, b in of_markers.items()}
+    for number, boundary in of_markers.items():
+        take_state(boundary)
+        for declaration in of_laws[number]:
+            declaration.bind()
     form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
+    at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
     ordinary: list[Any] = []
     for integral in form.integrals():
         if integral.integral_type() == "custom":
@@ -90,7 +118,11 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                     f"the term '{brief(integral.integrand())}' gives a measure of points metadata "
                     "of its own; points take no quadrature degree"
                 )
-            if integral.metadata()["points"] != points.number:
+            number = integral.metadata()["points"]
+            if number in at_markers:
+                at_markers[number].append(integral)
+                continue
+            if number != points.number:
                 raise FormError(
                     f"the term '{brief(integral.integrand())}' is integrated over material points "
                     "that the problem does not move"
@@ -105,7 +137,46 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         GridTerms(ordinary, spaces),
         declarations,
         kept,
+        [
+            BoundaryTerms(
+                boundary,
+                _regions(at_markers[number], spaces, boundary.markers, of_laws[number]),
+                of_laws[number],
+                _conditions(at_markers[number]),
+            )
+            for number, boundary in of_markers.items()
+        ],
     )
+
+
+def _boundaries(form: ufl.Form, points: MaterialPoints) -> list[Boundary]:
+    """Boundaries of the points in a form, each once.
+
+    Raises:
+        FormError: One is of other points.
+    """
+    found: list[Boundary] = []
+    for integral in form.integrals():
+        boundary = (integral.metadata() or {}).get("boundary")
+        if boundary is None or any(boundary is b for b in found):
+            continue
+        if boundary.points is not points:
+            raise FormError(
+                f"the term '{brief(integral.integrand())}' is over a boundary of other material "
+                "points than those that the problem moves"
+            )
+        found.append(boundary)
+    return found
+
+
+def _conditions(integrals) -> list[Any]:
+    """Conditions that integrals are marked with, each once."""
+    found: list[Any] = []
+    for integral in integrals:
+        condition = integral.metadata().get("condition")
+        if condition is not None and not any(condition is c for c in found):
+            found.append(condition)
+    return found
 
 
 def _check_tags(integrals) -> None:

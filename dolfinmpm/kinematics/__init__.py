@@ -5,22 +5,29 @@ strain of an increment joins that of before, and in which stress the law's is.
 """
 
 from dolfinmpm.body.domains import update_domains
+from dolfinmpm.kinematics.deposits import Deposit, Layer
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.initial import geostatic_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
 from dolfinmpm.kinematics.terms import framework, momentum, set_stress, stress
+from dolfinmpm.kinematics.walls import signorini
+from dolfinmpm.kinematics.weakly import dirichlet
 
 __all__ = [
+    "Deposit",
     "Framework",
     "Jaumann",
     "LargeStrain",
+    "Layer",
     "SmallStrain",
+    "dirichlet",
     "framework",
     "geostatic_stress",
     "momentum",
     "set_stress",
+    "signorini",
     "stress",
     "update_domains",
 ]

@@ -40,7 +40,7 @@ from dolfinmpm.kinematics.small import SmallStrain
 from dolfinmpm.materials.base import Law, lame
 from dolfinmpm.materials.neohookean import NeoHookean
 
-__all__ = ["framework", "momentum", "set_stress", "stress"]
+__all__ = ["flux", "framework", "momentum", "set_stress", "stress"]
 
 CENTRES = "centres"
 
@@ -334,6 +334,33 @@ def stress(
     # with F-bar the flux holds J/J̄, so that σ = τ/J̄
     dF = ufl.Identity(d) + gradient(points, u)
     return S * dF.T / ufl.det(dF * points.F)
+
+
+def flux(
+    law: Law | NeoHookean,
+    points: MaterialPoints,
+    u: fem.Function,
+    strain: str = "large",
+    tag: int | tuple[int, ...] | None = None,
+) -> tuple[Expr, Declaration]:
+    """What `momentum` multiplies by ∇̃v, per volume at the start of the step (Pa).
+
+    Its product with a normal at the start of the step is the force per area there.
+
+    Args:
+        law, points, u, strain, tag: As for `momentum`.
+
+    Returns:
+        An expression of shape (gdim, gdim), and the law's declaration.
+    """
+    declaration = points.declarations[_declare(law, points, u, strain, False, tag)]
+    d, S = points.gdim, declaration.operator
+    if S is None:
+        sigma = law.cauchy_stress(_end(points, u), **declaration.given)
+        plane = ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
+        dF = ufl.Identity(d) + ufl.grad(u)
+        return ufl.det(dF) * plane * ufl.inv(dF).T, declaration
+    return (S if strain == "small" else S / ufl.det(points.F)), declaration
 
 
 def set_stress(

@@ -6,6 +6,7 @@ from dolfinmpm.materials.druckerprager import DruckerPrager
 from dolfinmpm.materials.hencky import Hencky
 from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
 from dolfinmpm.materials.ufl_energy import EnergyWithYield
 from dolfinmpm.materials.vonmises import VonMises
@@ -19,7 +20,9 @@ __all__ = [
     "MohrCoulomb",
     "NeoHookean",
     "Parameter",
+    "Sand",
     "Tresca",
     "VonMises",
     "law_kernel",
+    "sand",
 ]

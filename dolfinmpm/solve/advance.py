@@ -19,6 +19,7 @@ from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.solve.boundaries import MarkerState, advance_markers, commit_markers
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["NewState", "advance", "commit"]
@@ -33,10 +34,12 @@ class NewState:
     Attributes:
         fields: New values by field.
         to: Where the points go, or None where they stay in their cells.
+        markers: Likewise of boundaries that do not fit the grid.
     """
 
     fields: dict[str, Array]
     to: Destinations | None
+    markers: Sequence[MarkerState] = ()
 
 
 @stages.commit
@@ -105,7 +108,9 @@ def advance(
         # Newton may find a state of equilibrium on the far side of a singular one
         return "material points would be thrown out of the grid, further than a cell"
     raise_together(comm, _outside(points, new["x"], lost, step))
-    return NewState(new, to)
+    form = operator.form
+    markers = advance_markers(form.boundaries, form.updates, operator.markers, step)
+    return NewState(new, to, markers)
 
 
 @stages.commit
@@ -117,6 +122,7 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     """
     for name, values in state.fields.items():
         points.fields[name][...] = values
+    commit_markers(state.markers)
     return 0 if state.to is None else points.migrate(state.to) + balance(points)
 
 

@@ -17,16 +17,18 @@ from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation, ActiveField, region_on
+from dolfinmpm.cut.activation import Activation, ActiveField, region_on, regions_of
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.forms.carriedfields import CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.splitting import SplitForm, split
+from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
+from dolfinmpm.solve.boundaries import place_markers, set_penalties
 from dolfinmpm.solve.unsoftened import Unsoftened
 
 __all__ = ["Operator", "Residual", "WeakForm"]
@@ -64,6 +66,7 @@ class WeakForm:
         softening: The same of the terms of the tangent only, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
+        updates: Fields of each boundary's markers that a step sets.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -90,14 +93,22 @@ class WeakForm:
         self.softening: GridAssembler | None = None
         if softening is not None:
             self.softening = GridAssembler(split(softening, spaces, points).grid, spaces)
-        for region in self.regions:
+        self.updates = [
+            PointUpdates(
+                {name: e for c in of.conditions for name, e in c.updates.items()},
+                of.regions, spaces, of.boundary.markers,
+            )
+            for of in self.boundaries
+        ]  # fmt: skip
+        for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # what cannot be compiled is to be told now; tangents wait until a solver asks
             region.external, region.internal, region.operands  # noqa: B018
 
     def bind(self) -> None:
         """Let laws give points that came since what they keep at first. Collective."""
         if self._revision != self.points.revision:
-            for declaration in self.parts.declarations:
+            of_markers = [d for b in self.boundaries for d in b.declarations]
+            for declaration in (*self.parts.declarations, *of_markers):
                 declaration.bind()
             self._revision = self.points.revision
             self._first_moduli()
@@ -120,11 +131,24 @@ class WeakForm:
 
     def _elastic(self) -> Array:
         """Elastic moduli at the points (Pa), shape (points, 2); 0 where no law is asked."""
-        out = np.zeros((len(self.points), 2))
         laws = {id(d): d for modulus in self.moduli for d in self._laws_of(modulus)}
-        for declaration in laws.values():
+        return self._moduli_of(list(laws.values()))
+
+    def _moduli_of(self, laws: Sequence[Declaration]) -> Array:
+        out = np.zeros((len(self.points), 2))
+        for declaration in laws:
             out[declaration.rows] = declaration.moduli()
         return out
+
+    def place_markers(self) -> None:
+        """Make boundaries ready for an activation. Collective."""
+        place_markers(self.boundaries)
+
+    def set_penalties(self, here: Activation) -> None:
+        """Set the penalties of weak conditions on an activation. Collective."""
+        increments = [space.increment for space in self.spaces]
+        laws = self.parts.declarations
+        set_penalties(self.boundaries, here, lambda: self._moduli_of(laws), increments)
 
     def _first_moduli(self) -> None:
         """Give points that have no moduli of a tangent yet the elastic ones."""
@@ -153,6 +177,11 @@ class WeakForm:
         return self.parts.regions
 
     @property
+    def boundaries(self) -> list[BoundaryTerms]:
+        """Terms over boundaries that do not fit the grid."""
+        return self.parts.boundaries
+
+    @property
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
         own = self.grid.moving | (self.softening.moving if self.softening else set())
@@ -162,7 +191,7 @@ class WeakForm:
     def loads(self) -> list[Any]:
         """DOLFINx constants and functions in the form."""
         found: list[Any] = []
-        for region in self.regions:
+        for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # numbers of laws are no loads
             found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
             found += [function for function, _ in region.slots.functions]
@@ -181,6 +210,12 @@ class WeakForm:
             return blocks, []
         self.softening.attach(fields)
         return blocks, self.softening.tangent(fields)
+
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were."""
+        for grid in (self.grid, self.softening):
+            if grid is not None:
+                grid.lay()
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
@@ -219,6 +254,7 @@ class Operator:
     Attributes:
         form, here: The arguments.
         points: The terms of the points.
+        markers: The terms over each boundary that does not fit the grid.
     """
 
     @stages.assemble
@@ -229,12 +265,17 @@ class Operator:
                 field.renew()
         # a second form on an activation that was made for another has its own parts of the body
         self._main = form is here.terms
-        parts = here.regions
+        parts, of_boundaries = here.regions, here.of_boundaries
         if not self._main:
             parts = [region_on(r, form.points, here) for r in form.regions]
+            of_boundaries = regions_of(form.boundaries, here, here.terms.boundaries)
             if form.parts.grid:
                 form.grid.attach(here.fields)
         self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
+        self.markers = [
+            Evaluation(of.regions, of.boundary.markers, here.unknowns, parts)
+            for of, parts in zip(form.boundaries, of_boundaries)
+        ]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.renew_external()
@@ -246,8 +287,9 @@ class Operator:
         """Take the DOLFINx constants and functions as they are now. Collective."""
         here, out = self.here, self._external
         here.unknowns.clear(out)
-        self.points.update_constants()
-        self.points.add_external(out.arrays)
+        for terms in self._sets:
+            terms.update_constants()
+            terms.add_external(out.arrays)
         if self.form.parts.grid:
             self.form.grid.add_external(here.fields, out.arrays)
         out.add_up()
@@ -274,7 +316,17 @@ class Operator:
         if scale != 1.0:
             x, prescribed = scale * x, [scale * values for values in prescribed]
         self.here.unknowns.expand(x, prescribed, self._u)
-        self.points.interpolate(self._u.arrays)
+        self._interpolate()
+
+    @property
+    def _sets(self) -> list[Evaluation]:
+        """The terms of the points and of all boundaries' markers."""
+        return [self.points, *self.markers]
+
+    def _interpolate(self) -> None:
+        """Evaluate the nodal increments at points and markers."""
+        for terms in self._sets:
+            terms.interpolate(self._u.arrays)
 
     @property
     def increments(self) -> Sequence[Array]:
@@ -325,19 +377,19 @@ class Operator:
         """
         for mine, given in zip(self._u.arrays, u):
             mine[...] = given
-        self.points.interpolate(self._u.arrays)
+        self._interpolate()
 
     @stages.evaluate
     def rest(self) -> None:
         """Evaluate no increment at all, not even those prescribed. Collective."""
         self.here.unknowns.clear(self._u)
-        self.points.interpolate(self._u.arrays)
+        self._interpolate()
 
     def _internal(self) -> Nodal:
         """Internal forces at the increments moved to, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
-        if not self.points.add_internal(out.arrays):
+        if not all(terms.add_internal(out.arrays) for terms in self._sets):
             # the norm is then no number on any rank
             for field, force in zip(here.unknowns.fields, out.arrays):
                 force[field.nodes] = math.nan
@@ -442,7 +494,8 @@ class Operator:
             blocks += self.form.grid.tangent(here.fields)
         for b in blocks:
             add_blocks(b, entries[b.row_field, b.column_field])
-        self.points.add_tangent(entries)
+        for terms in self._sets:
+            terms.add_tangent(entries)
         matrix.finish()
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:

@@ -43,6 +43,7 @@ from dolfinmpm.solve.arguments import (
     remedies_of,
 )
 from dolfinmpm.solve.axis import warn_of_free_axis
+from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator, WeakForm
@@ -111,6 +112,11 @@ class Problem:
         whole, softening = with_remedies(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, softening)
         check_fields(form, spaces)
+        if self.form.boundaries and self.configuration == "total":
+            raise ParameterError(
+                'boundaries that do not fit the grid need Space(..., configuration="updated"), got '
+                '"total": their markers move with the body'
+            )
         self.here: Activation | None = None
         self._kept: Kept | None = None
         self._held = Held(bcs, spaces)
@@ -217,13 +223,15 @@ class Problem:
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
+            "boundaries": str([of.boundary.markers.total for of in self.form.boundaries]),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
         for what, here in self._problem().items():
-            if state.get(what) != here:
+            found = state.get(what, "[]" if what == "boundaries" else None)
+            if found != here:
                 return CheckpointError(
-                    f"{path} is of another problem: its {what} is {state.get(what)}, that of this "
+                    f"{path} is of another problem: its {what} is {found}, that of this "
                     f"one {here}; build the same problem before you load"
                 )
         return None
@@ -233,7 +241,9 @@ class Problem:
         loads, cells = saved_loads(self._loads)
         values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
         given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        return {**self._problem(), **loads, **given}, {}, cells
+        markers = memory_of_markers(self.form.boundaries)
+        order = order_of_markers(self.form.boundaries)
+        return {**self._problem(), **loads, **given, **markers}, order, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
@@ -243,6 +253,7 @@ class Problem:
         for k, value in enumerate(values):
             value.value = state[f"prescribed {k}"]
         set_loads(self._loads, state, cells)
+        set_markers(self.form.boundaries, state, local)
         self.here = None
 
     @stages.activate
@@ -254,6 +265,7 @@ class Problem:
         """
         share = 1.0 if step is None else step.share
         self.form.bind()
+        self.form.place_markers()
         first, kept, self._kept = self.here is None, self._kept, None
         self.here = activate(
             self.points, self.fields, self._held, self.form, share, self.here, kept,
@@ -261,11 +273,17 @@ class Problem:
         )  # fmt: skip
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
+        self.form.set_penalties(self.here)
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
+
+    def lay(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrade`."""
+        self.form.lay()
+        self.here = self._kept = None
 
     def _in_blocks(self, count: int) -> bool:
         """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from . import (
     arguments,
     bodies,
+    boundaries,
     dynamics,
     explicit,
     failures,
@@ -81,5 +82,11 @@ CASES = {
         explicit.explicit_steps,
         explicit.explicit_restart,
         porous.consolidation,
+        boundaries.boundaries,
+        boundaries.boundaries_triangles,
+        boundaries.boundary_3d,
+        boundaries.restart_boundaries,
+        boundaries.deposits,
+        boundaries.regraded,
     )
 }

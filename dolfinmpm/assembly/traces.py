@@ -1,0 +1,166 @@
+"""The penalty that Nitsche's method needs, from eigenproblems of the cells at the boundary.
+
+The method is stable if k exceeds the constant of ∫ |σ(v) n|² da ≤ k a(v, v), with a the elastic
+energy of the points and of what remedies add to it: the ghost penalty, or the nodes that
+aggregation ties. Neither a number of M/h nor the size of a cut will do: a cell of which the body
+fills next to nothing has as much energy as its remedy gives it, and no more.
+
+Around every cell at the boundary the largest eigenvalue of the two forms is taken among functions
+that are zero beyond some rings of nodes. Tractions belong to differences of near nodes, so that
+this misses the constant of all functions by less than the factor of 2 that is put on it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+from scipy import sparse
+
+from dolfinmpm._platform.errors import StateError, raise_together
+from dolfinmpm.assembly.facetpairs import isotropic
+from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
+from dolfinmpm.basis import Stencils
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.activation import Activation
+
+__all__ = ["trace_constants"]
+
+Array = npt.NDArray[np.float64]
+
+# eigenvalues of an energy that are rounding of 0, by the largest
+_NONE = 1e-13
+
+
+def _tangents(moduli: Array, d: int) -> Array:
+    """Isotropic tangents of moduli M and G, shape (n, d, d, d, d)."""
+    M, G = moduli.T
+    first, second = isotropic(1.0, 0.0, d), isotropic(0.0, 1.0, d)
+    shape = (-1, 1, 1, 1, 1)
+    return M.reshape(shape) * first + G.reshape(shape) * second
+
+
+def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], grid: bool) -> Matrix:
+    """A matrix of gradients at points, and of the terms over the grid if they are asked for."""
+    matrix = Matrix(here.pattern, here.unknowns)
+    field, d = here.unknowns.fields[k], here.fields[k].space.grid.geometry.dim
+    nothing = np.zeros((field.numbering.size, field.components))
+    entries = Entries(field, field, here.pattern, matrix.data, nothing, nothing.copy())
+    for s, values in parts:
+        flat = np.ascontiguousarray(values[s.order]).reshape(len(s.order), d**4)
+        add_stiffness(s, s, 0, s.groups.size - 1, Slope(flat, False, False), entries)
+    penalty = here.fields[k].penalty
+    blocks = [] if not grid else [*here.grid, *([penalty] if penalty is not None else [])]
+    for b in blocks:
+        if (b.row_field, b.column_field) == (k, k):
+            add_blocks(b, entries)
+    matrix.finish()
+    return matrix
+
+
+def _around(
+    here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], rings: int
+) -> tuple[list[sparse.csr_matrix], npt.NDArray[np.int64]]:
+    """The parts of matrices around unknowns, and the global numbers they are of. Collective."""
+    if here.unknowns.comm.size == 1:
+        shape = (here.unknowns.rows,) * 2
+        pattern = here.pattern
+        made = [
+            sparse.csr_matrix((m.data, pattern.indices, pattern.indptr), shape) for m in matrices
+        ]
+        return made, np.arange(shape[0], dtype=np.int64)
+    where = PETSc.IS().createGeneral(np.unique(rows).astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    matrices[0].petsc.increaseOverlap(where, rings)
+    where.sort()
+    parts = []
+    for matrix in matrices:
+        (own,) = matrix.petsc.createSubMatrices([where], [where])
+        indptr, indices, data = own.getValuesCSR()
+        parts.append(sparse.csr_matrix((data, indices, indptr), own.getSize()))
+    return parts, where.getIndices().astype(np.int64)
+
+
+def _ringed(A: sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
+    """Rows and those around them that they are coupled to, ring by ring."""
+    for _ in range(rings):
+        rows = np.unique(A[rows].indices)
+    return rows
+
+
+def _largest(energy: Array, traction: Array) -> float:
+    """Largest eigenvalue of tractions by energy; infinite where there is traction without it."""
+    values, vectors = np.linalg.eigh(0.5 * (energy + energy.T))
+    some = values > _NONE * values[-1]
+    free = vectors[:, ~some]
+    size = np.abs(traction).max(initial=0.0)
+    if size == 0.0:
+        return 0.0
+    if free.size and np.abs(free.T @ traction @ free).max() > 1e-6 * size:
+        return np.inf
+    own = vectors[:, some] / np.sqrt(values[some])
+    return float(np.linalg.eigvalsh(own.T @ traction @ own)[-1])
+
+
+def trace_constants(
+    here: Activation,
+    k: int,
+    points: MaterialPoints,
+    moduli: Array,
+    markers: MaterialPoints,
+    at_markers: Array,
+    boundary: int,
+) -> Array:
+    """The constants at the markers of a boundary (Pa/m), shape (markers,). Collective.
+
+    Args:
+        here: What is active.
+        k: Number of the displacement's field.
+        points: Material points.
+        moduli: Elastic moduli M and G at the points (Pa), shape (points, 2).
+        markers: The boundary's markers.
+        at_markers: Moduli there, shape (markers, 2).
+        boundary: Which of the activation's boundaries it is.
+
+    Raises:
+        StateError: A marker is in a cell without material and without a remedy.
+    """
+    d = points.gdim
+    inside = _tangents(moduli, d) * points["V"].reshape(-1, 1, 1, 1, 1)
+    n = markers["area"] / markers["V"][:, None]
+    D = _tangents(at_markers, d)
+    traction = np.einsum("prqis,pq->pris", D, n)
+    square = np.einsum("p,pris,prkt->piskt", markers["V"], traction, traction)
+    s = here.fields[k].of_markers[boundary]
+    energy = _assembled(here, k, [(here.fields[k].stencils, inside)], True)
+    tractions = _assembled(here, k, [(s, square)], False)
+    unknowns = here.unknowns
+    row_of, to_global = unknowns.fields[k].row_of, unknowns.to_global
+    groups: list[npt.NDArray[np.int64]] = []
+    for g in range(s.groups.size - 1):
+        seen = row_of[s.nodes[s.node_start[g] : s.node_start[g + 1]]].ravel()
+        groups.append(to_global[seen[seen >= 0]].astype(np.int64))
+    rings = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
+    wanted = np.concatenate([np.empty(0, np.int64), *groups])
+    (A, N), numbers = _around(here, [energy, tractions], wanted, rings)
+    constants = np.zeros(len(markers))
+    lost: Array | None = None
+    for g, rows in enumerate(groups):
+        patch = _ringed(A, np.searchsorted(numbers, rows), rings)
+        constant = _largest(A[patch][:, patch].toarray(), N[patch][:, patch].toarray())
+        members = s.order[s.groups[g] : s.groups[g + 1]]
+        constants[members] = constant
+        if not np.isfinite(constant) and lost is None:
+            lost = markers["x"][members[0]]
+    raise_together(
+        points.comm,
+        None
+        if lost is None
+        else StateError(
+            f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
+            'a remedy: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
+            '"aggregation", or give beta'
+        ),
+    )
+    return constants

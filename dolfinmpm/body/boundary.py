@@ -1,0 +1,451 @@
+"""Boundaries that do not fit the grid: markers with area vectors, wherever they are in cells."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import number, shown, truth, whole
+from dolfinmpm._platform.compat import geometry_dofmap
+from dolfinmpm._platform.errors import (
+    EmptyShapeError,
+    FieldShapeError,
+    ParameterError,
+    UnsupportedGridError,
+    call_together,
+    raise_together,
+)
+from dolfinmpm.basis import Placement
+from dolfinmpm.basis.conditions import side_of
+from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
+from dolfinmpm.grid.positions import ask
+
+if TYPE_CHECKING:
+    from dolfinmpm.body.fields import PointField
+
+__all__ = ["Boundary"]
+
+Array = npt.NDArray[np.float64]
+
+_numbers = itertools.count(1)
+
+# Markers on a grid line are in the cell on the body's side: moved there by this share of a cell.
+_INWARD = 1e-9
+
+
+class Boundary:
+    """A boundary of a body, or a wall, that need not fit the grid.
+
+    It consists of markers: quadrature points with area vectors. They see the grid by stencils of
+    their own, as mere points, so that fields have traces there and the cell's gradients; and the
+    cells that they are in are active. Each of them has the state of the nearest material point
+    at the start of a step, which laws need.
+
+    Terms over it are integrals over `boundary.ds`, such as `dirichlet` makes. It is the
+    configuration at the start of the step that is integrated over.
+
+    Args:
+        points: Material points of the body.
+        x: Positions (m), shape (n, gdim). Each rank gives some of the markers, or all, or none;
+            those that several ranks give alike count once.
+        area: Area vectors (m^(d-1)), area times outward unit normal, likewise.
+        follows: Whether the markers move with the body; else they stay where they are.
+        name: Name in messages and checkpoints.
+        activates: Whether the cells that markers are in become active, as those of a body's own
+            boundary should. If not, markers take part as long as points are in their cells, as
+            those of walls. By default markers that follow the body do so.
+
+    Attributes:
+        points: The body.
+        markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
+            and `V`, its length, and those that hold the state of the nearest material point.
+        follows, name, activates: The arguments.
+        forces: Names of the markers' fields that hold the forces of conditions on the body
+            in the last step (N), see `force`.
+        ds: Measure over the markers.
+
+    Raises:
+        FieldShapeError: An array has another shape.
+        ParameterError: A value is not finite, or an area is zero.
+        EmptyShapeError: There is no marker.
+        PointsOutsideGridError: A marker is outside the grid.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        x: npt.ArrayLike,
+        area: npt.ArrayLike,
+        follows: bool = True,
+        name: str | None = None,
+        activates: bool | None = None,
+    ):
+        check_points(points)
+        activates = (
+            truth("follows", follows) if activates is None else truth("activates", activates)
+        )
+        if getattr(points, "axisymmetric", False):
+            raise ParameterError(
+                "boundaries that do not fit the grid are of plane bodies and bodies in 3D, these "
+                "points are rings; hold them with conditions at nodes, or load a Surface"
+            )
+        at, vectors = call_together(points.comm, lambda: _rows(points.gdim, x, area))
+        sizes = np.linalg.norm(vectors, axis=1)
+        if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
+            raise EmptyShapeError("the boundary has no markers; its markers must lie in the grid")
+        at = at - _inward(points.grid, at) * vectors / sizes[:, None]
+        self.points, self.follows, self.activates = points, follows, activates
+        self.forces: list[str] = []
+        self.name = name or f"boundary{next(_numbers)}"
+        self.markers = markers = MaterialPoints.from_arrays(
+            points.grid, at, sizes, 1.0, half_length=0.0,
+            fields={"area": vectors, "area0": vectors},
+        )  # fmt: skip
+        # laws whose parameters vary have fields of the same names on both
+        markers.laws = points.laws
+        mark = {**markers.dx.metadata(), "boundary": self}
+        self.ds = markers.dx.reconstruct(metadata=mark)
+
+    def placement(self) -> Placement:
+        """The markers as a basis sees them: points without a domain, and without volume."""
+        markers = self.markers
+        return Placement(
+            markers["x"], np.zeros_like(markers["x"]), np.zeros(len(markers)), markers["cell"]
+        )
+
+    def __repr__(self) -> str:
+        return f"Boundary '{self.name}'"
+
+    # -- where markers come from ----------------------------------------------
+
+    @classmethod
+    def from_polygon(
+        cls,
+        points: MaterialPoints,
+        vertices: npt.ArrayLike,
+        closed: bool = True,
+        follows: bool = True,
+        rule: int = 2,
+        name: str | None = None,
+        activates: bool | None = None,
+        spacing: float | None = None,
+    ) -> Boundary:
+        """Along a polygon in the plane, or a chain of segments. Collective.
+
+        Args:
+            points: Material points of the body.
+            vertices: Its corners (m), shape (n, 2), the same on all ranks; the body is to the left.
+            closed: Whether the last corner is joined to the first.
+            follows, name, activates: See `Boundary`.
+            rule: Gauss points on each piece of a segment in a cell.
+            spacing: Longest piece (m); by default those that cells cut, or half a cell where the
+                grid is not rectangular. Bodies that move far, or whose grid is laid anew, need
+                markers that are dense enough wherever they come.
+
+        Raises:
+            UnsupportedGridError: The grid is not in two dimensions.
+            FieldShapeError, ParameterError: The corners are not what they may be.
+        """
+        check_points(points)
+        if points.gdim != 2:
+            raise UnsupportedGridError(
+                f"a polygon bounds bodies in 2D, the grid is of {points.gdim}D; in 3D give "
+                "Boundary.from_triangles"
+            )
+        truth("closed", closed)
+        corners = _corners("vertices", vertices, 2)
+        if len(corners) < 2 + closed:
+            raise ParameterError(
+                f"vertices are {len(corners)}; a boundary has {2 + closed} or more"
+            )
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        ends = ends if closed else ends[:-1]
+        short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == 0
+        if short.any():
+            raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
+        lattice, rule = lattice_of(points.grid), whole("rule", rule, 1)
+        if spacing is not None:
+            number("spacing", spacing, 0.0, unit="m")
+        elif lattice is None:
+            spacing = smallest_height(points.grid) / 2
+        lines = () if lattice is None else lattice.lines
+        x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
+        return cls(points, x, area, follows, name, activates)
+
+    @classmethod
+    def from_side(
+        cls, points: MaterialPoints, side: str, rule: int = 2, name: str | None = None
+    ) -> Boundary:
+        """A side of a rectangular grid, as a wall: it stays, and activates no cells. Collective.
+
+        Args:
+            points: Material points of the body.
+            side: "left", "right", "bottom", "top", "front" or "back"; see `prescribed`.
+            rule: Gauss points of a cell's side in each direction.
+            name: Name of the boundary; that of the side by default.
+
+        Raises:
+            ParameterError: There is no such side.
+            UnsupportedGridError: The grid is not rectangular.
+        """
+        check_points(points)
+        word, axis, end = side_of(side, points.gdim)
+        lattice = require_lattice(points.grid, "a boundary at a side of the grid")
+        at, weights = np.polynomial.legendre.leggauss(whole("rule", rule, 1))
+        places, lengths = [], []
+        for d, line in enumerate(lattice.lines):
+            middle, half = 0.5 * (line[1:] + line[:-1]), 0.5 * np.diff(line)
+            across = d == axis
+            places.append(
+                line[[-end]] if across else (middle[:, None] + half[:, None] * at).ravel()
+            )
+            lengths.append(np.ones(1) if across else (half[:, None] * weights).ravel())
+        x = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1)
+        area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
+        normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
+        return cls(
+            points, x.reshape(-1, points.gdim), area * normal, False, name or word, activates=False
+        )
+
+    @classmethod
+    def from_triangles(
+        cls,
+        points: MaterialPoints,
+        vertices: npt.ArrayLike,
+        triangles: npt.ArrayLike,
+        follows: bool = True,
+        name: str | None = None,
+        activates: bool | None = None,
+    ) -> Boundary:
+        """On triangles in space. Collective.
+
+        On grids that are not rectangular the triangles are not cut where cells meet: give
+        some that are no larger than cells.
+
+        Args:
+            points: Material points of the body.
+            vertices: Corners (m), shape (n, 3), the same on all ranks.
+            triangles: Three of them each, shape (m, 3); the outward normal is that of their
+                right-handed turn.
+            follows, name, activates: See `Boundary`.
+
+        Raises:
+            UnsupportedGridError: The grid is not in three dimensions.
+            FieldShapeError, ParameterError: The triangles are not what they may be.
+        """
+        check_points(points)
+        if points.gdim != 3:
+            raise UnsupportedGridError(
+                f"triangles bound bodies in 3D, the grid is of {points.gdim}D; in 2D give "
+                "Boundary.from_polygon"
+            )
+        corners = _corners("vertices", vertices, 3)
+        rows = np.asarray(triangles)
+        if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
+            raise FieldShapeError(
+                f"triangles should be whole numbers of shape (m, 3), got {rows.dtype} of shape "
+                f"{rows.shape}"
+            )
+        if rows.size and not (rows.min() >= 0 and rows.max() < len(corners)):
+            raise ParameterError(
+                f"triangles name vertices {rows.min()} ... {rows.max()}; there are 0 ... "
+                f"{len(corners) - 1}"
+            )
+        lattice = lattice_of(points.grid)
+        x, area = cut_triangles(corners[rows], None if lattice is None else lattice.lines)
+        return cls(points, x, area, follows, name, activates)
+
+    @classmethod
+    def from_level_set(
+        cls,
+        points: MaterialPoints,
+        phi: Callable[[Array], npt.ArrayLike],
+        subdivisions: int = 2,
+        follows: bool = True,
+        rule: int = 2,
+        name: str | None = None,
+        activates: bool | None = None,
+    ) -> Boundary:
+        """Where a function vanishes, interpolated linearly within parts of the cells. Collective.
+
+        Args:
+            points: Material points of the body.
+            phi: Function of positions (m), shape (gdim, n), to n values, negative in the
+                body; see `dolfinmpm.grid.positions`.
+            subdivisions: Parts of a cell in each direction, on rectangular grids. The error of
+                the boundary's place is of the square of their size.
+            follows, name, activates: See `Boundary`.
+            rule: Gauss points on each piece of a line in 2D.
+
+        Raises:
+            ParameterError: The function is not what it may be.
+            EmptyShapeError: It vanishes nowhere on the grid.
+        """
+        check_points(points)
+        if not callable(phi):
+            raise ParameterError(
+                f"phi = {shown(phi)} must be a function of positions, such as lambda x: "
+                "np.hypot(*x) - 1.0"
+            )
+        grid, d = points.grid, points.gdim
+        if d == 1:
+            raise UnsupportedGridError("a level set needs a grid of 2D or 3D; give Boundary(...)")
+        whole("subdivisions", subdivisions, 1), whole("rule", rule, 1)
+        simplices = _simplices(grid, subdivisions)
+        flat = simplices.reshape(-1, d)
+        values = call_together(points.comm, lambda: ask("phi", phi, flat))
+        bad = np.flatnonzero(~np.isfinite(values))
+        raise_together(
+            points.comm,
+            ParameterError(f"phi = {values[bad[0]]} at {flat[bad[0]]} m must be finite")
+            if bad.size
+            else None,
+        )
+        pieces = contour(simplices, values.reshape(simplices.shape[:2]))
+        if d == 2:
+            x, area = along_segments(pieces, (), np.inf, rule)
+        else:
+            x, area = cut_triangles(pieces, None)
+        if points.comm.allreduce(len(x), op=MPI.SUM) == 0:
+            raise EmptyShapeError(
+                "phi changes its sign nowhere on the grid; it has no level 0 there"
+            )
+        return cls(points, x, area, follows, name, activates)
+
+    # -- of UFL ---------------------------------------------------------------
+
+    @property
+    def x(self) -> PointField:
+        """Positions at the start of the step (m)."""
+        return self.markers.x
+
+    @property
+    def x0(self) -> PointField:
+        """Positions at first (m)."""
+        return self.markers.x0
+
+    @property
+    def normal(self) -> Expr:
+        """Outward unit normal at the start of the step."""
+        return self.markers.area / self.markers.V
+
+    def traction(self, t, v) -> ufl.Form:
+        """Virtual work of a traction, to be subtracted: ∫ t·v da at the start of the step.
+
+        Args:
+            t: Force per area (Pa), a vector of UFL.
+            v: Test function, `Space.test`.
+        """
+        check_displacement(self.points, v=v)
+        if not isinstance(t, Expr):
+            t = own_constant(self.points.grid, np.asarray(t, float))
+        return ufl.dot(t, v) * self.ds
+
+    def pressure(self, p, u, v) -> ufl.Form:
+        """Virtual work of a pressure that follows the boundary, to be subtracted.
+
+        −∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
+
+        Args:
+            p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar of UFL.
+            u: Increment of the step, `Space.increment`.
+            v: Test function, `Space.test`.
+        """
+        check_displacement(self.points, u=u, v=v)
+        if not isinstance(p, Expr):
+            p = own_constant(self.points.grid, float(p))
+        dF = ufl.Identity(self.points.gdim) + ufl.grad(u)
+        return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, ufl.inv(dF)), v) * self.ds
+
+    def force(self) -> Array:
+        """Force of all conditions on the body in the last step (N), shape (gdim,). Collective."""
+        sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
+        return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
+
+    @property
+    def gdim(self) -> int:
+        """Dimension of space."""
+        return self.points.gdim
+
+    @property
+    def total_area(self) -> float:
+        """Area now (m^(d-1)), on all ranks. Collective."""
+        return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)
+
+
+def _rows(d: int, x: Any, area: Any) -> tuple[Array, Array]:
+    """Positions and area vectors as arrays, checked."""
+    made = []
+    for what, values in (("x", x), ("area", area)):
+        made.append(_corners(what, values, d))
+    if len(made[0]) != len(made[1]):
+        raise FieldShapeError(f"x has {len(made[0])} rows and area {len(made[1])}; give one each")
+    none = np.flatnonzero(~(np.linalg.norm(made[1], axis=1) > 0))
+    if none.size:
+        raise ParameterError(
+            f"the area of the marker at {made[0][none[0]]} m is zero; leave such markers out"
+        )
+    return made[0], made[1]
+
+
+def _inward(grid, x: Array) -> Array:
+    """How far markers go inwards (m), shape (n, 1)."""
+    far = np.full((len(x), 1), _INWARD * smallest_height(grid))
+    lattice = lattice_of(grid)
+    if lattice is None:
+        return far
+    gap = np.full(len(x), np.inf)
+    for d, line in enumerate(lattice.lines):
+        at = np.clip(np.searchsorted(line, x[:, d]), 1, line.size - 1)
+        gap = np.minimum(
+            gap, np.minimum(np.abs(x[:, d] - line[at - 1]), np.abs(x[:, d] - line[at]))
+        )
+    return np.where(gap[:, None] < far, far, 0.0)
+
+
+def _corners(what: str, values: Any, d: int) -> Array:
+    try:
+        given = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
+    if given.size == 0:
+        return np.empty((0, d))
+    if given.ndim != 2 or given.shape[1] != d:
+        raise FieldShapeError(f"{what} should have shape (n, {d}), got {given.shape}")
+    if not np.isfinite(given).all():
+        row = given[~np.isfinite(given).all(axis=1)][0]
+        raise ParameterError(f"{what} has the row {row}, which must be finite")
+    return given
+
+
+def _simplices(grid, subdivisions: int) -> Array:
+    """Simplices that this rank's own cells fall into (m), shape (n, d + 1, d)."""
+    d, own = grid.geometry.dim, grid.topology.index_map(grid.topology.dim).size_local
+    lattice = lattice_of(grid)
+    x = np.asarray(grid.geometry.x[:, :d], float)[geometry_dofmap(grid)[:own]]
+    if x.shape[1] == d + 1:
+        return x
+    if lattice is None:
+        raise UnsupportedGridError(
+            "a level set is found in rectangular grids, and in those of triangles or tetrahedra"
+        )
+    parts = np.array(list(np.ndindex(*(subdivisions,) * d)), float)
+    cube = np.array(list(np.ndindex(*(2,) * d)), float)
+    corners = (parts[:, None, :] + cube) / subdivisions
+    ijk = lattice.cell_ijk[:own]
+    low = np.column_stack([line[ijk[:, k]] for k, line in enumerate(lattice.lines)])
+    high = np.column_stack([line[ijk[:, k] + 1] for k, line in enumerate(lattice.lines)])
+    size = (high - low)[:, None, None, :]
+    boxes = low[:, None, None, :] + corners * size
+    return boxes.reshape(-1, 2**d, d)[:, kuhn(d)].reshape(-1, d + 1, d)

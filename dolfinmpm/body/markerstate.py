@@ -1,0 +1,104 @@
+"""The state of a body at the markers of a boundary: that of the nearest material point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["keys_of", "nearest", "take_state"]
+
+Array = npt.NDArray[np.float64]
+
+# What is of the markers themselves
+_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0"})
+# Where the point is that the state is of, for markers that ask
+_PLACE = {"body_x": "x", "body_l": "l"}
+# Points that are as near as another but for this share are equally near: one of them is chosen by
+# a sum of its first coordinates, with weights that no lattice has ties for
+_SAME = 1e-7
+_WEIGHTS = np.sqrt([2.0, 3.0, 7.0])
+
+
+def take_state(boundary: Boundary) -> None:
+    """Give each marker the state of the nearest material point as it is now. Collective.
+
+    Fields that the markers alone have stay as they are.
+    """
+    points, markers = boundary.points, boundary.markers
+    names = {name: name for name in points.fields if name not in _OWN}
+    names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
+    if points.comm.size == 1:
+        rows = _nearest(points, markers["x"])[2]
+        found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
+    else:
+        found = _from_all(boundary, names)
+    for name, values in found.items():
+        if name in markers.fields:
+            markers.fields[name][...] = values
+        elif name in points._ufl:
+            like = points._ufl[name]
+            markers.add_field(name, like.ufl_shape, like.unit)
+            markers.fields[name][...] = values
+        else:
+            markers.fields[name] = values
+
+
+def nearest(x: Array, key: Array, at: Array):
+    """Distances (m), keys and rows of the places nearest to positions, each of shape (n,).
+
+    Of places that are equally near the one with the least key counts.
+
+    Args:
+        x: Places (m), shape (m, gdim).
+        key: A number of each that does not depend on the ranks, see `keys_of`.
+        at: Positions (m), shape (n, gdim).
+    """
+    from scipy.spatial import cKDTree
+
+    if len(x) == 0 or len(at) == 0:
+        far = np.full(len(at), np.inf)
+        return far, far.copy(), np.zeros(len(at), np.intp)
+    count = min(4, len(x))
+    distance, rows = cKDTree(x).query(at, count)
+    distance, rows = distance.reshape(len(at), count), rows.reshape(len(at), count)
+    same = distance <= distance[:, :1] * (1 + _SAME)
+    keys = np.where(same, key[rows], np.inf)
+    best = np.argmin(keys, axis=1)
+    every = np.arange(len(at))
+    return np.ascontiguousarray(distance[:, 0]), keys[every, best], rows[every, best]
+
+
+def keys_of(x0: Array) -> Array:
+    """Keys of places by first positions (m): numbers of points depend on the ranks."""
+    return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
+
+
+def _nearest(points: MaterialPoints, at: Array):
+    return nearest(points["x"], keys_of(points["x0"]), at)
+
+
+def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArray[Any]]:
+    """State of the nearest points of all ranks, in the order of this rank's markers. Collective."""
+    points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
+    counts = comm.allgather(len(markers))
+    at = np.concatenate(comm.allgather(markers["x"]))
+    distance, key, rows = _nearest(points, at)
+    least = np.empty_like(distance)
+    comm.Allreduce(distance, least, op=MPI.MIN)
+    key[distance > least * (1 + _SAME)] = np.inf
+    first = np.empty_like(key)
+    comm.Allreduce(key, first, op=MPI.MIN)
+    mine = np.flatnonzero((key == first) & np.isfinite(key))
+    to = np.repeat(np.arange(comm.size, dtype=np.int32), counts)[mine]
+    rows = rows[mine]
+    sent: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
+    found = exchange(comm, {**sent, "of marker": mine}, to)
+    order = np.argsort(found.pop("of marker"))
+    return {name: values[order] for name, values in found.items()}

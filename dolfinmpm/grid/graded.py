@@ -1,0 +1,171 @@
+"""Rectangular grids with a fine zone, which may move from step to step.
+
+The grid of a step has no memory: points carry all state. So its lines may be laid anew between
+steps, as long as there are as many of them: cells and nodes keep their numbers, and with them
+DOLFINx's spaces, the ranks' shares and compiled forms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from dolfinmpm._platform.checks import number, shown, whole
+from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm.grid.lattice import cell_size, lattice_of, require_lattice
+
+__all__ = ["create_lattice", "lay_lines", "zoned_line"]
+
+Array = npt.NDArray[np.float64]
+
+# What is kept on a grid that does not depend on where its lines are, by the function's name; the
+# size of cells is a function in forms, which gets other values
+_KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", "cell_size")
+# Largest ratio of neighbouring cells outside a zone
+_STEEPEST = 3.0
+
+
+def zoned_line(
+    low: float, high: float, zone: tuple[float, float], cells: tuple[int, int, int]
+) -> Array:
+    """Coordinates of grid lines in one direction, with equal cells in a zone.
+
+    Outside the zone each cell is larger, or smaller, than the one before by a ratio, from the
+    zone's on. Asked for another zone with the same numbers of cells it has as many lines.
+
+    Args:
+        low, high: First and last coordinate (m).
+        zone: First and last coordinate of the zone (m).
+        cells: Numbers of cells before, in and after the zone.
+
+    Raises:
+        ParameterError: The zone is not within the grid, there are cells on a side without room
+            for them or room without cells, or neighbouring cells would differ too much.
+    """
+    a, b = (number(f"zone[{k}]", value, unit="m") for k, value in enumerate(zone))
+    before, within, after = (whole(f"cells[{k}]", c, 0) for k, c in enumerate(cells))
+    if not low <= a < b <= high or within < 1:
+        raise ParameterError(
+            f"zone = ({a:g}, {b:g}) m with {within} cells must lie within {low:g} ... {high:g} m "
+            "and have a cell"
+        )
+    h = (b - a) / within
+    first = a - _graded(a - low, before, h)[::-1]
+    last = b + _graded(high - b, after, h)
+    line = np.concatenate([first, np.linspace(a, b, within + 1), last])
+    line[0], line[-1] = low, high
+    return line
+
+
+def _graded(length: float, cells: int, h: float) -> Array:
+    """Ends of cells of a length together, the first of them next to one of size h."""
+    if cells == 0 and length == 0:
+        return np.empty(0)
+    if cells == 0 or length <= 0:
+        raise ParameterError(
+            f"{cells} cells beside the zone have {length:g} m; give cells where there is room, and "
+            "room where there are cells"
+        )
+
+    def total(ratio: float) -> float:
+        return h * float(np.sum(ratio ** np.arange(1, cells + 1)))
+
+    lower, upper = 1.0 / _STEEPEST, _STEEPEST
+    if not total(lower) <= length <= total(upper):
+        raise ParameterError(
+            f"{cells} cells beside a zone with cells of {h:g} m cannot fill {length:g} m unless "
+            f"neighbours differ by more than {_STEEPEST:g} times; give "
+            f"{'more' if length > total(upper) else 'fewer'} of them"
+        )
+    for _ in range(200):
+        middle = 0.5 * (lower + upper)
+        lower, upper = (middle, upper) if total(middle) < length else (lower, middle)
+    sizes = (0.5 * (lower + upper)) ** np.arange(1, cells + 1)
+    return np.cumsum(sizes) * (length / sizes.sum())
+
+
+def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.Mesh:
+    """A rectangular grid with given lines. Collective.
+
+    Args:
+        comm: Communicator.
+        lines: Coordinates of the lines in two or three directions (m), increasing.
+
+    Raises:
+        ParameterError: The lines are not what they may be.
+    """
+    made = _lines(lines)
+    low, high = [line[0] for line in made], [line[-1] for line in made]
+    count = [line.size - 1 for line in made]
+    if len(made) == 2:
+        grid = mesh.create_rectangle(comm, [low, high], count, mesh.CellType.quadrilateral)
+    else:
+        grid = mesh.create_box(comm, [low, high], count, mesh.CellType.hexahedron)
+    x = grid.geometry.x
+    for d, line in enumerate(made):
+        place = np.rint((x[:, d] - line[0]) / (line[-1] - line[0]) * count[d]).astype(int)
+        x[:, d] = line[place]
+    return grid
+
+
+def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
+    """Lay the lines of a rectangular grid anew; see `regrade` for problems on it. Collective.
+
+    Args:
+        grid: The grid.
+        lines: Coordinates of as many lines as it has (m).
+
+    Raises:
+        ParameterError: The lines are not what they may be.
+        UnsupportedGridError: The grid is not rectangular, or all its cells are of one size, which
+            forms on it have taken for a constant.
+    """
+    lattice, made = require_lattice(grid, "laying lines anew"), _lines(lines)
+    if [line.size for line in made] != [line.size for line in lattice.lines]:
+        raise ParameterError(
+            f"lines have {[line.size for line in made]} coordinates, and the grid "
+            f"{[line.size for line in lattice.lines]} lines; give as many"
+        )
+    h = cell_size(grid)
+    if not isinstance(h, fem.Function):
+        raise UnsupportedGridError(
+            "all cells of the grid are of one size, which forms on it take for a constant; make "
+            "it with a zone from the start, as by mpm.create_lattice"
+        )
+    x = grid.geometry.x
+    ijk = lattice.index(np.asarray(x[:, : len(made)], float))
+    for d, line in enumerate(made):
+        x[:, d] = line[ijk[:, d]]
+    kept = grid.__dict__["_dolfinmpm"]
+    for key in [key for key in kept if key[0] not in _KEPT]:
+        del kept[key]
+    found = kept.pop(("cell_size",))
+    values: Any = cell_size(grid)
+    sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
+    found.x.array[:] = sizes
+    kept[("cell_size",)] = found
+    assert lattice_of(grid) is not None
+
+
+def _lines(lines: Any) -> list[Array]:
+    """Lines as arrays, checked."""
+    if not isinstance(lines, (list, tuple)) or len(lines) not in (2, 3):
+        raise ParameterError(f"lines = {shown(lines)} must be two or three arrays of coordinates")
+    made = []
+    for d, line in enumerate(lines):
+        try:
+            values = np.asarray(line, float)
+        except (TypeError, ValueError):
+            values = np.empty(0)
+        good = values.ndim == 1 and values.size > 1 and np.isfinite(values).all()
+        if not good or not (np.diff(values) > 0).all():
+            raise ParameterError(
+                f"lines[{d}] = {shown(line)} must be two or more increasing coordinates (m)"
+            )
+        made.append(values)
+    return made

@@ -1,0 +1,355 @@
+"""Markers of boundaries: where they are, how large, whose state they have, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import unit_grid
+from dolfinx import fem
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import (
+    CheckpointError,
+    EmptyShapeError,
+    FieldShapeError,
+    FormError,
+    ParameterError,
+    PointsOutsideGridError,
+    StateError,
+    UnsupportedGridError,
+)
+from dolfinmpm.body.contours import contour, inside, kuhn
+from dolfinmpm.body.markerstate import take_state
+
+LAW = mpm.materials.Hencky(E=10.0, nu=0.3)
+
+
+def scene(kind="quadrilateral", n=4, box=((0.1, 0.1), (0.9, 0.8)), basis="linear"):
+    grid = unit_grid(kind, n)
+    points = mpm.fill(grid, mpm.Box(*box), 2, 1.0)
+    return grid, points, mpm.Space(grid, basis)
+
+
+@pytest.mark.parametrize("kind", ["quadrilateral", "triangle", "distorted quadrilateral"])
+def test_markers_of_a_polygon(kind):
+    """They integrate what is linear along it exactly, with normals that point outwards."""
+    _, points, _ = scene(kind)
+    corners = np.array([(0.13, 0.12), (0.87, 0.2), (0.71, 0.77), (0.2, 0.66)])
+    boundary = mpm.Boundary.from_polygon(points, corners)
+    x, area = boundary.markers["x"], boundary.markers["area"]
+    ends = np.roll(corners, -1, axis=0)
+    length = np.linalg.norm(ends - corners, axis=1)
+    assert boundary.total_area == pytest.approx(length.sum(), rel=1e-12)
+    size = np.linalg.norm(area, axis=1)
+    np.testing.assert_allclose(size @ x, length @ (corners + ends) / 2, rtol=1e-8)
+    # Gauss's theorem: ∫ n = 0, and ∫ x·n is twice the area
+    cross = corners[:, 0] * ends[:, 1] - corners[:, 1] * ends[:, 0]
+    np.testing.assert_allclose(area.sum(axis=0), 0.0, atol=1e-12)
+    assert np.sum(x * area) == pytest.approx(cross.sum(), rel=1e-8)
+    assert boundary.follows
+    assert boundary.activates
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_markers_of_a_level_set(d):
+    kind = {2: "quadrilateral", 3: "hexahedron"}[d]
+    grid = unit_grid(kind, 5)
+    points = mpm.fill(grid, mpm.Ball((0.5,) * 3, 0.3) if d == 3 else mpm.Disc((0.5, 0.5), 0.3), 2,
+                      1.0)  # fmt: skip
+    exact = {2: 2 * np.pi * 0.3, 3: 4 * np.pi * 0.09}[d]
+    errors = []
+    for parts in (1, 3):
+        ball = mpm.Boundary.from_level_set(
+            points, lambda x: np.linalg.norm(x.T - 0.5, axis=1) - 0.3, subdivisions=parts
+        )
+        errors.append(abs(ball.total_area / exact - 1))
+        markers = ball.markers
+        outward = np.sum((markers["x"] - 0.5) * markers["area"], axis=1)
+        assert (outward > 0).all()
+        assert np.abs(np.linalg.norm(markers["x"] - 0.5, axis=1) - 0.3).max() < 0.05 / parts**2
+    assert errors[0] < 0.15
+    assert errors[1] < errors[0] / 4
+
+
+def test_contours_and_insides_of_simplices_share_their_edges():
+    rng = np.random.default_rng(3)
+    for d in (2, 3):
+        cube = np.array(list(np.ndindex(*(2,) * d)), float)[kuhn(d)]
+        for _ in range(20):
+            n = rng.normal(size=d)
+            values = cube @ n - n.sum() * 0.5 + 0.1
+            pieces = contour(cube, values)
+            np.testing.assert_allclose(pieces @ n, n.sum() * 0.5 - 0.1, atol=1e-12)
+            if d == 2:
+                for side in (1, -1):
+                    part = inside(cube, side * values)
+                    assert (side * (part @ n - n.sum() * 0.5 + 0.1) < 1e-12).all()
+                both = [np.abs(np.linalg.det(p[:, 1:] - p[:, :1])).sum() / 2
+                        for p in (inside(cube, values), inside(cube, -values))]  # fmt: skip
+                assert sum(both) == pytest.approx(1.0)
+
+
+def test_markers_at_a_side():
+    _, points, _ = scene("hexahedron", 3, ((0,) * 3, (1,) * 3))
+    for side, n in (("left", (-1, 0, 0)), ("back", (0, 1, 0)), ("top", (0, 0, 1))):
+        wall = mpm.Boundary.from_side(points, side)
+        assert wall.name == side
+        assert not wall.follows
+        assert not wall.activates
+        assert wall.total_area == pytest.approx(1.0)
+        normal = wall.markers["area"] / wall.markers["V"][:, None]
+        np.testing.assert_allclose(normal, np.broadcast_to(n, normal.shape))
+
+
+def test_markers_have_the_state_of_the_nearest_point():
+    _, points, _ = scene()
+    field = points.add_field("heat", (2,), "K", lambda x: np.stack([x[0], 3 * x[1]], axis=1))
+    assert field.ufl_shape == (2,)
+    points["tag"] = (points["x"][:, 0] > 0.5).astype(np.int32)
+    boundary = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+    points["F"] = points["F"] * 1.01
+    take_state(boundary)
+    markers = boundary.markers
+    apart = np.linalg.norm(points["x"][None] - markers["x"][:, None], axis=2)
+    nearest = np.argmin(apart, axis=1)
+    for name in ("heat", "tag", "F"):
+        np.testing.assert_array_equal(markers[name], points[name][nearest])
+    np.testing.assert_array_equal(markers["V"], markers["V0"])
+
+
+def test_cells_of_a_body_s_boundary_are_active_and_those_of_walls_are_not():
+    # the body ends a little before a grid line, its boundary lies a little behind it
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0.25, 0.25), (0.5, 0.5)), 2, 1.0)
+    V = mpm.Space(grid, "linear")
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    plain = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+    cells = [plain.activate().active_cells]
+    for follows in (True, False):
+        line = mpm.Boundary.from_polygon(
+            points, [(0.501, 0.3), (0.501, 0.45)], closed=False, follows=follows
+        )
+        whole = F + mpm.dirichlet(LAW, line, V.increment, V.test, beta=10.0)
+        problem = mpm.QuasiStatic(whole, V.increment, points, stabilisation="ghost")
+        cells.append(problem.activate().active_cells)
+    assert cells[1] > cells[0] == cells[2]
+
+
+def test_pressure_on_a_boundary_is_that_on_faces():
+    """An inflated block; the same forces as by a surface whose faces are those of points."""
+    states = []
+    for kind in ("surface", "boundary"):
+        grid = unit_grid("quadrilateral", 4)
+        points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.75)), 2, 1.0)
+        V = mpm.Space(grid, "gimp")
+        u, v = V.increment, V.test
+        p = fem.Constant(grid, 0.3)
+        F = mpm.momentum(LAW, points, u, v)
+        if kind == "surface":
+            top = mpm.Surface(points, lambda x: x[1] > 0.74, (0, 1))
+        else:
+            top = mpm.Boundary.from_polygon(points, [(1.0, 0.75), (0.0, 0.75)], closed=False)
+        F -= top.pressure(p, u, v)
+        bcs = mpm.rollers(V, "left", "right", "bottom")
+        mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost").step()
+        states.append(points["stress"][:, 1, 1].mean())
+    np.testing.assert_allclose(states, -0.3, rtol=1e-3)
+
+
+def test_nothing_is_kept_of_a_step_that_fails():
+    grid, points, V = scene()
+    boundary = mpm.Boundary.from_polygon(points, [(0.9, 0.1), (0.1, 0.1)][::-1], closed=False)
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    F += mpm.dirichlet(LAW, boundary, V.increment, V.test, g)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost", max_halvings=0)
+    g.value[1] = 0.01
+    problem.step()
+    before = {name: values.copy() for name, values in boundary.markers.fields.items()}
+    g.value[1] = -0.5
+    with pytest.raises((PointsOutsideGridError, mpm.errors.ConvergenceError)):
+        problem.step()
+    for name in ("x", "area", "V", "dirichlet1_gap", "dirichlet1_reached", "dirichlet1_force"):
+        np.testing.assert_array_equal(boundary.markers[name], before[name], err_msg=name)
+    g.value[1] = 0.02
+    problem.step()
+    np.testing.assert_allclose(boundary.markers["x"][:, 1], 0.12, atol=1e-6)
+
+
+def test_a_checkpoint_knows_its_boundaries(tmp_path):
+    _, points, V = scene()
+    F = mpm.momentum(LAW, points, V.increment, V.test)
+    boundary = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+    held = F + mpm.dirichlet(LAW, boundary, V.increment, V.test)
+    problem = mpm.QuasiStatic(held, V.increment, points, stabilisation="ghost")
+    problem.step()
+    problem.save(tmp_path / "a.h5")
+    other = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="ghost")
+    with pytest.raises(CheckpointError, match="its boundaries is"):
+        other.load(tmp_path / "a.h5")
+
+
+def test_arc_length_under_a_weak_condition():
+    grid, points, V = scene()
+    u, v = V.increment, V.test
+    g = fem.Constant(grid, (0.0, -0.5))
+    base = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+    F = mpm.momentum(LAW, points, u, v) + mpm.dirichlet(LAW, base, u, v)
+    F -= ufl.inner(g, v) * points.dX
+    problem = mpm.ArcLength(F, u, points, load=g, length=2e-3, stabilisation="ghost")
+    for _ in range(3):
+        problem.step()
+    force = problem.path.factor * -0.5 * points["V0"].sum()
+    np.testing.assert_allclose(base.force(), (0.0, -force), atol=1e-5)
+
+
+def _bad():
+    grid, points, V = scene()
+    u, v = V.increment, V.test
+    line = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+    solid = scene("hexahedron", 2, ((0,) * 3, (1,) * 3))[1]
+    other = scene()[1]
+    B = mpm.Boundary
+
+    def problem(form, kind=mpm.QuasiStatic, space=V, **options):
+        return kind(form, space.increment, points, **options)
+
+    F = mpm.momentum(LAW, points, u, v)
+    wall = B.from_side(points, "left")
+    total = mpm.Space(grid, "linear", configuration="total")
+    lost = [(0.1, 1.5), (0.9, 1.5)]
+
+    def of_total():
+        form = mpm.momentum(LAW, points, total.increment, total.test)
+        form += mpm.dirichlet(LAW, line, total.increment, total.test)
+        return problem(form, space=total)
+
+    def empty_cell():
+        far = B.from_polygon(points, [(0.1, 0.9), (0.9, 0.9)], closed=False)
+        corner = mpm.fill(grid, mpm.Box((0.0, 0.0), (0.2, 0.2)), 2, 1.0)
+        far = B.from_polygon(corner, [(0.6, 0.6), (0.7, 0.6)], closed=False)
+        form = mpm.momentum(LAW, corner, u, v) + mpm.dirichlet(LAW, far, u, v)
+        mpm.QuasiStatic(form, u, corner).activate()
+
+    return {
+        "one corner": (lambda: B.from_polygon(points, [(0, 0)]), ParameterError, "3 or more"),
+        "twice": (
+            lambda: B.from_polygon(points, [(0, 0), (0, 0), (1, 1)]), ParameterError, "twice",
+        ),
+        "outside": (
+            lambda: B.from_polygon(points, lost, closed=False), PointsOutsideGridError, "outside",
+        ),
+        "not finite": (
+            lambda: B.from_polygon(points, [(0, np.nan), (1, 1), (1, 0)]), ParameterError, "finite",
+        ),
+        "words": (lambda: B.from_polygon(points, "abc"), FieldShapeError, "array of numbers"),
+        "polygon in 3D": (
+            lambda: B.from_polygon(solid, [(0, 0), (1, 0), (1, 1)]), UnsupportedGridError, "in 3D",
+        ),
+        "triangles in 2D": (
+            lambda: B.from_triangles(points, [(0, 0, 0)], [[0, 0, 0]]), UnsupportedGridError, "2D",
+        ),
+        "no such vertex": (
+            lambda: B.from_triangles(solid, np.eye(3), [[0, 1, 3]]), ParameterError, "0 ... 2",
+        ),
+        "triangles of floats": (
+            lambda: B.from_triangles(solid, np.eye(3), [[0.0, 1, 2]]), FieldShapeError, "whole",
+        ),
+        "no level": (lambda: B.from_level_set(points, 3), ParameterError, "function of positions"),
+        "nowhere": (
+            lambda: B.from_level_set(points, lambda x: 1 + x[0]), EmptyShapeError, "no level 0",
+        ),
+        "level not finite": (
+            lambda: B.from_level_set(points, lambda x: np.log(x[0] - 0.5)), ParameterError,
+            "finite",
+        ),
+        "side": (lambda: B.from_side(points, "up"), ParameterError, "side"),
+        "side of triangles": (
+            lambda: B.from_side(scene("triangle")[1], "left"), UnsupportedGridError, "rectangular",
+        ),
+        "no area": (
+            lambda: B(points, [(0.5, 0.5)], [(0.0, 0.0)]), ParameterError, "is zero",
+        ),
+        "rows": (
+            lambda: B(points, [(0.5, 0.5)], np.ones((2, 2))), FieldShapeError, "1 rows and area 2",
+        ),
+        "no markers": (lambda: B(points, [], []), EmptyShapeError, "no markers"),
+        "follows": (
+            lambda: B(points, [(0.5, 0.5)], [(0, 1)], follows="yes"), ParameterError, "True or",
+        ),
+        "method": (
+            lambda: mpm.dirichlet(LAW, line, u, v, method="lagrange"), ParameterError, "method",
+        ),
+        "no boundary": (
+            lambda: mpm.dirichlet(LAW, points, u, v), ParameterError, r"Boundary\.from_polygon",
+        ),
+        "value": (
+            lambda: mpm.dirichlet(LAW, line, u, v, (1.0, 2.0, 3.0)), ParameterError, "a vector of",
+        ),
+        "scalar value": (
+            lambda: mpm.dirichlet(LAW, line, u, v, (1.0, 2.0), direction="normal"), ParameterError,
+            "a number along",
+        ),
+        "UFL value": (
+            lambda: mpm.dirichlet(LAW, line, u, v, line.x0[0]), ParameterError, "a vector of",
+        ),
+        "direction": (
+            lambda: mpm.dirichlet(LAW, line, u, v, direction="up"), ParameterError, "direction",
+        ),
+        "no direction": (
+            lambda: mpm.dirichlet(LAW, line, u, v, direction=(0, 0)), ParameterError, "2 component",
+        ),
+        "no law": (lambda: mpm.dirichlet(None, line, u, v), ParameterError, "law = None"),
+        "both": (
+            lambda: mpm.dirichlet(LAW, line, u, v, beta=1.0, stiffness=1.0), ParameterError, "both",
+        ),
+        "beta": (lambda: mpm.dirichlet(LAW, line, u, v, beta=-1.0), ParameterError, "beta"),
+        "wall of a body": (
+            lambda: mpm.signorini(LAW, line, u, v), ParameterError, "one of a body",
+        ),
+        "friction": (
+            lambda: mpm.signorini(LAW, wall, u, v, friction=-0.1), ParameterError, "friction",
+        ),
+        "wall without law": (
+            lambda: mpm.signorini(None, wall, u, v), ParameterError, "needs a stiffness",
+        ),
+        "other points": (
+            lambda: problem(
+                F + mpm.dirichlet(
+                    LAW, B.from_polygon(other, [(0.1, 0.1), (0.9, 0.1)], closed=False),
+                    u, v,
+                )
+            ), (FormError, ParameterError), "grid|points",
+        ),
+        "explicit": (
+            lambda: problem(F + mpm.dirichlet(LAW, line, u, v), mpm.Explicit), FormError,
+            "Explicit makes no equations",
+        ),
+        "total": (of_total, ParameterError, "need Space"),
+        "an empty cell": (empty_cell, StateError, "has no stiffness"),
+    }  # fmt: skip
+
+
+BAD = (
+    "one corner", "twice", "outside", "not finite", "words", "polygon in 3D", "triangles in 2D",
+    "no such vertex", "triangles of floats", "no level", "nowhere", "level not finite", "side",
+    "side of triangles", "no area", "rows", "no markers", "follows", "method", "no boundary",
+    "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "beta",
+    "wall of a body", "friction", "wall without law", "other points", "explicit", "total",
+    "an empty cell",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bad():
+    found = _bad()
+    assert set(found) == set(BAD)
+    return found
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_is_refused(bad, name):
+    action, error, text = bad[name]
+    with np.errstate(all="ignore"), pytest.raises(error, match=text):
+        action()
