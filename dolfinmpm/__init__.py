@@ -13,6 +13,7 @@ from dolfinmpm.body.meshparts import partitioner
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact import Plane, RigidBody, contact
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.dynamics import (
     Explicit,
@@ -44,9 +45,11 @@ __all__ = [
     "MaterialPoints",
     "Newmark",
     "ParaView",
+    "Plane",
     "PointChange",
     "Polygon",
     "QuasiStatic",
+    "RigidBody",
     "RigidFooting",
     "Shape",
     "Space",
@@ -56,6 +59,7 @@ __all__ = [
     "Where",
     "absorbing",
     "cell_size",
+    "contact",
     "errors",
     "figure",
     "fill",

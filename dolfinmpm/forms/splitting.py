@@ -1,7 +1,7 @@
 """Split a weak form into what the points integrate and what DOLFINx integrates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import ufl
@@ -23,7 +23,7 @@ from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.terms import brief, operators_in, tags_of
+from dolfinmpm.forms.terms import brief, contact_of, operators_in, tags_of
 from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
@@ -40,11 +40,13 @@ class SplitForm:
             its own.
         grid: Terms over the grid.
         declarations: What the laws in the form keep at the points.
+        contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
     """
 
     regions: list[PointTerms]
     grid: GridTerms
     declarations: list[Declaration]
+    contacts: list[Any] = field(default_factory=list)
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -71,9 +73,12 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                             f"'{brief(node)}' differentiates '{c}', which has values at the "
                             "points only and no gradient"
                         )
+    form, contacts = _without_contacts(form, points)
     declarations = declared(form, points)
     for declaration in declarations:
         declaration.bind()
+    for contact in contacts:
+        contact.bind(declarations)
     form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     ordinary: list[Any] = []
@@ -98,7 +103,31 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         _regions(at_points, spaces, points, declarations),
         GridTerms(ordinary, spaces),
         declarations,
+        contacts,
     )
+
+
+def _without_contacts(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, list[Any]]:
+    """The form's other terms, and its contacts, which are no quadrature of its points.
+
+    Raises:
+        FormError: A contact is not simply added, or is one of other points.
+    """
+    others, contacts = [], []
+    for integral in form.integrals():
+        contact = contact_of(integral)
+        if contact is None:
+            others.append(integral)
+            continue
+        if integral.integrand() != contact.integrand:
+            raise FormError(
+                f"{contact!r} is scaled or subtracted in the weak form; it counts as internal "
+                "forces do and is added: write F += mpm.contact(...)"
+            )
+        if contact.points is not points:
+            raise FormError(f"{contact!r} is of material points that the problem does not move")
+        contacts.append(contact)
+    return (ufl.Form(others), contacts) if contacts else (form, contacts)
 
 
 def _check_tags(integrals) -> None:

@@ -19,6 +19,7 @@ from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
 from dolfinmpm.cut.pattern import Blocks
@@ -164,6 +165,7 @@ class WeakForm:
             # numbers of laws are no loads
             found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
             found += [function for function, _ in region.slots.functions]
+        found += [load for contact in self.parts.contacts for load in contact.body.loads]
         return found + self.grid.loads
 
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
@@ -215,6 +217,7 @@ class Operator:
     Attributes:
         form, here: The arguments.
         points: The terms of the points.
+        contacts: The contacts with rigid bodies.
     """
 
     @stages.assemble
@@ -230,6 +233,7 @@ class Operator:
         self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
+        self.contacts = [ActiveContact(contact, here) for contact in form.parts.contacts]
         self.renew_external()
 
     # -- vectors --------------------------------------------------------------
@@ -336,11 +340,36 @@ class Operator:
                 force[field.nodes] = math.nan
         for blocks in self._linear():
             add_product(blocks, self._u.arrays, out.arrays)
+        self.touch()
+        for contact in self.contacts:
+            contact.add_internal(out.arrays[contact.field])
         if not self.form.parts.grid.linear:
             self.fill_functions()
             self.form.grid.add_internal(here.fields, out.arrays)
         out.add_up()
         return out
+
+    def touch(self) -> None:
+        """Let contacts find their forces at the increments moved to."""
+        for contact in self.contacts:
+            contact.move(self._u.arrays[contact.field])
+
+    @stages.assemble
+    def contact_forces(self, out: Sequence[Array]) -> None:
+        """Add the forces of contacts at the increments moved to, as internal forces. Collective.
+
+        Args:
+            out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
+        """
+        if not self.contacts:
+            return
+        forces = self.here.unknowns.nodal()
+        self.touch()
+        for contact in self.contacts:
+            contact.add_internal(forces.arrays[contact.field])
+        forces.add_up()
+        for mine, more in zip(out, forces.arrays):
+            mine += more
 
     @stages.assemble
     def residual(self, x: Array) -> Residual:
@@ -410,6 +439,9 @@ class Operator:
         for b in blocks:
             add_blocks(b, entries[b.row_field, b.column_field])
         self.points.add_tangent(entries)
+        self.touch()
+        for contact in self.contacts:
+            contact.add_tangent(entries[contact.field, contact.field])
         matrix.finish()
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:

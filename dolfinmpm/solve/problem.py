@@ -21,6 +21,7 @@ from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import (
     Activation,
     Field,
@@ -32,6 +33,7 @@ from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
+from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -122,6 +124,7 @@ class Problem:
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
         self._loads = Loads(loads, increments)
+        self._bodies = Bodies(self.form.parts.contacts, largest_cell(points.grid))
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
@@ -216,6 +219,7 @@ class Problem:
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
+            "rigid bodies": len(self._bodies.all),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
@@ -232,7 +236,7 @@ class Problem:
         loads, cells = saved_loads(self._loads)
         values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
         given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        return {**self._problem(), **loads, **given}, {}, cells
+        return {**self._problem(), **loads, **given, **self._bodies.memory()}, {}, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
@@ -242,6 +246,7 @@ class Problem:
         for k, value in enumerate(values):
             value.value = state[f"prescribed {k}"]
         set_loads(self._loads, state, cells)
+        self._bodies.remember(state)
         self.here = None
 
     @stages.activate

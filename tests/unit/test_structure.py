@@ -20,7 +20,7 @@ ROOT = Path(mpm.__file__).parent
 # each folder imports from those before it only
 ORDER = (
     "_platform", "grid", "basis", "body", "forms", "materials", "kinematics", "cut", "assembly",
-    "io", "solve", "dynamics", "study",
+    "contact", "io", "solve", "dynamics", "study",
 )  # fmt: skip
 
 

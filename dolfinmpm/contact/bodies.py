@@ -1,0 +1,94 @@
+"""The rigid bodies of a problem, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.terms import Contact
+
+__all__ = ["Bodies"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Bodies:
+    """The bodies that the contacts of a form are with.
+
+    Args:
+        contacts: The contacts.
+        limit: How far a body may go in one part of a step (m).
+    """
+
+    def __init__(self, contacts: Sequence[Contact], limit: float):
+        self._contacts, self._limit = list(contacts), limit
+        self.all: list[RigidBody] = []
+        for contact in contacts:
+            if not any(contact.body is body for body in self.all):
+                self.all.append(contact.body)
+
+    def begin(self, dt: float) -> None:
+        """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
+        for body in self.all:
+            body.begin(dt)
+            body.put(1.0)
+
+    def put(self, share: float) -> None:
+        """Put them where they are at a share of the step."""
+        for body in self.all:
+            body.put(share)
+
+    def reset(self) -> None:
+        """Put them back to where they were when the last part of a step ended."""
+        for body in self.all:
+            body.pose = body.start
+
+    def fault(self, dt: float) -> str | None:
+        """Why a step of that length (s; steps) is too long for their motion, or None."""
+        for body in self.all:
+            body.begin(dt)
+            travel = body.travel()
+            if travel > self._limit:
+                return (
+                    f"'{body.name}' moves {travel:.3g} m at once, more than a cell "
+                    f"({self._limit:.3g} m)"
+                )
+        return None
+
+    def commit(self, contacts: Sequence[ActiveContact]) -> None:
+        """Take where the bodies are, and what acts on them. Collective."""
+        sums: dict[int, list[Array]] = {
+            id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
+        }
+        for active in contacts:
+            force, moment = active.totals()
+            both = sums[id(active.contact.body)]
+            both[0] = both[0] + force
+            both[1] = both[1] + moment
+            active.contact.dissipated += active.dissipated()
+        for body in self.all:
+            body.commit(*sums[id(body)])
+
+    def record(self) -> dict[str, dict[str, list[float]]]:
+        """What records of steps have of the bodies, by name."""
+        return {body.name: body.record() for body in self.all}
+
+    def memory(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        if not self.all:
+            return {}
+        rows = {f"rigid body {k}": body.memory() for k, body in enumerate(self.all)}
+        return {**rows, "friction's work": np.array([c.dissipated for c in self._contacts])}
+
+    def remember(self, state: dict[str, Any]) -> None:
+        """Take what `memory` returned."""
+        for k, body in enumerate(self.all):
+            body.remember(state[f"rigid body {k}"])
+        if self.all:
+            for contact, done in zip(self._contacts, state["friction's work"]):
+                contact.dissipated = float(done)
