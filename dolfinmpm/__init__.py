@@ -13,7 +13,7 @@ from dolfinmpm.body.meshparts import partitioner
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact import Plane, RigidBody, contact
+from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.dynamics import (
     Explicit,
@@ -37,6 +37,7 @@ __all__ = [
     "ArcLength",
     "Ball",
     "Box",
+    "Cone",
     "Disc",
     "Explicit",
     "GeneralisedAlpha",
@@ -56,6 +57,7 @@ __all__ = [
     "Stabilisation",
     "Surface",
     "TurnedBox",
+    "Wedge",
     "Where",
     "absorbing",
     "cell_size",

@@ -2,6 +2,6 @@
 
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import contact
-from dolfinmpm.contact.tools import Plane
+from dolfinmpm.contact.tools import Cone, Plane, Wedge
 
-__all__ = ["Plane", "RigidBody", "contact"]
+__all__ = ["Cone", "Plane", "RigidBody", "Wedge", "contact"]

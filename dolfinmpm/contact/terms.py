@@ -105,6 +105,19 @@ class Contact:
         """Which points have its tags."""
         return np.isin(self.points["tag"], self.tags)
 
+    def rate(self) -> float:
+        """Largest square of a frequency that contact gives the body (1/s²). Collective.
+
+        A point whose corners on one side touch has the stiffness κ A of a face; a node at the
+        body's edge has half of its points' mass.
+        """
+        points = self.points
+        rows = np.arange(len(points))
+        area = np.prod(2 * points["l0"], axis=1) / (2 * points["l0"].min(axis=1, initial=np.inf))
+        mass = points["density"] * points["V0"]
+        worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
+        return self.points.comm.allreduce(worst, op=MPI.MAX)
+
     def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
         """Penalty per area at some points (Pa/m), shape (len(rows),)."""
         if self.stiffness is not None:

@@ -232,11 +232,13 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         done = (step.t - motion.start) / (motion.end - motion.start)
         self._loads.set(done if motion.jumped else done - (1 - share) * step.share)
+        self.bodies.put(share)
         motion.set_time(step.t - (1 - share) * step.dt)
 
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
         set_velocities(self.bcs, lambda v: _mean(v, step))
+        self.bodies.begin(step.dt)
         here = self.activate(step)
         self._load_at(step, 0.0)
         motion.to_grid(here, self.form, step.dt, self._rates(here, step))
@@ -265,6 +267,7 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         # forces balance at a level within the step, the state is that at its end
         scale = 1.0 / (1.0 - motion.rule.alpha_f)
+        self.bodies.put(1.0)
         if scale != 1.0:
             operator.move(x, scale)
         state = super()._advance(operator, x, step)

@@ -356,7 +356,7 @@ class Operator:
 
     @stages.assemble
     def contact_forces(self, out: Sequence[Array]) -> None:
-        """Add the forces of contacts at the increments moved to, as internal forces. Collective.
+        """Add the forces of contacts as they were last found, as internal forces. Collective.
 
         Args:
             out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
@@ -364,7 +364,6 @@ class Operator:
         if not self.contacts:
             return
         forces = self.here.unknowns.nodal()
-        self.touch()
         for contact in self.contacts:
             contact.add_internal(forces.arrays[contact.field])
         forces.add_up()

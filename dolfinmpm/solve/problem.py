@@ -66,6 +66,7 @@ class Problem:
         fields: The fields, with their spaces and remedies.
         form: The weak form, made ready.
         here: What took part in the last step, or None before the first.
+        bodies: The rigid bodies that the points touch.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -124,7 +125,7 @@ class Problem:
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
         self._loads = Loads(loads, increments)
-        self._bodies = Bodies(self.form.parts.contacts, largest_cell(points.grid))
+        self.bodies = Bodies(self.form.parts.contacts, largest_cell(points.grid))
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
@@ -219,7 +220,7 @@ class Problem:
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
-            "rigid bodies": len(self._bodies.all),
+            "rigid bodies": len(self.bodies.all),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
@@ -236,7 +237,7 @@ class Problem:
         loads, cells = saved_loads(self._loads)
         values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
         given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        return {**self._problem(), **loads, **given, **self._bodies.memory()}, {}, cells
+        return {**self._problem(), **loads, **given, **self.bodies.memory()}, {}, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
@@ -246,7 +247,7 @@ class Problem:
         for k, value in enumerate(values):
             value.value = state[f"prescribed {k}"]
         set_loads(self._loads, state, cells)
-        self._bodies.remember(state)
+        self.bodies.remember(state)
         self.here = None
 
     @stages.activate

@@ -171,12 +171,12 @@ class QuasiStatic(Problem):
         except BaseException:
             # an interruption too leaves the load where the state is
             self._loads.set(done)
-            self._bodies.reset()
+            self.bodies.reset()
             raise
         finally:
             self._loads.release()
         self._share = share
-        record.bodies = self._bodies.record()
+        record.bodies = self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
@@ -211,7 +211,7 @@ class QuasiStatic(Problem):
 
     def _operator(self, step: Step) -> Operator:
         """The equations of a step. Collective."""
-        self._bodies.begin(step.dt)
+        self.bodies.begin(step.dt)
         return self.form.on(self.activate(step))
 
     def _attempt(self, step: Step) -> Failed | None:
@@ -219,7 +219,7 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
         record.migrated += balance(points)
-        fault = self._bodies.fault(step.dt)
+        fault = self.bodies.fault(step.dt)
         if fault is not None:
             return Failed(fault, "that body")
         operator = self._operator(step)
@@ -233,7 +233,7 @@ class QuasiStatic(Problem):
             state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
-        self._bodies.commit(operator.contacts)
+        self.bodies.commit(operator.contacts)
         record.migrated += commit(points, state)
         record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:
