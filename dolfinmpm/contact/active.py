@@ -12,6 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
 from dolfinmpm.contact.corners import Sites
+from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
@@ -51,17 +52,18 @@ class ActiveContact:
         self._near = self._candidates()
         self.corners = c = self._sites.corners(np.flatnonzero(self._near))
         m, d = c.x.shape
-        self.x, self.forces = c.x.copy(), np.zeros((m, d))
+        self.x: Array = c.x.copy()
+        self.forces: Array = np.zeros((m, d))
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
         self._start = body.start.back(c.x)
         traction, pressure, _ = contact.names
         self._before = points[traction][c.rows, c.which]
-        self._multiplier = np.zeros(m)
+        self._multiplier: Array = np.zeros(m)
         if contact.penetration is not None:
             self._multiplier = points[pressure][c.rows, c.which]
         normal = body.start.directions(body.surface.probe(self._start)[1])
         self._stiffness = contact.stiffness_at(c.rows) * self._sites.areas(c, normal)
-        self._gap = np.full(m, np.inf)
+        self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
     # -- which points may touch -----------------------------------------------
@@ -154,8 +156,7 @@ class ActiveContact:
         active = np.flatnonzero(self.states != FREE)
         if active.size == 0:
             return
-        N, Q = self.corners.N, self.contact.body.pose.rotation
-        K = -np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
+        N, K = self.corners.N, -self._world_slope(active)
         _add_corners(
             active, N.indptr, self.corners.nodes[N.indices], N.data, K, to.rows.row_of,
             to.columns.row_of, to.pattern.indptr, to.pattern.indices, to.data, to.prescribed,
@@ -188,6 +189,57 @@ class ActiveContact:
         both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
         d = self.forces.shape[1]
         return both[:d], both[d:]
+
+    def add_slopes(self, out: Array) -> None:
+        """Add the derivative of `add_internal` by the body's motion.
+
+        Args:
+            out: Nodal forces by motions (N/m, N/rad), shape (nodes, gdim, components).
+        """
+        active = np.flatnonzero(self.states != FREE)
+        if active.size:
+            by_motion = np.zeros((len(self.x), *out.shape[1:]))
+            by_motion[active] = -self._by_motion(active)
+            flat = by_motion.reshape(len(self.x), -1)
+            nodal = np.asarray(self.corners.N.T @ flat)
+            out[self.corners.nodes] += nodal.reshape(-1, *out.shape[1:])
+
+    def _by_motion(self, active) -> Array:
+        """Derivative of the forces on corners by the body's motion, shape (n, gdim, components)."""
+        K = self._world_slope(active)
+        arm = cross_matrix(self.x[active] - self.contact.body.pose.centre)
+        turned = cross_matrix(self.forces[active])
+        by_turn = turned.transpose(0, 2, 1) - K @ arm.transpose(0, 2, 1)
+        return np.concatenate([-K, by_turn], axis=2)
+
+    def add_to_body(self, by_x: Array, by_y: Array) -> None:
+        """Add the derivatives of force and moment on the body, this rank's share.
+
+        Args:
+            by_x: By nodal increments, shape (nodes, gdim, components).
+            by_y: By the body's own motion, shape (components, components).
+        """
+        active = np.flatnonzero(self.states != FREE)
+        if active.size == 0:
+            return
+        K, d = self._world_slope(active), self.x.shape[1]
+        S = cross_matrix(self.x[active] - self.contact.body.pose.centre)
+        S_f = cross_matrix(self.forces[active])
+        to_x = -np.concatenate([K, S @ K - S_f], axis=1)
+        whole = np.zeros((len(self.x), d, by_y.shape[0]))
+        whole[active] = to_x.transpose(0, 2, 1)
+        nodal = np.asarray(self.corners.N.T @ whole.reshape(len(self.x), -1))
+        by_x[self.corners.nodes] += nodal.reshape(-1, *by_x.shape[1:])
+        A = self._by_motion(active)
+        to_y = -np.concatenate([A, S @ A], axis=1)
+        # the arm is from the centre, which moves
+        to_y[:, d:, :d] -= S_f
+        by_y += to_y.sum(axis=0)
+
+    def _world_slope(self, active) -> Array:
+        """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
+        Q = self.contact.body.pose.rotation
+        return np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
 
     def new_fields(self) -> dict[str, Array]:
         """What the points keep of it at the end of the step."""
@@ -233,7 +285,7 @@ def _within(poses: list[Pose], low: Array, high: Array, x: Array, reach: Array):
 def _cross(a: Array, b: Array) -> Array:
     """Moments of forces b at arms a, shape (n, 1) in 2D, (n, 3) in 3D."""
     if a.shape[1] == 3:
-        return np.cross(a, b)
+        return np.asarray(np.cross(a, b), float)
     return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
 
 

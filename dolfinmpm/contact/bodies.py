@@ -32,6 +32,11 @@ class Bodies:
             if not any(contact.body is body for body in self.all):
                 self.all.append(contact.body)
 
+    @property
+    def free(self) -> list[RigidBody]:
+        """Those that have free components."""
+        return [b for b in self.all if b.freedom is not None and b.freedom.free.size]
+
     def begin(self, dt: float) -> None:
         """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
         for body in self.all:
@@ -52,6 +57,8 @@ class Bodies:
         """Why a step of that length (s; steps) is too long for their motion, or None."""
         for body in self.all:
             body.begin(dt)
+            if body.freedom is not None:
+                body.freedom.increment = np.zeros_like(body.freedom.increment)
             travel = body.travel()
             if travel > self._limit:
                 return (

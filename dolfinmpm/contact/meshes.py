@@ -139,7 +139,10 @@ def _check_edges(x: Array, facets: Facet, name: str) -> None:
     for bad, what in (
         (count == 1, f"is open: {{}} {part}s have one facet only, which are the rim of a hole"),
         (count > 2, f"meets itself: {{}} {part}s have more than two facets"),
-        (forth != back, f"has facets whose normals disagree with their neighbours' at {{}} {part}s"),
+        (
+            forth != back,
+            f"has neighbours whose normals disagree at {{}} {part}s",
+        ),
     ):
         at = np.flatnonzero(bad)
         if at.size:

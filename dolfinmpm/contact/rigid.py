@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import Surface
@@ -49,8 +50,19 @@ class RigidBody:
         fillet: Radius (m) by which convex edges are rounded, so that what slides around them meets
             no jump of the normal. The body stays within its shape.
         name: What messages, records and files call it.
+        free: Which components of its motion forces decide, the directions first, then the
+            rotations; all if only a mass or a load is given. The other ones are prescribed.
+            Velocities of free ones are those at first.
+        mass: Its mass (kg; kg/m in plane strain), without which only quasi-static problems can
+            have it free.
+        inertia: Moment of inertia about its centre (kg m²): a number, in 3D one or three, about
+            the axes of the grid as the body is at first.
+        gravity: Acceleration (m/s²) that gives it weight, shape (gdim,), or a DOLFINx constant.
+        force: Force that acts at its centre (N), likewise, or a function of t.
+        moment: Moment (N m), a number or in 3D three, likewise.
 
     Attributes:
+        freedom: What is free of its motion, or None.
         surface: Its surface, where it was at first.
         name: Its name.
         pose: Where it is.
@@ -75,13 +87,19 @@ class RigidBody:
         centre: Sequence[float] | None = None,
         fillet: float = 0.0,
         name: str | None = None,
+        free: Sequence[bool] | None = None,
+        mass: float | None = None,
+        inertia: float | Sequence[float] | None = None,
+        gravity: fem.Constant | Sequence[float] | None = None,
+        force: fem.Constant | Sequence[float] | Motion | None = None,
+        moment: fem.Constant | float | Sequence[float] | Motion | None = None,
     ):
         number("fillet", fillet, 0.0, math.inf, "m", closed=True)
         self.surface: Surface = surface_of(shape, fillet)
         d = self.surface.gdim
-        middle = _middle(self.surface)
+        middle: Array = _middle(self.surface)
         if centre is not None:
-            middle = _vector("centre", centre, d)
+            middle = vector("centre", centre, d)
         self.name = f"body{next(_numbers)}" if name is None else name
         if not isinstance(self.name, str) or not self.name.isidentifier():
             raise ParameterError(f"name = {shown(name)} must be an identifier")
@@ -95,9 +113,15 @@ class RigidBody:
         if d == 3 and displacement is None and rotation is not None and turns == 3:
             # a rotation vector is not the sum of small ones
             self._turn.absolute = True
+        loads = mass, inertia, gravity, force, moment
+        self.freedom: Freedom | None = None
+        if free is not None or any(load is not None for load in loads):
+            rates = [_first_rate(c) for c in (self._shift, self._turn)]
+            self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
-        self.force, self.moment = np.zeros(d), np.zeros(turns)
+        self.force: Array = np.zeros(d)
+        self.moment: Array = np.zeros(turns)
 
     @property
     def gdim(self) -> int:
@@ -116,8 +140,10 @@ class RigidBody:
 
     @property
     def loads(self) -> list[fem.Constant]:
-        """DOLFINx constants that prescribe its motion."""
-        return [c.given for c in (self._shift, self._turn) if isinstance(c.given, fem.Constant)]
+        """DOLFINx constants that prescribe its motion or load it."""
+        both = self._shift, self._turn
+        prescribe = [c.given for c in both if isinstance(c.given, fem.Constant)]
+        return prescribe + ([] if self.freedom is None else self.freedom.loads)
 
     # -- what solvers do with it ----------------------------------------------
 
@@ -134,6 +160,11 @@ class RigidBody:
         start, t = self.start, self.time
         shift = self._shift.change(start.shift, t, share * self.dt)
         turn = self._turn.change(start.turn, t, share * self.dt)
+        if self.freedom is not None:
+            d, own = self.gdim, self.freedom.free
+            parts = self.freedom.parts(share)
+            shift[own[own < d]] = parts[0][own[own < d]]
+            turn[own[own >= d] - d] = parts[1][own[own >= d] - d]
         if self._turn.absolute:
             whole = start.turn + turn
             pose = Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
@@ -151,25 +182,37 @@ class RigidBody:
 
     def record(self) -> dict[str, list[float]]:
         """Position, angle, force and moment, as records of steps have them."""
-        return {
-            "position": self.position.tolist(), "angle": self.angle.tolist(),
-            "force": self.force.tolist(), "moment": self.moment.tolist(),
+        parts = {
+            "position": self.position, "angle": self.angle, "force": self.force,
+            "moment": self.moment,
         }  # fmt: skip
+        return {name: [float(v) for v in values] for name, values in parts.items()}
 
     def memory(self) -> Array:
         """What a checkpoint keeps, as one row of numbers."""
         pose = self.start
-        parts = pose.shift, pose.rotation.ravel(), pose.turn, self.force, self.moment
+        parts = [pose.shift, pose.rotation.ravel(), pose.turn, self.force, self.moment]
+        free = self.freedom
+        if free is not None:
+            parts += [free.velocity, np.zeros(free.velocity.size)]
+            if free.acceleration is not None:
+                parts[-1] = free.acceleration
+            parts.append(np.array([float(free.acceleration is not None)]))
         return np.concatenate([np.array([self.time]), *parts])
 
     def remember(self, row: Array) -> None:
         """Take what `memory` returned."""
         d, turns = self.gdim, len(self.moment)
         sizes = np.cumsum([1, d, d * d, turns, d])
-        time, shift, rotation, turn, force, moment = np.split(row, sizes)
+        sizes = np.append(sizes, sizes[-1] + turns)
+        time, shift, rotation, turn, force, moment, rest = np.split(row, sizes)
         self.start = Pose(self.start.origin, shift, rotation.reshape(d, d), turn)
         self.pose, self.time = self.start, float(time[0])
         self.force, self.moment = force, moment
+        if self.freedom is not None:
+            n = self.freedom.velocity.size
+            self.freedom.velocity = rest[:n].copy()
+            self.freedom.acceleration = rest[n : 2 * n].copy() if rest[2 * n] else None
 
     def outline(self, low: Array, high: Array) -> Array:
         """Facets that draw it where it is, shape (facets, gdim, gdim); see `Surface.outline`."""
@@ -193,28 +236,28 @@ class _Course:
     """One prescribed motion: a displacement or a rotation, by itself or by its rate."""
 
     def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
-        self._size, self.given, self.rate, self.absolute = size, given, rate, False
+        self.size, self.given, self.rate, self.absolute = size, given, rate, False
         self._name = name if given is not None else rate_name
         if isinstance(given, fem.Constant):
             if given.value.size != size:
                 raise ParameterError(
                     f"{name} has {given.value.size} components and must have {size}"
                 )
-            self._first = np.array(given.value, float).ravel()
+            self._first: Array = np.array(given.value, float).ravel()
         elif given is not None:
             if not callable(given):
                 raise ParameterError(
                     f"{name} = {shown(given)} must be a function of time or a dolfinx.fem.Constant"
                 )
-            self._first = self._value(given, 0.0)
+            self._first = self.value(given, 0.0)
         elif rate is not None and not callable(rate):
-            constant = _vector(rate_name, np.atleast_1d(np.asarray(rate, object)), size)
+            constant: Array = vector(rate_name, np.atleast_1d(np.asarray(rate, object)), size)
             self.rate = lambda t: constant
         if callable(self.rate):
-            self._value(self.rate, 0.0)
+            self.value(self.rate, 0.0)
 
-    def _value(self, function: Motion, t: float) -> Array:
-        return _vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self._size)
+    def value(self, function: Motion, t: float) -> Array:
+        return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self.size)
 
     def change(self, start: Array, t: float, dt: float) -> Array:
         """Change from the start of a step, at t, to dt later."""
@@ -222,22 +265,17 @@ class _Course:
             # the solver has set it to what belongs to the part of the step
             return np.array(self.given.value, float).ravel() - self._first - start
         if self.given is not None:
-            return self._value(self.given, t + dt) - self._first - start
+            return self.value(self.given, t + dt) - self._first - start
         if self.rate is None or dt == 0.0:
-            return np.zeros(self._size)
-        first, middle, last = (self._value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
+            return np.zeros(self.size)
+        first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
         # Simpson's rule
         return np.asarray(dt / 6 * (first + 4 * middle + last))
 
 
-def _vector(what: str, given: Any, size: int) -> Array:
-    try:
-        values = np.asarray(given, float)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != (size,) or not np.isfinite(values).all():
-        raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
-    return values
+def _first_rate(course: _Course) -> Array:
+    """What a velocity is at first; zero where there is none."""
+    return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
 
 
 def _middle(surface: Surface) -> Array:

@@ -57,7 +57,8 @@ class HalfSpace:
     def __init__(self, point: Array, normal: Array):
         self.point, self.normal = point, normal
         self.gdim = len(point)
-        self.low, self.high = np.full(self.gdim, -math.inf), np.full(self.gdim, math.inf)
+        self.low: Array = np.full(self.gdim, -math.inf)
+        self.high: Array = np.full(self.gdim, math.inf)
 
     def probe(self, x: Array) -> Probe:
         """See `Surface`."""
@@ -151,7 +152,8 @@ class Rounded:
         along = (b - a) / np.linalg.norm(b - a, axis=1)[:, None]
         out = self.radius * np.column_stack([along[:, 1], -along[:, 0]])
         pieces = [np.stack([a + out, b + out], axis=1)]
-        for corner, first, last in zip(b, out, np.roll(out, -1, axis=0)):
+        for k in range(len(b)):
+            corner, first, last = b[k], out[k], out[(k + 1) % len(b)]
             turn = math.atan2(first[0] * last[1] - first[1] * last[0], first @ last)
             if turn <= 0.0:
                 continue

@@ -57,7 +57,8 @@ class Wedge(Polygon):
         if at.shape != (2,):
             raise ParameterError(f"tip = {tip} must be a point in 2D")
         self.tip, self.semi_angle = at, float(semi_angle)
-        super().__init__([at, at + [reach, height], at + [-reach, height]])
+        x, y = float(at[0]), float(at[1])
+        super().__init__([(x, y), (x + reach, y + height), (x - reach, y + height)])
 
 
 class Cone(Shape):

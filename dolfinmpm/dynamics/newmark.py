@@ -38,6 +38,8 @@ from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.freebodies import FreeBodies, Inertial, check_masses
 from dolfinmpm.solve.operator import Operator, WeakForm
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Step, StepRecord
@@ -163,6 +165,7 @@ class TimeStepping(QuasiStatic):
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         sides = Sides(faces, points.gdim)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
+        check_masses(self.bodies)
         self.form.inertia = terms
 
     @property
@@ -246,9 +249,22 @@ class TimeStepping(QuasiStatic):
         if rule.alpha_f and here.driven:
             level = [(1 - rule.alpha_f) * g for g in here.prescribed]
             here = dataclasses.replace(here, prescribed=level)
+        self._free(step)
         known = rule.known(motion.V, motion.A, step.dt)
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
         return InertialOperator(self.form, here, motion.mass, factor, known, dashpots)
+
+    def _free(self, step: Step) -> None:
+        """Begin the step of the free rigid bodies, at the level where forces balance."""
+        rule, dt = self.motion.rule, step.dt
+        for body in self.bodies.free:
+            assert body.freedom is not None
+            force = np.concatenate([body.force, body.moment])
+            body.freedom.begin(body.start, force, body.time, self.motion.jumped)
+        if isinstance(self.solver, Bordered) and isinstance(self.solver.border, FreeBodies):
+            self.solver.border.inertial = Inertial(
+                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f
+            )
 
     def _rates(self, here: Activation, step: Step) -> Array:
         """Velocities of held components at the start of a step (m/s), shape (nodes, d). Collective.
@@ -275,8 +291,24 @@ class TimeStepping(QuasiStatic):
             return state
         self._load_at(step, 0.5)
         reason = motion.to_points(operator, state, step, x, scale)
+        if reason is None:
+            self._move_free(step.dt)
         self._load_at(step, 1.0)
         return state if reason is None else reason
+
+    def _move_free(self, dt: float) -> None:
+        """Give the free rigid bodies their velocities at the end of a step."""
+        rule = self.motion.rule
+        for body in self.bodies.free:
+            free = body.freedom
+            assert free is not None
+            V, A = free.velocity, free.acceleration
+            assert A is not None
+            A_end = rule.acceleration(free.increment, V, A, dt)
+            own = free.free
+            free.velocity[own] = rule.velocity(V, A, A_end, dt)[own]
+            free.acceleration = np.zeros_like(A)
+            free.acceleration[own] = A_end[own]
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

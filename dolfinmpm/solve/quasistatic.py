@@ -29,10 +29,12 @@ from dolfinmpm.solve.arguments import (
     check_petsc_options,
     check_points,
 )
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.memory import memory_of, set_memory
 from dolfinmpm.solve.method import Tangent, symmetric
-from dolfinmpm.solve.newton import Newton, Solver
+from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
@@ -40,6 +42,9 @@ from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["QuasiStatic"]
+
+# Times that multipliers of contact are renewed in a part of a step
+_MOST_AUGMENTATIONS = 50
 
 Array = npt.NDArray[np.float64]
 
@@ -125,12 +130,16 @@ class QuasiStatic(Problem):
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations
         )
+        if self.bodies.free:
+            self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
         self._share = 1.0
         self._record = StepRecord()
 
     @property
     def newton(self) -> Newton:
         """Newton's method, which has the tolerances and the linear solver."""
+        if isinstance(self.solver, Bordered):
+            return self.solver.newton
         assert isinstance(self.solver, Newton)
         return self.solver
 
@@ -223,10 +232,7 @@ class QuasiStatic(Problem):
         if fault is not None:
             return Failed(fault, "that body")
         operator = self._operator(step)
-        outcome = self.solver.solve(operator)
-        record.iterations += outcome.iterations
-        record.residuals = outcome.residuals
-        record.linear_iterations += self.newton.linear.iterations
+        outcome = self._solve(operator)
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:
@@ -239,6 +245,23 @@ class QuasiStatic(Problem):
         with stages.commit:
             operator.fill_functions()
         return None
+
+    def _solve(self, operator: Operator) -> Outcome:
+        """Solve the equations of a step, with multipliers of contact that bound penetrations."""
+        record = self._record
+        for _ in range(_MOST_AUGMENTATIONS):
+            outcome = self.solver.solve(operator)
+            record.iterations += outcome.iterations
+            record.residuals = outcome.residuals
+            record.linear_iterations += self.newton.linear.iterations
+            deep = not outcome.reason and [c.augment() for c in operator.contacts]
+            if not deep or not any(deep):
+                return outcome
+        outcome.reason = (
+            f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
+            "penalty"
+        )
+        return outcome
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         """The state at the end of a step, or why there is none. Collective.
