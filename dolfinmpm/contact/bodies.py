@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx.mesh import Mesh
 
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import Contact
+from dolfinmpm.grid.lattice import largest_cell
 
 __all__ = ["Bodies"]
 
@@ -22,11 +24,13 @@ class Bodies:
 
     Args:
         contacts: The contacts.
-        limit: How far a body may go in one part of a step (m).
+        grid: The grid; in one part of a step a body may go as far as its largest cell.
     """
 
-    def __init__(self, contacts: Sequence[Contact], limit: float):
-        self._contacts, self._limit = list(contacts), limit
+    def __init__(self, contacts: Sequence[Contact], grid: Mesh):
+        self._contacts = list(contacts)
+        # looking for it is collective, and without contacts nobody asks
+        self._limit = largest_cell(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
         for contact in contacts:
             if not any(contact.body is body for body in self.all):

@@ -20,6 +20,7 @@ from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, bounded, update
 from dolfinmpm.cut.pattern import Blocks
@@ -64,6 +65,7 @@ class WeakForm:
         softening: The same of the terms of the tangent only, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
+        bodies: The rigid bodies that its contacts are with.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -81,6 +83,7 @@ class WeakForm:
         self.parts: SplitForm = split(form, spaces, points)
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
+        self.bodies = Bodies(self.parts.contacts, points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision

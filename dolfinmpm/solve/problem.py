@@ -33,7 +33,6 @@ from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
-from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -66,7 +65,6 @@ class Problem:
         fields: The fields, with their spaces and remedies.
         form: The weak form, made ready.
         here: What took part in the last step, or None before the first.
-        bodies: The rigid bodies that the points touch.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -125,7 +123,6 @@ class Problem:
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
         self._loads = Loads(loads, increments)
-        self.bodies = Bodies(self.form.parts.contacts, largest_cell(points.grid))
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
@@ -133,6 +130,11 @@ class Problem:
     def comm(self) -> MPI.Intracomm:
         """Communicator of the points."""
         return self.points.comm
+
+    @property
+    def bodies(self) -> Bodies:
+        """The rigid bodies that the points touch."""
+        return self.form.bodies
 
     @property
     def bcs(self) -> list[Condition]:
