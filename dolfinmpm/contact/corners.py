@@ -1,11 +1,13 @@
-"""Where a body of material points touches: corners of the points' domains, or marked faces.
+"""Where a body of material points touches: corners of the points' domains, or of marked faces.
 
 A corner is a quadrature point of contact, with a stencil of its own. Where a basis has domains
 (GIMP, averaged splines), corners are those of the domains, x ± l, and see the functions as they
 are there, from the outermost cell that the domain overlaps: nodes that their point sees too, so
-that contact makes no node active and couples none anew. Elsewhere, and for marked faces, a corner
-is where the point's own material is, x + F R with R = ±l0 or the offset of the face, and moves by
-u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
+that contact makes no node active and couples none anew. Elsewhere a corner is where the point's
+own material is, x + F R with R = ±l0, and moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
+
+Of a marked face whose normal is an axis only the corners on that face touch; of one from arrays the
+face's middle does.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ def _signs(gdim: int) -> Array:
 
 def corner_count(gdim: int, surface: Surface | None) -> int:
     """Corners that a point has."""
-    return 1 if surface is not None else 2**gdim
+    return 1 if surface is not None and surface.normal is None else 2**gdim
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,14 @@ class Sites:
     ):
         self._points, self._field, self._total = points, field, total
         self._surface = surface
+        self._middles = surface is not None and surface.normal is None
         basis = field.basis
         # domains are boxes where a basis averages over them
-        self._boxes = (
-            surface is None and not total and isinstance(basis, LatticeBasis) and basis.averaged
-        )
+        self._boxes = not (self._middles or total) and basis.averaged
+        signs = _signs(points.gdim)
+        self._which: Rows = np.arange(1 if self._middles else len(signs))
+        if surface is not None and surface.normal is not None:
+            self._which = np.flatnonzero(signs @ surface.normal > 0)
 
     def reach(self) -> Array:
         """How far the corners of each point are from its centre at most (m), shape (points,)."""
@@ -93,7 +98,9 @@ class Sites:
         if self._boxes:
             return np.linalg.norm(points["l"], axis=1)
         size = np.sqrt(np.einsum("pij,pij->p", points["F"], points["F"]))
-        R = points["l0"] if self._surface is None else points[self._surface.offset.name]
+        R = points["l0"]
+        if self._surface is not None and self._middles:
+            R = points[self._surface.offset.name]
         return size * np.linalg.norm(R, axis=1)
 
     def marked(self) -> npt.NDArray[np.bool_] | None:
@@ -105,9 +112,9 @@ class Sites:
     def areas(self, corners: Corners, normal: Array) -> Array:
         """The share of the body's face that goes with each corner (m^(d-1)), shape (m,).
 
-        That of a marked face is its area at first. A domain shows A·n = Σ |n_i| A_i of its first
-        faces towards the normal, which its corners on that side share: exact for the sides of a
-        body that the grid's axes follow.
+        Corners of a marked face share its area at first. A domain shows A·n = Σ |n_i| A_i of its
+        first faces towards the normal, which its corners on that side share: exact for the sides
+        of a body that the grid's axes follow.
 
         Args:
             corners: The corners.
@@ -115,7 +122,8 @@ class Sites:
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
-            return np.linalg.norm(points[self._surface.area.name][rows], axis=1)
+            area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
+            return np.asarray(area / self._which.size)
         half = points["l0"][rows]
         d = half.shape[1]
         if not self._boxes:
@@ -131,9 +139,8 @@ class Sites:
         Args:
             rows: The points, increasing, shape (n,).
         """
-        count = corner_count(self._points.gdim, self._surface)
-        which = np.tile(np.arange(count), rows.size)
-        each = np.repeat(rows, count)
+        which = np.tile(self._which, rows.size)
+        each = np.repeat(rows, self._which.size)
         x, N = self._of_boxes(rows) if self._boxes else self._of_material(each, which)
         nodes = np.unique(N.indices).astype(np.int32)
         local = np.searchsorted(nodes, N.indices)
@@ -145,7 +152,7 @@ class Sites:
         assert isinstance(basis, LatticeBasis)
         points = self._points
         where = points.placement()
-        x, half, signs = where.x[rows], where.half[rows], _signs(points.gdim)
+        x, half, signs = where.x[rows], where.half[rows], _signs(points.gdim)[self._which]
         low, count = basis.spans(x, half)
         at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
         # a corner is in the outermost cell that its point's domain overlaps
@@ -164,7 +171,7 @@ class Sites:
         chosen = np.zeros(len(points), bool)
         chosen[each] = True
         s = selected(self._field.stencils, chosen)
-        if self._surface is not None:
+        if self._surface is not None and self._middles:
             R = points[self._surface.offset.name][each]
         else:
             R = _signs(points.gdim)[which] * points["l0"][each]
