@@ -71,6 +71,15 @@ class Bodies:
                 )
         return None
 
+    def push(self, contacts: Sequence[ActiveContact]) -> None:
+        """Let forces at the start of an explicit step move the free bodies in it. Collective."""
+        for body in self.free:
+            force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
+            for active in contacts:
+                if active.contact.body is body:
+                    force += np.concatenate(active.totals())
+            body.push(force)
+
     def commit(self, contacts: Sequence[ActiveContact]) -> None:
         """Take where the bodies are, and what acts on them. Collective."""
         sums: dict[int, list[Array]] = {

@@ -171,6 +171,17 @@ class RigidBody:
             return pose
         return start.moved(shift, turn)
 
+    def push(self, force: Array) -> None:
+        """Take velocity and motion of an explicit step from the force on it (N, N m)."""
+        free = self.freedom
+        assert free is not None
+        free.begin(self.start, force, self.time, True)
+        assert free.acceleration is not None
+        own = free.free
+        free.velocity[own] += self.dt * free.acceleration[own]
+        free.increment = np.zeros_like(free.velocity)
+        free.increment[own] = self.dt * free.velocity[own]
+
     def commit(self, force: Array, moment: Array) -> None:
         """Take where it has been put for where it is, and what acts on it there."""
         self.start, self.time = self.pose, self.time + self.dt

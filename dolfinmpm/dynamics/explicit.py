@@ -36,6 +36,7 @@ from dolfinmpm.dynamics.newmark import MotionRecord
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
@@ -130,6 +131,7 @@ class Explicit(Problem):
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
+        check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)

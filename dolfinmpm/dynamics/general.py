@@ -127,6 +127,7 @@ class General:
         forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
         if isinstance(forces, str):
             return forces
+        problem.bodies.push(operator.contacts)
         self._resist(forces, mass, s, V)
         A = self._accelerations(forces, mass, V)
         V_end = self._end(V + dt * A, mass, here, held, dt)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from . import (
     arguments,
     bodies,
+    contact,
     dynamics,
     explicit,
     failures,
@@ -73,5 +74,8 @@ CASES = {
         dynamics.dynamics_restart,
         explicit.explicit_steps,
         explicit.explicit_restart,
+        contact.contact_quasistatic,
+        contact.contact_restart,
+        contact.contact_in_time,
     )
 }
