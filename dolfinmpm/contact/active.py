@@ -39,6 +39,7 @@ class ActiveContact:
         x: Where they were moved to last (m), shape (m, gdim).
         forces: Forces on them there (N), likewise.
         pressures: Their normal forces (N), shape (m,).
+        areas: The share of the body's face that goes with each (m^(d-1)), likewise.
         states: Whether they are free, stick or slip, likewise.
     """
 
@@ -47,7 +48,9 @@ class ActiveContact:
         points, body = contact.points, contact.body
         fields = here.fields
         self.field = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
-        self._sites = Sites(points, fields[self.field], here.total, contact.surface)
+        self._sites = Sites(
+            points, fields[self.field], here.total, contact.surface, contact.material
+        )
         self._margin = largest_cell(points.grid)
         self._near = self._candidates()
         self.corners = c = self._sites.corners(np.flatnonzero(self._near))
@@ -62,7 +65,8 @@ class ActiveContact:
         if contact.penetration is not None:
             self._multiplier = points[pressure][c.rows, c.which]
         normal = body.start.directions(body.surface.probe(self._start)[1])
-        self._stiffness = contact.stiffness_at(c.rows) * self._sites.areas(c, normal)
+        self.areas = self._sites.areas(c, normal)
+        self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 

@@ -1,10 +1,13 @@
 """Where a body of material points touches: corners of the points' domains, or of marked faces.
 
-A corner is a quadrature point of contact, with a stencil of its own. Where a basis has domains
-(GIMP, averaged splines), corners are those of the domains, x ± l, and see the functions as they
-are there, from the outermost cell that the domain overlaps: nodes that their point sees too, so
-that contact makes no node active and couples none anew. Elsewhere a corner is where the point's
-own material is, x + F R with R = ±l0, and moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
+A corner is a quadrature point of contact, with a stencil of its own. Corners are those of the
+points' domains, x ± l, where a basis averages over these (GIMP, averaged splines), or they follow
+the points' own material, x + F R with R = ±l0, which turns and shears: then neighbours share their
+corners as a body bends, and what bends is no stair. In large shear it is far from its point.
+
+Where the basis has domains a corner sees the functions as they are there, from a cell that the
+domain overlaps: nodes that its point sees too, so that contact makes no node active and couples
+none anew. Elsewhere it moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
 
 Of a marked face whose normal is an axis only the corners on that face touch; of one from arrays the
 face's middle does.
@@ -75,18 +78,25 @@ class Sites:
         points: Material points.
         field: The displacement.
         total: Whether stencils are those at first positions.
-        surface: Marked faces, or None for corners of domains.
+        surface: Marked faces, or None for all corners.
+        material: Whether corners follow the points' material and not their domains.
     """
 
     def __init__(
-        self, points: MaterialPoints, field: ActiveField, total: bool, surface: Surface | None
+        self,
+        points: MaterialPoints,
+        field: ActiveField,
+        total: bool,
+        surface: Surface | None,
+        material: bool,
     ):
         self._points, self._field, self._total = points, field, total
         self._surface = surface
         self._middles = surface is not None and surface.normal is None
         basis = field.basis
-        # domains are boxes where a basis averages over them
-        self._boxes = not (self._middles or total) and basis.averaged
+        # whether corners see functions as they are there, and whether domains say where that is
+        self._placed = not (self._middles or total) and basis.averaged
+        self._boxes = self._placed and not material
         signs = _signs(points.gdim)
         self._which: Rows = np.arange(1 if self._middles else len(signs))
         if surface is not None and surface.normal is not None:
@@ -141,23 +151,34 @@ class Sites:
         """
         which = np.tile(self._which, rows.size)
         each = np.repeat(rows, self._which.size)
-        x, N = self._of_boxes(rows) if self._boxes else self._of_material(each, which)
+        if self._placed:
+            x, N = self._in_place(rows)
+        else:
+            x, N = self._of_material(each, which)
         nodes = np.unique(N.indices).astype(np.int32)
         local = np.searchsorted(nodes, N.indices)
         N = sparse.csr_matrix((N.data, local, N.indptr), shape=(each.size, nodes.size))
         return Corners(each, which, x, nodes, N)
 
-    def _of_boxes(self, rows: Rows) -> tuple[Array, sparse.csr_matrix]:
+    def _in_place(self, rows: Rows) -> tuple[Array, sparse.csr_matrix]:
         basis = self._field.basis
         assert isinstance(basis, LatticeBasis)
         points = self._points
         where = points.placement()
         x, half, signs = where.x[rows], where.half[rows], _signs(points.gdim)[self._which]
         low, count = basis.spans(x, half)
-        at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
-        # a corner is in the outermost cell that its point's domain overlaps
         last = low + count - 1
-        cell = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
+        if self._boxes:
+            at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
+            # a corner is in the outermost cell that its point's domain overlaps
+            cell = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
+        else:
+            R = signs * points["l0"][rows][:, None]
+            at = x[:, None] + np.einsum("pij,pcj->pci", points["F"][rows], R)
+            # beyond what the domain overlaps functions go on as they are in the last cell
+            own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
+            cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
+            cell, at = cell.reshape(-1, points.gdim), at.reshape(-1, points.gdim)
         one = np.ones_like(cell)
         s = basis.stencils_in(at, np.zeros_like(at), np.ascontiguousarray(cell, np.int32),
                               one.astype(np.int32))  # fmt: skip

@@ -13,7 +13,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.checks import check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -33,6 +33,7 @@ class Contact:
     Attributes:
         body, points, u: The body, the points, and the increment that moves them.
         surface: Marked faces, or None.
+        material: Whether corners follow the points' material, or their domains.
         tags: Tags of the points that touch, or None for all.
         friction: μ.
         stiffness: Penalty (Pa/m) that was given, or None.
@@ -46,12 +47,13 @@ class Contact:
     """
 
     def __init__(
-        self, body, points, u, surface, tags, friction, stiffness, penalty, slip_share,
+        self, body, points, u, surface, material, tags, friction, stiffness, penalty, slip_share,
         penetration, integrand,
     ):  # fmt: skip
         self.body: RigidBody = body
         self.points: MaterialPoints = points
         self.u, self.surface, self.tags = u, surface, tags
+        self.material: bool = material
         self.friction: float = friction
         self.stiffness: float | None = stiffness
         self.penalty: float = penalty
@@ -137,6 +139,7 @@ def contact(
     slip_stiffness: float = 0.5,
     penetration: float | None = None,
     surface: Surface | None = None,
+    corners: str | None = None,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
     """Contact with a rigid body, a term to be added to the internal forces: F += contact(...).
@@ -163,6 +166,9 @@ def contact(
         slip_stiffness: Stiffness against slip that sticks, as a share of κ.
         penetration: Bound of the penetration (m), or None for what the penalty leaves.
         surface: Marked faces that touch, instead of all corners.
+        corners: "domains" for corners of the points' domains, "material" for corners that turn
+            and shear with the points' material, see `dolfinmpm.contact.corners`; by default the
+            latter of marked faces, and the former otherwise, for the ground that flows.
         tag: Tags of the points that can touch, one or several; None means all.
 
     Raises:
@@ -186,10 +192,13 @@ def contact(
         check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
         if surface.points is not points:
             raise ParameterError(f"the surface '{surface.name}' is of other points")
+    if corners is None:
+        corners = "domains" if surface is None else "material"
+    corners = choice("corners", corners, ("domains", "material"))
     integrand = ufl.inner(u, v)
     term = Contact(
-        body, points, u, surface, as_tags(tag), friction, stiffness_per_area, penalty,
-        slip_stiffness, penetration, integrand,
+        body, points, u, surface, corners == "material", as_tags(tag), friction,
+        stiffness_per_area, penalty, slip_stiffness, penetration, integrand,
     )  # fmt: skip
     metadata = {**points.dX.metadata(), "contact": term}
     return integrand * points.dX.reconstruct(metadata=metadata)

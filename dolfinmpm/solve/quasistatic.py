@@ -124,8 +124,8 @@ class QuasiStatic(Problem):
         )  # fmt: skip
         self.max_halvings = max_halvings
         options = Options(self, options_prefix, own)
-        # several fields are as a rule a saddle point
-        definite = len(self.fields) == 1
+        # several fields are as a rule a saddle point, and pressure on what is round turns with it
+        definite = len(self.fields) == 1 and not self.form.parts.contacts
         tangent = Tangent(symmetric(self.form), definite, self.form.softening is not None)
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations
