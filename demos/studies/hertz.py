@@ -41,8 +41,8 @@ def arguments(words=None):
     load.add_argument("--depth", type=float, help="of the indenter (m)")
     options.add_argument("--resolution", type=float, default=8.0, help="a/h")
     options.add_argument("--h", type=float, help="smallest size of cells (m), instead")
-    options.add_argument("--size", type=float, default=25.0, help="of the body, in half-widths")
-    options.add_argument("--growth", type=float, default=1.25, help="of cells away from it")
+    options.add_argument("--size", type=float, help="of the body, in half-widths; 25 or, of a sphere, 50")
+    options.add_argument("--growth", type=float, default=1.4, help="of cells away from it")
     options.add_argument("--softness", type=float, default=0.01, help="of the penalty")
     options.add_argument("--friction", type=float, default=0.0)
     options.add_argument("--points-per-cell", type=int, default=2)
@@ -55,6 +55,8 @@ def arguments(words=None):
         options.error("radius, modulus, force and depth must be positive")
     if not (0 <= given.poisson < 0.5 and min(given.softness, given.resolution) > 0):
         options.error("poisson must be in [0, 0.5), softness and resolution positive")
+    if given.size is None:
+        given.size = 25.0 if given.shape == "cylinder" else 50.0
     if given.size < 6 or given.growth < 1 or min(given.steps, given.points_per_cell) < 1:
         options.error("size must be at least 6, growth, steps and points-per-cell at least 1")
     return given

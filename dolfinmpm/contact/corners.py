@@ -171,7 +171,7 @@ class Sites:
         if self._boxes:
             at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
             # a corner is in the outermost cell that its point's domain overlaps
-            cell = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
+            cell: Rows = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
         else:
             R = signs * points["l0"][rows][:, None]
             at = x[:, None] + np.einsum("pij,pcj->pci", points["F"][rows], R)
