@@ -41,7 +41,9 @@ def arguments(words=None):
     load.add_argument("--depth", type=float, help="of the indenter (m)")
     options.add_argument("--resolution", type=float, default=8.0, help="a/h")
     options.add_argument("--h", type=float, help="smallest size of cells (m), instead")
-    options.add_argument("--size", type=float, help="of the body, in half-widths; 25 or, of a sphere, 50")
+    options.add_argument(
+        "--size", type=float, help="of the body, in half-widths; 25 or, of a sphere, 50"
+    )
     options.add_argument("--growth", type=float, default=1.4, help="of cells away from it")
     options.add_argument("--softness", type=float, default=0.01, help="of the penalty")
     options.add_argument("--friction", type=float, default=0.0)

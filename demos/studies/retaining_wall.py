@@ -106,9 +106,7 @@ class Scene:
         )
         F = mpm.momentum(sand, points, u, v)
         F -= ufl.inner(points.density * ufl.as_vector((0.0, -GRAVITY)), v) * points.dX
-        F += mpm.contact(
-            self.wall, points, u, v, friction=args.wall_friction, penalty=args.penalty
-        )
+        F += mpm.contact(self.wall, points, u, v, friction=args.wall_friction, penalty=args.penalty)
         bottom = mpm.rollers(V, "bottom") if args.base == "smooth" else mpm.fixed(V, "bottom")
         self.problem = mpm.QuasiStatic(
             F, u, points, mpm.rollers(V, "right") + bottom, stabilisation=args.stabilisation
