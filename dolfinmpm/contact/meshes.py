@@ -46,7 +46,9 @@ def mesh_surface(mesh: Any) -> Facets:
         if not Path(mesh).is_file():
             raise OSError(f"there is no file {mesh}")
         try:
-            mesh = meshio.read(mesh)
+            # a file of text passes for one of numbers until its length is looked at
+            with np.errstate(over="ignore"):
+                mesh = meshio.read(mesh)
         except (meshio.ReadError, SystemExit, KeyError, ValueError) as error:
             raise OSError(f"meshio cannot read {mesh}: {error}") from error
     x = np.asarray(mesh.points, float)
