@@ -18,7 +18,7 @@ from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import Surface
 
-__all__ = ["RigidBody"]
+__all__ = ["RigidBody", "check_bodies"]
 
 Array = npt.NDArray[np.float64]
 Motion = Callable[[float], Any]
@@ -228,6 +228,15 @@ class RigidBody:
     def outline(self, low: Array, high: Array) -> Array:
         """Facets that draw it where it is, shape (facets, gdim, gdim); see `Surface.outline`."""
         return self.pose.forth(self.surface.outline(low, high))
+
+
+def check_bodies(bodies: Any, gdim: int) -> None:
+    """Raise ParameterError unless these are rigid bodies in space of that dimension."""
+    if not isinstance(bodies, (list, tuple)):
+        raise ParameterError(f"bodies = {shown(bodies)} must be a list of mpm.RigidBody")
+    for body in bodies:
+        if not isinstance(body, RigidBody) or body.gdim != gdim:
+            raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
 
 
 def travelled(surface: Surface, start: Pose, end: Pose) -> float:

@@ -217,3 +217,37 @@ def test_the_border_of_a_free_body_has_its_derivatives(d):
     both = [balance(x + s * t * dx)[1] for s in (1, -1)]
     own = (both[0] - both[1]) / (2 * t)
     np.testing.assert_allclose((dx @ by_x) * scale, own, atol=1e-5 * np.abs(own).max())
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_bodies_are_drawn_and_written(d, tmp_path):
+    problem, body = pressed(d=d)
+    problem.step()
+    zero = (0,) * (d - 1)
+    floor = mpm.RigidBody(mpm.Plane((*zero, 0), (*zero, 1)), name="floor")
+    mpm.plot(problem.points, tmp_path / "body.png", bodies=[body, floor])
+    if d == 3:
+        mpm.plot(problem.points, tmp_path / "cut.png", cut=("y", 0.4), bodies=[body])
+    with pytest.raises(mpm.errors.ParameterError, match="bodies"):
+        mpm.plot(problem.points, tmp_path / "no.png", bodies=body)
+    with mpm.ParaView(tmp_path / "run.pvd", problem.points, bodies=[body, floor]) as series:
+        series.write(0.0)
+        problem.step()
+        series.write(1.0)
+    assert (tmp_path / "run_bodies.pvd").read_text().count("bodies_00000") == 2
+
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(tmp_path / "run" / "bodies_000001.vtp"))
+    reader.Update()
+    written = reader.GetOutput()
+    x = vtk_to_numpy(written.GetPoints().GetData())[:, :d]
+    which = vtk_to_numpy(written.GetCellData().GetArray("body"))
+    force = vtk_to_numpy(written.GetCellData().GetArray("force"))[:, :d]
+    assert set(which) == {0, 1}
+    np.testing.assert_allclose(force[which == 0], body.force[None].repeat(sum(which == 0), 0))
+    own = np.repeat(which, d) == 0
+    distance = np.linalg.norm(x[own] - body.position, axis=1)
+    np.testing.assert_allclose(distance, 0.5, rtol=1e-12)
