@@ -40,7 +40,7 @@ def arguments(words=None):
     options.add_argument("--width", type=float, default=8.0, help="of the clay's half, in depths")
     options.add_argument("--growth", type=float, default=1.3, help="of cells where nothing flows")
     options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    options.add_argument("--fbar", choices=("on", "off"), default="on")
+    options.add_argument("--fbar", choices=("on", "off"), default="off")
     options.add_argument("--penalty", type=float, default=50.0, help="κ/E (1/m)")
     options.add_argument("--corners", choices=("domains", "material"), default="material")
     given = options.parse_args(words)

@@ -18,11 +18,13 @@ from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.activation import Participants
-from dolfinmpm.grid.lattice import largest_cell
 
 __all__ = ["ActiveContact"]
 
 Array = npt.NDArray[np.float64]
+
+# How far around a body points are looked at, besides its way in a step, in half-lengths of domains
+_MARGIN = 4.0
 
 
 class ActiveContact:
@@ -51,7 +53,6 @@ class ActiveContact:
         self._sites = Sites(
             points, fields[self.field], here.total, contact.surface, contact.material
         )
-        self._margin = largest_cell(points.grid)
         self._near = self._candidates()
         self.corners = c = self._sites.corners(np.flatnonzero(self._near))
         m, d = c.x.shape
@@ -79,7 +80,8 @@ class ActiveContact:
             ParameterError: Points are inside the body before the first step.
         """
         contact, body, points = self.contact, self.contact.body, self.contact.points
-        reach = self._sites.reach() + self._margin
+        # points that come from further away in one step are missed, and the step is halved
+        reach = self._sites.reach() + _MARGIN * points["l0"].max(axis=1, initial=0.0)
         poses = [body.start, body.pose]
         near = _within(poses, body.surface.low, body.surface.high, points["x"], reach)
         if contact.tags is not None:

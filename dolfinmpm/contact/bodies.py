@@ -12,7 +12,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import Contact
-from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["Bodies"]
 
@@ -24,13 +24,13 @@ class Bodies:
 
     Args:
         contacts: The contacts.
-        grid: The grid; in one part of a step a body may go as far as its largest cell.
+        grid: The grid; in one part of a step a body may go as far as its smallest cell.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
         self._contacts = list(contacts)
         # looking for it is collective, and without contacts nobody asks
-        self._limit = largest_cell(grid) if contacts else 0.0
+        self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
