@@ -10,9 +10,16 @@
 # the pressure p acts up to a lip that is λc above the first surface,
 # $\lambda = (1 + \lambda)\sin(\theta - \psi)/\cos\theta$, and the wedge carries
 # $2 p\,(1 + \lambda)\,c \tan\theta$ (Hill, Lee & Tupper 1947). One half is solved, to the depth
-# `--depth`; what is compared is the rise of the force over the second half of it, for at first a
-# few corners alone touch. Clay that flows at constant volume needs F-bar, and corners that follow
-# the material: those of the points' domains, which do not turn, make the lip a stair.
+# `--depth`; what is compared is the rise of the force beyond 0.3 of it, for at first a few
+# corners alone touch, which gives the force a head start. It is not smooth: points come to the
+# wedge's side one by one.
+#
+# Corners follow the material: those of the points' domains, which do not turn, make the lip a
+# stair. F-bar, which footings on clay need, lets it flow too much here (by a third at 30° with 2²
+# points).
+#
+# What comes out with the default sizes: the slope within 2.4 % at 30°; the head start remains, which
+# makes the mean pressure (`mean_pressure`) 44 % too large there; `pressure` is that of the rise.
 
 # %%
 import math
@@ -35,7 +42,7 @@ def arguments(words=None):
     options.add_argument("--E-over-cu", type=float, default=500.0, help="E/c_u")
     options.add_argument("--depth", type=float, default=1.0, help="last one (m)")
     options.add_argument("--h", type=float, default=0.1, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2)
+    options.add_argument("--points-per-cell", type=int, default=3)
     options.add_argument("--steps", type=int, default=80)
     options.add_argument("--width", type=float, default=8.0, help="of the clay's half, in depths")
     options.add_argument("--growth", type=float, default=1.3, help="of cells where nothing flows")
@@ -173,12 +180,14 @@ def main(words=None):
     scene = Scene(args)
     scene.run()
     depth, force = scene.history["depth"], scene.history["force"]
-    late = depth >= 0.5 * depth[-1]
+    late = depth >= 0.3 * depth[-1]
     slope = float(np.polyfit(depth[late], force[late], 1)[0]) / COHESION
     found, lip, pressure = exact(args.semi_angle)
+    rises = scene.lip() / float(depth[-1])
     figures = {
+        "pressure": slope / (2 * math.tan(math.radians(args.semi_angle)) * (1 + rises)),
         "slope": slope, "lip": scene.lip() / float(depth[-1]),
-        "pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
+        "mean_pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
         "exact_pressure": pressure, "slope_error": slope / found - 1,
         "mean_slope": float(force[-1] / depth[-1]) / COHESION, **solver_figures(scene.problem),
     }  # fmt: skip

@@ -110,9 +110,8 @@ class RigidBody:
             raise ParameterError("angular_velocity and rotation are both given; leave one out")
         self._shift = _Course("displacement", displacement, "velocity", velocity, d)
         self._turn = _Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
-        if d == 3 and displacement is None and rotation is not None and turns == 3:
-            # a rotation vector is not the sum of small ones
-            self._turn.absolute = True
+        # a rotation vector is not the sum of small ones
+        self._turn.absolute = d == 3 and rotation is not None
         loads = mass, inertia, gravity, force, moment
         self.freedom: Freedom | None = None
         if free is not None or any(load is not None for load in loads):

@@ -68,3 +68,19 @@ def test_retaining_wall(tmp_path):
     assert abs(found["thrust_error"]) < 0.05
     assert found["at_rest"] < 0.2 * found["thrust"]
     assert (tmp_path / "retaining_wall_passive.png").stat().st_size > 0
+
+
+def test_wedge(tmp_path):
+    options = "--h", "0.25", "--steps", "32", "--semi-angle", "45", "--points-per-cell", "2"
+    found = figures(tmp_path, "wedge", *options)
+    # four cells over the depth are coarse
+    assert abs(found["slope_error"]) < 0.25
+    assert found["lip"] == pytest.approx(found["exact_lip"], rel=0.25)
+    assert (tmp_path / "wedge_45.png").stat().st_size > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("angle", ["30", "45"])
+def test_wedge_on_finer_cells(tmp_path, angle):
+    found = figures(tmp_path, "wedge", "--semi-angle", angle, "--no-plot")
+    assert abs(found["slope_error"]) < 0.05

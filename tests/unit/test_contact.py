@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from conftest import Linearised, unit_grid
+from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.contact.making import surface_of
@@ -251,3 +253,49 @@ def test_bodies_are_drawn_and_written(d, tmp_path):
     own = np.repeat(which, d) == 0
     distance = np.linalg.norm(x[own] - body.position, axis=1)
     np.testing.assert_allclose(distance, 0.5, rtol=1e-12)
+
+
+def test_motion_is_prescribed_by_functions_and_constants():
+    turn = np.array([0.3, -0.2, 0.5])
+    ball = mpm.RigidBody(
+        mpm.Box((0, 0, 0), (1, 1, 1)), displacement=lambda t: (t, 0, t**2), centre=(0, 0, 0),
+        rotation=lambda t: t * turn,
+    )  # fmt: skip
+    for dt in (0.5, 1.0):
+        ball.begin(dt)
+        ball.put(0.5)
+        ball.put(1.0)
+        ball.commit(np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(ball.position, [1.5, 0, 2.25], atol=1e-14)
+    np.testing.assert_allclose(ball.pose.rotation, rotation_of(1.5 * turn, 3), atol=1e-14)
+    again = mpm.RigidBody(mpm.Box((0, 0, 0), (1, 1, 1)), centre=(0, 0, 0), rotation=lambda t: turn)
+    again.remember(ball.memory())
+    np.testing.assert_array_equal(again.pose.rotation, ball.pose.rotation)
+    assert again.time == 1.5
+
+
+def test_a_constant_moves_a_body_and_is_scaled_as_a_load_is():
+    grid = unit_grid("quadrilateral", 3)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 2 / 3)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    place, angle = fem.Constant(grid, (0.0, 0.0)), fem.Constant(grid, 0.0)
+    body = mpm.RigidBody(mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), displacement=place, rotation=angle)
+    F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
+    F += mpm.contact(body, points, u, v, friction=0.3)
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
+    place.value[:], angle.value = (0.02, -0.06), 0.1
+    record = problem.step()
+    np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
+    np.testing.assert_allclose(body.angle, 0.1)
+    assert record.parts >= 1
+    arc = {"load": place, "first": 0.1}
+    free = mpm.RigidBody(
+        mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), force=(0, -1), free=(False, True, False)
+    )
+    with pytest.raises(mpm.errors.ParameterError, match="is free"):
+        form = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
+        load = fem.Constant(grid, (0.0, -1e-3))
+        form -= ufl.inner(load, v) * points.dX
+        form += mpm.contact(free, points, u, v)
+        mpm.ArcLength(form, u, points, mpm.fixed(V, "bottom"), **(arc | {"load": load}))
