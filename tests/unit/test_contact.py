@@ -289,13 +289,9 @@ def test_a_constant_moves_a_body_and_is_scaled_as_a_load_is():
     np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
     np.testing.assert_allclose(body.angle, 0.1)
     assert record.parts >= 1
-    arc = {"load": place, "first": 0.1}
-    free = mpm.RigidBody(
-        mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), force=(0, -1), free=(False, True, False)
-    )
+    free = mpm.RigidBody(mpm.Disc((0.5, 2), 0.5), force=(0, -1), free=(False, True, False))
+    load = fem.Constant(grid, (0.0, -1e-3))
+    F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
+    F += mpm.contact(free, points, u, v) - ufl.inner(load, v) * points.dX
     with pytest.raises(mpm.errors.ParameterError, match="is free"):
-        form = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
-        load = fem.Constant(grid, (0.0, -1e-3))
-        form -= ufl.inner(load, v) * points.dX
-        form += mpm.contact(free, points, u, v)
-        mpm.ArcLength(form, u, points, mpm.fixed(V, "bottom"), **(arc | {"load": load}))
+        mpm.ArcLength(F, u, points, mpm.fixed(V, "bottom"), load=load)
