@@ -36,6 +36,8 @@ class ActiveContact:
 
     Attributes:
         contact: The argument.
+        clings: Whether corners that touched before are held where nothing has moved yet, so that
+            the first iteration of Newton's method takes them along with a body that goes away.
         field: Number of the displacement's field.
         corners: Corners that may touch in this step.
         x: Where they were moved to last (m), shape (m, gdim).
@@ -46,7 +48,7 @@ class ActiveContact:
     """
 
     def __init__(self, contact: Contact, here: Participants):
-        self.contact = contact
+        self.contact, self.clings = contact, False
         points, body = contact.points, contact.body
         fields = here.fields
         self.field = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
@@ -63,8 +65,9 @@ class ActiveContact:
         traction, pressure, _ = contact.names
         self._before = points[traction][c.rows, c.which]
         self._multiplier: Array = np.zeros(m)
+        self._pressed = points[pressure][c.rows, c.which]
         if contact.penetration is not None:
-            self._multiplier = points[pressure][c.rows, c.which]
+            self._multiplier = self._pressed
         normal = body.start.directions(body.surface.probe(self._start)[1])
         self.areas = self._sites.areas(c, normal)
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
@@ -145,9 +148,13 @@ class ActiveContact:
         g, n, H = contact.body.surface.probe(at)
         slip = contact.slip_share * self._stiffness
         force = np.empty_like(self.x)
+        holds = self._pressed > 0.0
+        if not self.clings or u.any():
+            holds[:] = False
         forces_on_corners(
             g, n, H, at, self._start, self._before, self._multiplier, self._stiffness, slip,
-            contact.friction, force, self._traction, self.pressures, self._slope, self.states,
+            contact.friction, holds, force, self._traction, self.pressures, self._slope,
+            self.states,
         )  # fmt: skip
         self._gap = g
         self.forces = pose.directions(force)

@@ -26,7 +26,7 @@ FREE, STICKS, SLIPS = 0, 1, 2
 @numba.njit(cache=True, error_model="numpy")
 def forces_on_corners(
     gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
-    friction, force, traction, pressure, slope, state,
+    friction, holds, force, traction, pressure, slope, state,
 ):  # fmt: skip
     """Forces on corners and their derivatives; see above. All in the frame of the body.
 
@@ -37,6 +37,7 @@ def forces_on_corners(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
+        holds: Which corners are held even where they are outside, by p < 0, shape (m,).
         force: Written: f (N), shape (m, d).
         traction: Written: t (N), likewise.
         pressure: Written: p (N), shape (m,).
@@ -57,7 +58,7 @@ def forces_on_corners(
             traction[c, i] = 0.0
             for j in range(d):
                 slope[c, i, j] = 0.0
-        if not p > 0.0:
+        if not (p > 0.0 or holds[c]):
             continue
         pressure[c] = p
         state[c] = STICKS
@@ -65,7 +66,7 @@ def forces_on_corners(
             force[c, i] = p * n[i]
             for j in range(d):
                 slope[c, i, j] = p * H[i, j] - eN * n[i] * n[j]
-        if friction == 0.0:
+        if friction == 0.0 or p <= 0.0:
             continue
         along = 0.0
         for i in range(d):

@@ -249,6 +249,8 @@ class QuasiStatic(Problem):
     def _solve(self, operator: Operator) -> Outcome:
         """Solve the equations of a step, with multipliers of contact that bound penetrations."""
         record = self._record
+        for contact in operator.contacts:
+            contact.clings = True
         for _ in range(_MOST_AUGMENTATIONS):
             outcome = self.solver.solve(operator)
             record.iterations += outcome.iterations

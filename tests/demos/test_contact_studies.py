@@ -70,6 +70,14 @@ def test_retaining_wall(tmp_path):
     assert (tmp_path / "retaining_wall_passive.png").stat().st_size > 0
 
 
+def test_a_wall_that_gives_way(tmp_path):
+    """Corners that touched go along with the wall in the first iteration of a step."""
+    options = "--h", "0.25", "--length", "2", "--steps", "10", "--direction", "active"
+    found = figures(tmp_path, "retaining_wall", *options, "--no-plot")
+    assert abs(found["thrust_error"]) < 0.05
+    assert found["halvings"] == 0
+
+
 def test_wedge(tmp_path):
     options = "--h", "0.25", "--steps", "32", "--semi-angle", "45", "--points-per-cell", "2"
     found = figures(tmp_path, "wedge", *options)

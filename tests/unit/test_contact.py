@@ -85,13 +85,14 @@ def test_forces_on_corners_have_their_derivative(friction):
     at = start + rng.uniform(-0.02, 0.02, (m, 3))
     eN, eT = rng.uniform(50, 100, m), rng.uniform(20, 50, m)
     before = rng.uniform(-0.3, 0.3, (m, 3))
+    held = np.zeros(m, bool)
     multiplier = np.where(rng.uniform(size=m) > 0.5, 0.4, 0.0)
 
     def forces(x):
         out = [np.empty((m, 3)), np.empty((m, 3)), np.empty(m), np.empty((m, 3, 3))]
         state = np.empty(m, np.int8)
         forces_on_corners(
-            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, *out, state
+            *surface.probe(x), x, start, before, multiplier, eN, eT, friction, held, *out, state
         )
         return *out, state
 
