@@ -15,6 +15,7 @@ from dolfinmpm.body.meshparts import partitioner
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.dynamics import (
     Explicit,
@@ -52,6 +53,7 @@ __all__ = [
     "Ball",
     "Boundary",
     "Box",
+    "Cone",
     "Deposit",
     "Disc",
     "Explicit",
@@ -63,9 +65,11 @@ __all__ = [
     "MaterialPoints",
     "Newmark",
     "ParaView",
+    "Plane",
     "PointChange",
     "Polygon",
     "QuasiStatic",
+    "RigidBody",
     "RigidFooting",
     "Shape",
     "Space",
@@ -73,10 +77,12 @@ __all__ = [
     "Surface",
     "Transient",
     "TurnedBox",
+    "Wedge",
     "Where",
     "absorbing",
     "carried",
     "cell_size",
+    "contact",
     "create_lattice",
     "dirichlet",
     "equilibrate",

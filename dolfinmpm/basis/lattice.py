@@ -388,6 +388,20 @@ class LatticeBasis:
         _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
         return half, low, count
 
+    def spans(self, x, half) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """The first cell that each domain overlaps, in the halo's tables, and number of them.
+
+        Args:
+            x, half: Positions and half-lengths (m), shape (points, gdim).
+
+        Returns:
+            Two arrays of shape (points, gdim).
+        """
+        low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
+        lattice, origin = self.lattice, self.halo.origin
+        _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
+        return low, count
+
     def _on_lines(self, x, low) -> npt.NDArray[np.bool_]:
         """Whether points without domains are on the lower grid lines of their cells, a direction.
 

@@ -191,6 +191,9 @@ class Polygon(Shape):
     Args:
         vertices: Its corners (m) in order, shape (n, 2), n ≥ 3; the last is joined to the first.
 
+    Attributes:
+        vertices: Its corners (m), shape (n, 2).
+
     Raises:
         ParameterError: The corners are not of that shape or not finite, a corner occurs
             twice, two edges cross or touch, or there is no area.
@@ -204,6 +207,7 @@ class Polygon(Shape):
             )
 
         _check_simple(corners)
+        self.vertices = corners
 
         def contains(x: Array) -> npt.NDArray[np.bool_]:
             inside = np.zeros(len(x), bool)

@@ -35,6 +35,7 @@ from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
@@ -135,6 +136,7 @@ class Explicit(Problem):
                 "no equations for them; take Newmark, GeneralisedAlpha or QuasiStatic, or hold "
                 "sides of the grid"
             )
+        check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
@@ -217,7 +219,9 @@ class Explicit(Problem):
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = field.remedy.kind in ("aggregation", "extended") or field.prolongate is not None
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
-        return math.sqrt(scaling) * found
+        # a corner in contact is a spring on a light node
+        springs = sum(contact.rate() for contact in self.form.parts.contacts)
+        return math.sqrt(scaling / (1.0 / found**2 + 0.25 * springs))
 
     def step(self, t: float) -> MotionRecord:
         """Go to a time. Collective.
@@ -256,6 +260,7 @@ class Explicit(Problem):
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count if not single else min(left, longest)
             now = 1 if single else min(count, self._loop.at_once)
+            raise_together(self.comm, self._too_fast(dt))
             self._advance(now, dt, whole, now < count and not single, record)
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step
@@ -267,6 +272,7 @@ class Explicit(Problem):
         record.time = self.time
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
         record.imbalance = imbalance(self.points)
+        record.bodies = self.bodies.record()
         record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
         self.history.append(record)
         if isinstance(t, Time):
@@ -293,6 +299,11 @@ class Explicit(Problem):
         self.time, record.dt = start + taken * dt, dt
         if reason is not None:
             raise self._unstable(reason, dt)
+
+    def _too_fast(self, dt: float) -> ParameterError | None:
+        """What is wrong with a rigid body that steps of that length (s) do not follow, or None."""
+        fault = self.bodies.fault(dt)
+        return None if fault is None else ParameterError(f"{fault}; give a smaller velocity")
 
     def _check_energy(self, dt: float, begins: bool = False) -> None:
         """Raise InstabilityError if energy comes from nowhere. Collective."""

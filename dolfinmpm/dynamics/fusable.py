@@ -49,6 +49,8 @@ def why_not(form: WeakForm) -> str | None:
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
         return "a neo-Hookean law that varies"
+    if form.parts.contacts:
+        return "contact with rigid bodies"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
         if any(integral.integrand() is term for term in own):

@@ -111,6 +111,7 @@ class General:
         points, dt = problem.points, step.dt
         raise_together(points.comm, points.fault())
         balance(points)
+        problem.bodies.begin(dt)
         here = problem.activate(step)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
@@ -123,9 +124,11 @@ class General:
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = problem.form.on(here)
+        problem.bodies.put(0.0)
         forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
         if isinstance(forces, str):
             return forces
+        problem.bodies.push(operator.contacts)
         self._resist(forces, mass, s, V)
         A = self._accelerations(forces, mass, V)
         V_end = self._end(V + dt * A, mass, here, held, dt)
@@ -140,6 +143,7 @@ class General:
         if settings.scheme == "musl":
             V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         operator.place([dt * V_strain])
+        problem.bodies.put(1.0)
         state = advance(operator, self._updates, True, self._cell, self._number, moved)
         if isinstance(state, str):
             return state
@@ -150,6 +154,7 @@ class General:
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
+        problem.bodies.commit(operator.contacts)
         return commit(points, state)
 
     @property
@@ -211,6 +216,11 @@ class General:
         forces.arrays[0][:] *= -1.0
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
+        if operator.contacts:
+            touching = mass.nodal()
+            operator.touch()
+            operator.contact_forces(touching.arrays)
+            forces.arrays[0][:] -= touching.arrays[0]
         return forces
 
     @stages.assemble

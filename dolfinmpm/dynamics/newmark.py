@@ -36,6 +36,8 @@ from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.freebodies import FreeBodies, Inertial, check_masses
 from dolfinmpm.solve.operator import Operator, WeakForm
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Step
@@ -142,6 +144,7 @@ class TimeStepping(QuasiStatic):
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         sides = Sides(faces, points)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
+        check_masses(self.bodies)
         self.form.inertia = terms
 
     @property
@@ -198,12 +201,14 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         done = (step.t - motion.start) / (motion.end - motion.start)
         self._loads.set(done if motion.jumped else done - (1 - share) * step.share)
+        self.bodies.put(share)
         motion.set_time(step.t - (1 - share) * step.dt)
 
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
         self.points.dt.value = step.dt
+        self.bodies.begin(step.dt)
         here = self.activate(step)
         self._load_at(step, 0.0)
         motion.to_grid(here, self.form, step.dt, self._rates(here, step))
@@ -211,9 +216,22 @@ class TimeStepping(QuasiStatic):
         if rule.alpha_f and here.driven:
             level = [(1 - rule.alpha_f) * g for g in here.prescribed]
             here = dataclasses.replace(here, prescribed=level)
+        self._free(step)
         known = rule.known(motion.V, motion.A, step.dt)
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
         return InertialOperator(self.form, here, motion.mass, factor, known, dashpots)
+
+    def _free(self, step: Step) -> None:
+        """Begin the step of the free rigid bodies, at the level where forces balance."""
+        rule, dt = self.motion.rule, step.dt
+        for body in self.bodies.free:
+            assert body.freedom is not None
+            force = np.concatenate([body.force, body.moment])
+            body.freedom.begin(body.start, force, body.time, self.motion.jumped)
+        if isinstance(self.solver, Bordered) and isinstance(self.solver.border, FreeBodies):
+            self.solver.border.inertial = Inertial(
+                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f
+            )
 
     def _rates(self, here: Activation, step: Step) -> Array:
         """Velocities of held components at the start of a step (m/s), shape (nodes, d). Collective.
@@ -232,6 +250,7 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         # forces balance at a level within the step, the state is that at its end
         scale = 1.0 / (1.0 - motion.rule.alpha_f)
+        self.bodies.put(1.0)
         if scale != 1.0:
             operator.move(x, scale)
         state = super()._advance(operator, x, step)
@@ -239,6 +258,8 @@ class TimeStepping(QuasiStatic):
             return state
         self._load_at(step, 0.5)
         reason = motion.to_points(operator, state, step, x, scale)
+        if reason is None:
+            self._move_free(step.dt)
         self._load_at(step, 1.0)
         return state if reason is None else reason
 
@@ -246,6 +267,20 @@ class TimeStepping(QuasiStatic):
         """Forget what belongs to where the grid's lines were; see `regrade`."""
         super().lay()
         self.motion.lay()
+
+    def _move_free(self, dt: float) -> None:
+        """Give the free rigid bodies their velocities at the end of a step."""
+        rule = self.motion.rule
+        for body in self.bodies.free:
+            free = body.freedom
+            assert free is not None
+            V, A = free.velocity, free.acceleration
+            assert A is not None
+            A_end = rule.acceleration(free.increment, V, A, dt)
+            own = free.free
+            free.velocity[own] = rule.velocity(V, A, A_end, dt)[own]
+            free.acceleration = np.zeros_like(A)
+            free.acceleration[own] = A_end[own]
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

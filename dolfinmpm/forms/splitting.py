@@ -1,7 +1,7 @@
 """Split a weak form into what the points integrate and what DOLFINx integrates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import ufl
@@ -26,7 +26,7 @@ from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.terms import brief, operators_in, tags_of
+from dolfinmpm.forms.terms import brief, contact_of, operators_in, tags_of
 from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
@@ -62,6 +62,7 @@ class SplitForm:
         declarations: What the laws in the form keep at the points.
         carried: Fields that its terms carry from step to step, or renew as one begins.
         boundaries: Terms over boundaries that do not fit the grid.
+        contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
     """
 
     regions: list[PointTerms]
@@ -69,6 +70,7 @@ class SplitForm:
     declarations: list[Declaration]
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
+    contacts: list[Any] = field(default_factory=list)
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -95,18 +97,21 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                             f"'{brief(node)}' differentiates '{c}', which has values at the "
                             "points only and no gradient"
                         )
+    form, contacts = _without_contacts(form, points)
     declarations = declared(form, points)
     for declaration in declarations:
         declaration.bind()
     kept = carried_in(form)
-    for field in kept:
-        points.add_field(field.name, field.ufl_shape, field.unit, field.first)
+    for one in kept:
+        points.add_field(one.name, one.ufl_shape, one.unit, one.first)
     of_markers = {b.markers.number: b for b in _boundaries(form, points)}
     of_laws = {number: declared(form, b.markers) for number, b in of_markers.items()}
     for number, boundary in of_markers.items():
         take_state(boundary)
         for declaration in of_laws[number]:
             declaration.bind()
+    for contact in contacts:
+        contact.bind(declarations)
     form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
@@ -146,6 +151,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             )
             for number, boundary in of_markers.items()
         ],
+        contacts,
     )
 
 
@@ -177,6 +183,29 @@ def _conditions(integrals) -> list[Any]:
         if condition is not None and not any(condition is c for c in found):
             found.append(condition)
     return found
+
+
+def _without_contacts(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, list[Any]]:
+    """The form's other terms, and its contacts, which are no quadrature of its points.
+
+    Raises:
+        FormError: A contact is not simply added, or is one of other points.
+    """
+    others, contacts = [], []
+    for integral in form.integrals():
+        contact = contact_of(integral)
+        if contact is None:
+            others.append(integral)
+            continue
+        if integral.integrand() != contact.integrand:
+            raise FormError(
+                f"{contact!r} is scaled or subtracted in the weak form; it counts as internal "
+                "forces do and is added: write F += mpm.contact(...)"
+            )
+        if contact.points is not points:
+            raise FormError(f"{contact!r} is of material points that the problem does not move")
+        contacts.append(contact)
+    return (ufl.Form(others), contacts) if contacts else (form, contacts)
 
 
 def _check_tags(integrals) -> None:

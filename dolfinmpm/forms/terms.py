@@ -13,7 +13,7 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.declarations import Tags, as_tags
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["brief", "operators_in", "summands", "tags_of"]
+__all__ = ["brief", "contact_of", "operators_in", "summands", "tags_of"]
 
 
 def brief(expression: Expr) -> str:
@@ -37,6 +37,11 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
         isinstance(c, PointOperator) or any(c is u for u in increments)
         for c in extract_coefficients(expression)
     )
+
+
+def contact_of(integral) -> Any:
+    """The contact that a term stands for, or None; see `dolfinmpm.contact`."""
+    return (integral.metadata() or {}).get("contact")
 
 
 def operators_in(term: Expr) -> list[PointOperator]:

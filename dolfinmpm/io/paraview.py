@@ -17,7 +17,9 @@ from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.balance import occupied
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.rigid import RigidBody, check_bodies
 from dolfinmpm.io.vtkfiles import (
     Arrays,
     index_text,
@@ -70,6 +72,9 @@ class ParaView:
             `Space.increment` (m), that are written with `active` every time. Without
             any, the mesh alone is written, once.
         active: Write the grid with `active` every time even without increments.
+        bodies: Rigid bodies, whose facets go with `body`, their number in this list, and the
+            `force` (N) and `moment` (N m) on them into a series of their own,
+            `output/column_bodies.pvd`.
 
     Raises:
         ParameterError: The path does not end in ".pvd", the points have no field of
@@ -85,6 +90,7 @@ class ParaView:
         increments: fem.Function | Sequence[fem.Function] = (),
         *,
         active: bool = False,
+        bodies: Sequence[RigidBody] = (),
     ):
         # a missing package must be told before a run, not at its first write
         import vtkmodules.vtkIOXML  # noqa: F401
@@ -96,6 +102,8 @@ class ParaView:
         self._fields = _words("fields", fields)
         self._increments = _functions("increments", increments)
         self._grid_each_time = truth("active", active) or bool(self._increments)
+        check_bodies(bodies, points.gdim)
+        self._bodies = list(bodies)
         self._times: list[float] = []
         raise_together(self.comm, self._wrong_arguments())
         self._mesh = _GridMesh(points.grid, self._increments)
@@ -138,6 +146,8 @@ class ParaView:
         self._write_points(f"points_{count:06d}")
         if self._grid_each_time or count == 0:
             self._write_grid(f"grid_{count:06d}")
+        if self._bodies:
+            self._on_root(self._write_bodies, count)
         self._times.append(time)
         self._on_root(self._write_series)
 
@@ -199,6 +209,30 @@ class ParaView:
             cell_data["active"] = active[:, None]
         self._write(stem, "vtu", self._mesh.vtk(), point_data, cell_data, {})
 
+    def _write_bodies(self, count: int) -> None:
+        """The facets of all bodies, of endless ones those on the grid."""
+        from vtkmodules.vtkCommonDataModel import vtkPolyData
+
+        d = self.points.gdim
+        facets = [body.outline(*self._mesh.box) for body in self._bodies]
+        x = np.concatenate([f.reshape(-1, d) for f in facets])
+        piece = vtkPolyData()
+        piece.SetPoints(vtk_points(_padded(x)))
+        cells = vtk_cells(np.arange(len(x)).reshape(-1, d))
+        piece.SetLines(cells) if d == 2 else piece.SetPolys(cells)
+        sizes = [len(f) for f in facets]
+        turns = len(self._bodies[0].moment)
+        data = {
+            "body": np.repeat(np.arange(len(facets)), sizes)[:, None],
+            "force": _padded(np.repeat([b.force for b in self._bodies], sizes, axis=0)),
+            "moment": np.repeat([b.moment for b in self._bodies], sizes, axis=0).reshape(-1, turns),
+        }
+        for name, unit in (("body", ""), ("force", "N"), ("moment", "N m")):
+            piece.GetCellData().AddArray(vtk_array(data[name], name, unit))
+        file = self._folder / f"bodies_{count:06d}.vtp"
+        if not write_piece(piece, file):
+            raise OSError(f"cannot write {file}; is the folder writable and the disk not full?")
+
     def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
         """One piece a rank, and their index on rank 0. Collective."""
         for target, arrays in (
@@ -220,10 +254,14 @@ class ParaView:
         folder = self._folder.name
         grid_times = self._times if self._grid_each_time else self._times[:1]
         grid_path = self.path.with_name(f"{folder}_grid.pvd")
-        for path, times, stem, kind in (
+        series = [
             (grid_path, grid_times, "grid", "pvtu"),
             (self.path, self._times, "points", "pvtp"),
-        ):
+        ]
+        if self._bodies:
+            path = self.path.with_name(f"{folder}_bodies.pvd")
+            series.append((path, self._times, "bodies", "vtp"))
+        for path, times, stem, kind in series:
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
             replace_file(path, series_text(times, files))
 
@@ -291,6 +329,7 @@ class _GridMesh:
         self._nodes, connectivity = np.unique(rows, return_inverse=True)
         self._connectivity = connectivity.reshape(rows.shape)
         self._x = np.ascontiguousarray(x[self._nodes])
+        self.box = bounds(grid)
         self._type = int(types[0]) if self.cells else 0
 
     def vtk(self):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.rigid import RigidBody, check_bodies
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.figures import check_picture, check_size, two_numbers
 from dolfinmpm.io.scene import Scene
@@ -46,6 +48,7 @@ def plot(
     cmap: str = "viridis",
     size: tuple[float, float] = (3.5, 4.2),
     dpi: int = 300,
+    bodies: Sequence[RigidBody] = (),
 ) -> None:
     """Draw the material points coloured by a field; rank 0 writes the picture. Collective.
 
@@ -74,6 +77,7 @@ def plot(
         cmap: Matplotlib colour map.
         size: Largest width and height of the axes with the colour bar (inch).
         dpi: Dots per inch.
+        bodies: Rigid bodies to be drawn where they are.
 
     Raises:
         ParameterError: An argument is not of the kind above, or no point is seen.
@@ -92,6 +96,7 @@ def plot(
                 f"limits = {shown(limits)} must rise, from the lowest to the highest"
             )
         check_size(size, dpi)
+        check_bodies(bodies, points.gdim)
         number("max_aspect", max_aspect, 1.0, math.inf, closed=True)
         if points.comm.rank == 0:  # the others need no Matplotlib
             check_picture(path, cmap)
@@ -119,6 +124,7 @@ def plot(
         scene = Scene(
             x, edges, scalars / scale, label or _label(colour, symbol, unit), draw == "dots", lines,
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
+            [body.outline(extent[:, 0], extent[:, 1]) for body in bodies],
         )  # fmt: skip
         try:
             if error is not None:

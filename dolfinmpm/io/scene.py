@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ _MOST_LINES_PER_INCH = 25
 
 @dataclass
 class Scene:
-    """What is drawn: positions, half-edges of domains, scalars, and how."""
+    """What is drawn: positions, half-edges of domains, scalars, how, and facets of bodies."""
 
     x: Array
     edges: Array
@@ -34,6 +34,7 @@ class Scene:
     max_aspect: float
     cmap: str
     size: tuple[float, float]
+    bodies: list[Array] = field(default_factory=list)
 
     def write(self, path, extent, view, cut, title: str, dpi: int) -> None:
         """Choose the points and the box to be seen, and draw them in 1D, 2D or 3D."""
@@ -43,6 +44,7 @@ class Scene:
         if cut is not None:
             normal = _AXES.index(cut[0])
             kept.remove(normal)
+            self.bodies = [_section(facets, normal, cut[1]) for facets in self.bodies]
             reach = np.abs(self.edges[:, normal]).sum(axis=1)
             self._keep(np.abs(self.x[:, normal] - cut[1]) <= reach, f"plane {cut}")
         self.x, self.edges = self.x[:, kept], self.edges[:, kept][:, :, kept]
@@ -108,6 +110,8 @@ class Scene:
             drawn = PolyCollection([*corners], linewidths=0, antialiased=False, snap=False)
             ax.add_collection(drawn)
         drawn.set_rasterized(True)
+        for segments in self.bodies:
+            ax.add_collection(LineCollection([*segments], colors="black", linewidths=1.2, zorder=4))
         if upright:
             bar = result.add_axes((1 + 0.1 / width, 0, 0.1 / width, 1))
         else:
@@ -137,6 +141,11 @@ class Scene:
         ax.text2D(0.5, 0.95, ", ".join(notes), transform=ax.transAxes, ha="center")
         half = 1.5 * (np.abs(self.edges).sum(axis=2) * per_length).max(axis=1)
         drawn = ax.scatter(*self.x.T, s=_dot(half), linewidths=0, depthshade=False)
+        for facets in self.bodies:
+            from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+            look = {"facecolor": (0.4, 0.4, 0.4, 0.3), "edgecolor": (0.2, 0.2, 0.2, 0.3)}
+            ax.add_collection3d(Poly3DCollection([*facets], linewidths=0.2, **look))
         self._colour(drawn, result.add_axes((1, 0.15, 0.1 / width, 0.7)), "vertical")
         return result
 
@@ -155,6 +164,22 @@ class Scene:
         bar = drawn.figure.colorbar(drawn, cax=axes, orientation=orientation, extend=extend)
         bar.set_label(self.label)
         bar.outline.set_linewidth(0.6)
+
+
+def _section(triangles: Array, axis: int, at: float) -> Array:
+    """Where triangles, shape (n, 3, 3), meet a plane across an axis: segments (m, 2, 2)."""
+    side = triangles[:, :, axis] - at
+    found = []
+    for k in range(len(triangles)):
+        x, s = triangles[k], side[k]
+        ends = [
+            np.delete(x[i] + s[i] / (s[i] - s[j]) * (x[j] - x[i]), axis)
+            for i, j in ((0, 1), (1, 2), (2, 0))
+            if (s[i] < 0) != (s[j] < 0)
+        ]
+        if ends:
+            found.append(ends)
+    return np.array(found).reshape(-1, 2, 2)
 
 
 def _stretched(box: Array, max_aspect: float) -> tuple[Array, list[str]]:

@@ -83,6 +83,9 @@ def advance(
     reason = _out_of_bounds(points, operator.form.parts.carried, new)
     if reason is not None:
         return reason
+    operator.touch()
+    for contact in operator.contacts:
+        new.update(contact.new_fields())
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
         dF = deformation(points, evaluation.value[0], evaluation.gradient[0])
@@ -99,6 +102,8 @@ def advance(
         if bad.size:
             evaluation.blame(int(bad[0]))
         return "a material point's state is not finite or its volume not positive"
+    if any(contact.missed(new["x"]) for contact in operator.contacts if moves):
+        return "material points got into a rigid body from further away than was looked at"
     if not moves or operator.here.total:
         return NewState(new, None)
     to = destinations(points.grid, new["x"], points["cell"], points.partition)

@@ -169,6 +169,11 @@ class ArcLength(QuasiStatic):
         trail = points.add_field("arc_increment", (points.gdim,), "m")
         updates["arc_increment"] = u
         super().__init__(form, increment, points, bcs, updates=updates, **options)
+        if self.bodies.free:
+            raise ParameterError(
+                f"'{self.bodies.free[0].name}' is free: an arc length finds a load factor and no "
+                "rigid motion; prescribe it, or take QuasiStatic"
+            )
         self.path = PathBorder(load_factor, constraint, trail, self.form.spaces, points)
         self.form.also |= self.path.moving
         self.path.length, self.path.first = length, first

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.forms.terms import contact_of, depends_on, summands
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetric"]
@@ -103,12 +103,13 @@ class Method:
 def only_momentum(form: WeakForm) -> bool:
     """Whether internal forces are those of momentum terms, so that the points' stress gives them.
 
-    Terms that vanish where there is no increment, such as penalties on it, do not count.
+    Terms that vanish where there is no increment, such as penalties on it, do not count, nor do
+    contacts, which are no integrals over the points.
     """
     own = [term for d in form.parts.declarations for term in d.terms]
     increments = [space.increment for space in form.spaces]
     for integral in form.given.integrals():
-        if any(integral.integrand() is term for term in own):
+        if contact_of(integral) or any(integral.integrand() is term for term in own):
             continue
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):
@@ -124,6 +125,8 @@ def symmetric(form: WeakForm) -> bool:
     which has no say as long as it is zero. Terms over the grid are linear and show in any tangent.
     """
     laws = form.parts.declarations
+    if any(contact.friction for contact in form.parts.contacts):
+        return False
     return only_momentum(form) and all(
         d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in laws
     )

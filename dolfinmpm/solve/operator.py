@@ -20,6 +20,8 @@ from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on, regions_of
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.pattern import Blocks
@@ -67,6 +69,7 @@ class WeakForm:
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
         updates: Fields of each boundary's markers that a step sets.
+        bodies: The rigid bodies that its contacts are with.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -84,6 +87,7 @@ class WeakForm:
         self.parts: SplitForm = split(form, spaces, points)
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
+        self.bodies = Bodies(self.parts.contacts, points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
@@ -195,6 +199,7 @@ class WeakForm:
             # numbers of laws are no loads
             found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
             found += [function for function, _ in region.slots.functions]
+        found += [load for contact in self.parts.contacts for load in contact.body.loads]
         return found + self.grid.loads
 
     def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
@@ -255,6 +260,7 @@ class Operator:
         form, here: The arguments.
         points: The terms of the points.
         markers: The terms over each boundary that does not fit the grid.
+        contacts: The contacts with rigid bodies.
     """
 
     @stages.assemble
@@ -278,6 +284,7 @@ class Operator:
         ]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
+        self.contacts = [ActiveContact(contact, here) for contact in form.parts.contacts]
         self.renew_external()
 
     # -- vectors --------------------------------------------------------------
@@ -395,11 +402,35 @@ class Operator:
                 force[field.nodes] = math.nan
         for blocks in self._linear():
             add_product(blocks, self._u.arrays, out.arrays)
+        self.touch()
+        for contact in self.contacts:
+            contact.add_internal(out.arrays[contact.field])
         if not self.form.parts.grid.linear:
             self.fill_functions()
             self.form.grid.add_internal(here.fields, out.arrays)
         out.add_up()
         return out
+
+    def touch(self) -> None:
+        """Let contacts find their forces at the increments moved to."""
+        for contact in self.contacts:
+            contact.move(self._u.arrays[contact.field])
+
+    @stages.assemble
+    def contact_forces(self, out: Sequence[Array]) -> None:
+        """Add the forces of contacts as they were last found, as internal forces. Collective.
+
+        Args:
+            out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
+        """
+        if not self.contacts:
+            return
+        forces = self.here.unknowns.nodal()
+        for contact in self.contacts:
+            contact.add_internal(forces.arrays[contact.field])
+        forces.add_up()
+        for mine, more in zip(out, forces.arrays):
+            mine += more
 
     @stages.assemble
     def residual(self, x: Array) -> Residual:
@@ -496,6 +527,9 @@ class Operator:
             add_blocks(b, entries[b.row_field, b.column_field])
         for terms in self._sets:
             terms.add_tangent(entries)
+        self.touch()
+        for contact in self.contacts:
+            contact.add_tangent(entries[contact.field, contact.field])
         matrix.finish()
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:

@@ -21,6 +21,7 @@ from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import (
     Activation,
     Field,
@@ -138,6 +139,11 @@ class Problem:
         return self.points.comm
 
     @property
+    def bodies(self) -> Bodies:
+        """The rigid bodies that the points touch."""
+        return self.form.bodies
+
+    @property
     def bcs(self) -> list[Condition]:
         """The essential conditions."""
         return self._held.conditions
@@ -224,6 +230,7 @@ class Problem:
             "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
             "prescribed": len(constants),
             "boundaries": str([of.boundary.markers.total for of in self.form.boundaries]),
+            "rigid bodies": len(self.bodies.all),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
@@ -243,7 +250,8 @@ class Problem:
         given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
         markers = memory_of_markers(self.form.boundaries)
         order = order_of_markers(self.form.boundaries)
-        return {**self._problem(), **loads, **given, **markers}, order, cells
+        kept = {**loads, **given, **markers, **self.bodies.memory()}
+        return {**self._problem(), **kept}, order, cells
 
     def _remember(
         self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
@@ -254,6 +262,7 @@ class Problem:
             value.value = state[f"prescribed {k}"]
         set_loads(self._loads, state, cells)
         set_markers(self.form.boundaries, state, local)
+        self.bodies.remember(state)
         self.here = None
 
     @stages.activate

@@ -30,10 +30,12 @@ from dolfinmpm.solve.arguments import (
     check_petsc_options,
     check_points,
 )
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.memory import memory_of, set_memory
 from dolfinmpm.solve.method import Tangent, symmetric
-from dolfinmpm.solve.newton import Newton, Solver
+from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
@@ -41,6 +43,9 @@ from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 
 __all__ = ["QuasiStatic"]
+
+# Times that multipliers of contact are renewed in a part of a step
+_MOST_AUGMENTATIONS = 50
 
 Array = npt.NDArray[np.float64]
 
@@ -120,8 +125,8 @@ class QuasiStatic(Problem):
         )  # fmt: skip
         self.max_halvings = max_halvings
         options = Options(self, options_prefix, own)
-        # several fields are as a rule a saddle point
-        definite = len(self.fields) == 1
+        # several fields are as a rule a saddle point, and pressure on what is round turns with it
+        definite = len(self.fields) == 1 and not self.form.parts.contacts
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
         tangent = Tangent(
             symmetric(self.form), definite, self.form.softening is not None, len(shapes),
@@ -130,12 +135,16 @@ class QuasiStatic(Problem):
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations
         )
+        if self.bodies.free:
+            self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
         self._share = 1.0
         self._record = StepRecord()
 
     @property
     def newton(self) -> Newton:
         """Newton's method, which has the tolerances and the linear solver."""
+        if isinstance(self.solver, Bordered):
+            return self.solver.newton
         assert isinstance(self.solver, Newton)
         return self.solver
 
@@ -176,10 +185,12 @@ class QuasiStatic(Problem):
         except BaseException:
             # an interruption too leaves the load where the state is
             self._loads.set(done)
+            self.bodies.reset()
             raise
         finally:
             self._loads.release()
         self._share = share
+        record.bodies = self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
@@ -214,6 +225,7 @@ class QuasiStatic(Problem):
 
     def _operator(self, step: Step) -> Operator:
         """The equations of a step. Collective."""
+        self.bodies.begin(step.dt)
         return self.form.on(self.activate(step))
 
     def _attempt(self, step: Step) -> Failed | None:
@@ -221,22 +233,42 @@ class QuasiStatic(Problem):
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
         record.migrated += balance(points)
+        fault = self.bodies.fault(step.dt)
+        if fault is not None:
+            return Failed(fault, "that body")
         operator = self._operator(step)
-        outcome = self.solver.solve(operator)
-        record.iterations += outcome.iterations
-        record.residuals = outcome.residuals
-        record.linear_iterations += self.newton.linear.iterations
+        outcome = self._solve(operator)
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:
             state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
+        self.bodies.commit(operator.contacts)
         record.migrated += commit(points, state)
         record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:
             operator.fill_functions()
         return None
+
+    def _solve(self, operator: Operator) -> Outcome:
+        """Solve the equations of a step, with multipliers of contact that bound penetrations."""
+        record = self._record
+        for contact in operator.contacts:
+            contact.clings = True
+        for _ in range(_MOST_AUGMENTATIONS):
+            outcome = self.solver.solve(operator)
+            record.iterations += outcome.iterations
+            record.residuals = outcome.residuals
+            record.linear_iterations += self.newton.linear.iterations
+            deep = not outcome.reason and [c.augment() for c in operator.contacts]
+            if not deep or not any(deep):
+                return outcome
+        outcome.reason = (
+            f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
+            "penalty"
+        )
+        return outcome
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         """The state at the end of a step, or why there is none. Collective.

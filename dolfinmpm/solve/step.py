@@ -57,6 +57,8 @@ class StepRecord:
             ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
             are all of it but what looks at loads and chooses the length of steps. Of this
             process, as `seconds` are. Empty unless `measure_stages` or PETSc's log asked for it.
+        bodies: Of each rigid body by its name: "position" of its centre (m), "angle" (rad), "force"
+            (N) and "moment" (N m) of the points on it.
     """
 
     iterations: int = 0
@@ -69,3 +71,4 @@ class StepRecord:
     imbalance: float = 1.0
     seconds: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
+    bodies: dict[str, dict[str, list[float]]] = field(default_factory=dict)

@@ -18,6 +18,7 @@ NUMBERS = {
     "column_collapse": ("error", 2.589e-3),
     "column_compaction": ("error", 5.56e-4),
     "footing": ("factor", 5.242),
+    "incline": ("way", 2.4285),
     "growing_strip": ("angle", 2.3617),
     "new_stabilisation": ("worst", 0.5749),
     "slope_failure": ("limit", 5.4),

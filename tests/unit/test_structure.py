@@ -20,7 +20,7 @@ ROOT = Path(mpm.__file__).parent
 # each folder imports from those before it only
 ORDER = (
     "_platform", "grid", "basis", "body", "forms", "materials", "kinematics", "porous", "cut",
-    "assembly", "io", "solve", "dynamics", "study",
+    "assembly", "contact", "io", "solve", "dynamics", "study",
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from . import (
     arguments,
     bodies,
     boundaries,
+    contact,
     dynamics,
     explicit,
     failures,
@@ -88,5 +89,8 @@ CASES = {
         boundaries.restart_boundaries,
         boundaries.deposits,
         boundaries.regraded,
+        contact.contact_quasistatic,
+        contact.contact_restart,
+        contact.contact_in_time,
     )
 }

@@ -1,0 +1,150 @@
+# %% [markdown]
+# # A plate on a cube: what a penalty does, exactly
+#
+# A rigid plate presses on an elastic cube, ν = 0, whose sides cannot move, on a smooth base
+# (Bird, Coombs & others, AMPSSIE, tutorial 2). The cube's stress under the stretch λ is
+# $E \ln\lambda/\lambda$, that of the plate's penalty on its top is the stiffness per area κ times
+# the overlap, so that
+#
+# $$ E \ln\lambda/\lambda + \kappa\,(\lambda H - z) = 0 $$
+#
+# for the plate at the height z. Grid, basis and steps make no error, for the motion is linear in
+# space: with GIMP what differs is rounding, at any stiffness; averages of splines miss by 2e-5.
+#
+# Corners of the points' domains touch, those on the marked top (`--contact surface`) or all of them
+# (`--contact corners`), which is the same as long as the overlap is less than a domain: beyond that
+# corners of the next points get into the plate too. Under `--penetration` multipliers take over
+# and the cube ends at the plate.
+
+# %%
+import math
+
+import numpy as np
+from dolfinx import mesh
+from mpi4py import MPI
+from scene import finish, parser, say, solver_figures
+from scipy.optimize import brentq
+
+import dolfinmpm as mpm
+
+
+def arguments(words=None):
+    """The command line."""
+    options = parser("A rigid plate presses on an elastic cube.")
+    options.add_argument("--stiffness-per-area", type=float, default=1e8, help="κ (Pa/m)")
+    options.add_argument("--height", type=float, default=0.8, help="of the cube (m)")
+    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
+    options.add_argument("--h", type=float, default=0.4, help="size of the cells (m)")
+    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+    options.add_argument("--steps", type=int, default=20)
+    options.add_argument("--displacement", type=float, default=0.2, help="of the plate (m)")
+    options.add_argument("--dimension", type=int, choices=(2, 3), default=3)
+    options.add_argument("--basis", choices=("gimp", "bspline2", "bspline3"), default="gimp")
+    options.add_argument("--contact", choices=("surface", "corners"), default="surface")
+    options.add_argument("--penetration", type=float, help="bound of the overlap (m)")
+    given = options.parse_args(words)
+    sizes = given.stiffness_per_area, given.height, given.modulus, given.h, given.displacement
+    if not min(sizes) > 0 or given.displacement >= given.height:
+        options.error("sizes must be positive, and the displacement less than the height")
+    if min(given.steps, given.points_per_cell) < 1:
+        options.error("steps and points-per-cell must be at least 1")
+    return given
+
+
+def exact(E, kappa, H, z):
+    """Height of the cube (m) and stress in it (Pa)."""
+    out_of_balance = lambda s: E * math.log(s) / s + kappa * (s * H - z)  # noqa: E731
+    # stress and overlap both rise with the stretch
+    stretch = brentq(out_of_balance, min(1e-3, 0.5 * z / H), 1.0, xtol=1e-15, rtol=1e-14)
+    return stretch * H, E * math.log(stretch) / stretch
+
+
+# %%
+def solve(args):
+    """Press; returns figures and the points."""
+    d, H = args.dimension, args.height
+    n = max(1, round(H / args.h))
+    h = H / n
+    corner = (H,) * (d - 1)
+    make = mesh.create_rectangle if d == 2 else mesh.create_box
+    cells = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
+    ends = [(0.0,) * d, (*corner, H + h)]
+    grid = make(MPI.COMM_WORLD, ends, (n,) * (d - 1) + (n + 1,), cells)
+    points = mpm.fill(grid, mpm.Box((0.0,) * d, (*corner, H)), args.points_per_cell, 1000.0)
+    V = mpm.Space(grid, args.basis)
+    u, v = V.increment, V.test
+    down = (0.0,) * (d - 1) + (-1.0,)
+    plate = mpm.RigidBody(
+        mpm.Plane((*(0.0,) * (d - 1), H), down), name="plate",
+        velocity=tuple(args.displacement / args.steps * c for c in down),
+    )  # fmt: skip
+    top = None
+    if args.contact == "surface":
+        top = mpm.Surface(points, lambda x: np.isclose(x[-1], H), [-c for c in down], name="top")
+    F = mpm.momentum(mpm.materials.Hencky(E=args.modulus, nu=0.0), points, u, v)
+    F += mpm.contact(
+        plate, points, u, v, stiffness_per_area=args.stiffness_per_area, surface=top,
+        penetration=args.penetration,
+    )  # fmt: skip
+    sides = ("left", "right", "bottom") if d == 2 else ("left", "right", "front", "back", "bottom")
+    problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, *sides), tolerance=1e-10)
+    history = mpm.History()
+    for _ in mpm.steps(args.steps, label="plate"):
+        problem.step()
+        history.record(height=float(plate.position[-1]), force=float(plate.force[-1]))
+    z = H - args.displacement
+    volume = points.comm.allreduce(float(points["V"].sum()))
+    stress = points.comm.allreduce(float(points["V"] @ points["stress"][:, d - 1, d - 1])) / volume
+    height, sigma = exact(args.modulus, args.stiffness_per_area, H, z)
+    if args.penetration is not None:
+        height, sigma = z, args.modulus * math.log(z / H) / (z / H)
+    figures = {
+        "height": volume / H ** (d - 1), "stress": stress, "force": float(plate.force[-1]),
+        "exact_height": height, "exact_stress": sigma,
+    }  # fmt: skip
+    figures["height_error"] = figures["height"] / height - 1
+    figures["stress_error"] = stress / sigma - 1
+    figures["penetration"] = figures["height"] - z
+    return figures | solver_figures(problem), points, history, plate
+
+
+def draw(args, points, history, figures, plate):
+    """Force against the plate's height, and the closed form; rank 0 writes."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    if MPI.COMM_WORLD.rank:
+        return
+    area = args.height ** (args.dimension - 1)
+    z = np.linspace(args.height - args.displacement, args.height, 50)[:-1]
+    curve = [-exact(args.modulus, args.stiffness_per_area, args.height, s)[1] for s in z]
+    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
+    axes.plot(args.height - z, np.array(curve) / 1e3, color="k", lw=1, label="closed form")
+    sunk = args.height - history["height"]
+    axes.plot(sunk, history["force"] / area / 1e3, "o", ms=4, label="material points")
+    axes.set(xlabel="displacement of the plate (m)", ylabel="pressure (kPa)")
+    axes.legend(frameon=False)
+    args.output.mkdir(parents=True, exist_ok=True)
+    figure.savefig(args.output / "plate_on_cube.png", dpi=200)
+    plt.close(figure)
+
+
+def main(words=None):
+    """Run, print, and return the figures."""
+    args = arguments(words)
+    figures, points, history, plate = solve(args)
+    say(
+        f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
+        f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
+        f"{figures['max_newton_iterations']} Newton iterations a step"
+    )
+    if not args.no_plot:
+        draw(args, points, history, figures, plate)
+    finish(args, figures)
+    return figures
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,334 @@
+"""A contact on an activation: which corners may touch, their forces and tangent, what they keep."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.assembly.points import Entries
+from dolfinmpm.contact.corners import Sites
+from dolfinmpm.contact.freedom import cross_matrix
+from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
+from dolfinmpm.contact.pose import Pose
+from dolfinmpm.contact.rigid import box_corners
+from dolfinmpm.contact.terms import Contact
+from dolfinmpm.cut.activation import Participants
+
+__all__ = ["ActiveContact"]
+
+Array = npt.NDArray[np.float64]
+
+# How far around a body points are looked at, besides its way in a step, in half-lengths of domains
+_MARGIN = 4.0
+
+
+class ActiveContact:
+    """A contact where the points and the body are at the start of a step. Collective.
+
+    Args:
+        contact: The contact.
+        here: What is active.
+
+    Attributes:
+        contact: The argument.
+        clings: Whether corners that touched before are held where nothing has moved yet, so that
+            the first iteration of Newton's method takes them along with a body that goes away.
+        field: Number of the displacement's field.
+        corners: Corners that may touch in this step.
+        x: Where they were moved to last (m), shape (m, gdim).
+        forces: Forces on them there (N), likewise.
+        pressures: Their normal forces (N), shape (m,).
+        areas: The share of the body's face that goes with each (m^(d-1)), likewise.
+        states: Whether they are free, stick or slip, likewise.
+    """
+
+    def __init__(self, contact: Contact, here: Participants):
+        self.contact, self.clings = contact, False
+        points, body = contact.points, contact.body
+        fields = here.fields
+        self.field = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
+        self._sites = Sites(
+            points, fields[self.field], here.total, contact.surface, contact.material
+        )
+        self._near = self._candidates()
+        self.corners = c = self._sites.corners(np.flatnonzero(self._near))
+        m, d = c.x.shape
+        self.x: Array = c.x.copy()
+        self.forces: Array = np.zeros((m, d))
+        self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
+        self._start = body.start.back(c.x)
+        traction, pressure, _ = contact.names
+        self._before = points[traction][c.rows, c.which]
+        self._multiplier: Array = np.zeros(m)
+        self._pressed = points[pressure][c.rows, c.which]
+        if contact.penetration is not None:
+            self._multiplier = self._pressed
+        normal = body.start.directions(body.surface.probe(self._start)[1])
+        self.areas = self._sites.areas(c, normal)
+        self._stiffness = contact.stiffness_at(c.rows) * self.areas
+        self._gap: Array = np.full(m, np.inf)
+        self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
+
+    # -- which points may touch -----------------------------------------------
+
+    def _candidates(self) -> npt.NDArray[np.bool_]:
+        """Which points may touch in this step, shape (points,). Collective.
+
+        Raises:
+            ParameterError: Points are inside the body before the first step.
+        """
+        contact, body, points = self.contact, self.contact.body, self.contact.points
+        # points that come from further away in one step are missed, and the step is halved
+        reach = self._sites.reach() + _MARGIN * points["l0"].max(axis=1, initial=0.0)
+        poses = [body.start, body.pose]
+        near = _within(poses, body.surface.low, body.surface.high, points["x"], reach)
+        if contact.tags is not None:
+            near &= contact.chosen()
+        marked = self._sites.marked()
+        if marked is not None:
+            near &= marked
+        rows = np.flatnonzero(near)
+        gap = np.full(rows.size, np.inf)
+        if rows.size:
+            for k, pose in enumerate(poses):
+                found = body.surface.probe(pose.back(points["x"][rows]))[0]
+                gap = np.minimum(gap, found)
+                if k == 0:
+                    first = found
+        near[rows] = gap < reach[rows]
+        if body.time == 0.0:
+            error = None
+            if rows.size and first.min() < 0.0:
+                p = rows[np.argmin(first)]
+                error = ParameterError(
+                    f"{np.count_nonzero(first < 0)} material points are inside '{body.name}' "
+                    f"before the first step; that at {points['x'][p]} m is so by "
+                    f"{-first.min():.4g} m: fill the body beside it, or make the rigid body outside"
+                )
+            raise_together(points.comm, error)
+        return near
+
+    def missed(self, x: Array) -> bool:
+        """Whether points that were not looked at have got into the body. Collective.
+
+        Args:
+            x: Positions of all points at the end of the step (m), shape (points, gdim).
+        """
+        body = self.contact.body
+        far = ~self._near
+        if self.contact.tags is not None:
+            far &= self.contact.chosen()
+        marked = self._sites.marked()
+        if marked is not None:
+            far &= marked
+        surface, nowhere = body.surface, np.zeros(len(x))
+        far &= _within([body.pose], surface.low, surface.high, x, nowhere)
+        rows = np.flatnonzero(far)
+        inside = bool(rows.size) and surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
+        return self.contact.points.comm.allreduce(inside, op=MPI.LOR)
+
+    # -- forces ---------------------------------------------------------------
+
+    def move(self, u: Array) -> None:
+        """Find the forces under nodal increments, with the body where it has been put.
+
+        Args:
+            u: Increments (m), shape (nodes, gdim).
+        """
+        if not len(self.x):
+            return
+        contact, pose = self.contact, self.contact.body.pose
+        self.x = self.corners.x + self.corners.displacement(u)
+        at = pose.back(self.x)
+        g, n, H = contact.body.surface.probe(at)
+        slip = contact.slip_share * self._stiffness
+        force = np.empty_like(self.x)
+        holds = self._pressed > 0.0
+        if not self.clings or u.any():
+            holds[:] = False
+        forces_on_corners(
+            g, n, H, at, self._start, self._before, self._multiplier, self._stiffness, slip,
+            contact.friction, holds, force, self._traction, self.pressures, self._slope,
+            self.states,
+        )  # fmt: skip
+        self._gap = g
+        self.forces = pose.directions(force)
+
+    def add_internal(self, out: Array) -> None:
+        """Add the nodal forces, as internal forces count, which resist: −f (N)."""
+        if self.pressures.any():
+            self.corners.add(-self.forces, out)
+
+    def add_tangent(self, to: Entries) -> None:
+        """Add the derivative of `add_internal` by the increments to the matrix."""
+        active = np.flatnonzero(self.states != FREE)
+        if active.size == 0:
+            return
+        N, K = self.corners.N, -self._world_slope(active)
+        _add_corners(
+            active, N.indptr, self.corners.nodes[N.indices], N.data, K, to.rows.row_of,
+            to.columns.row_of, to.pattern.indptr, to.pattern.indices, to.data, to.prescribed,
+            to.lift,
+        )  # fmt: skip
+
+    # -- multipliers and what is kept -----------------------------------------
+
+    def augment(self) -> bool:
+        """Take the pressures for multipliers where corners are too deep. Collective.
+
+        Returns:
+            Whether any was, so that balance must be found again.
+        """
+        bound = self.contact.penetration
+        if bound is None:
+            return False
+        deepest = float(-self._gap.min(initial=0.0)) if len(self.x) else 0.0
+        deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
+        if deepest <= bound:
+            return False
+        self._multiplier = self.pressures.copy()
+        return True
+
+    def totals(self) -> tuple[Array, Array]:
+        """Force and moment of the points on the body (N, N m), on all ranks. Collective."""
+        arm = self.x - self.contact.body.pose.centre
+        moment = _cross(arm, self.forces)
+        both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
+        both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
+        d = self.forces.shape[1]
+        return both[:d], both[d:]
+
+    def add_slopes(self, out: Array) -> None:
+        """Add the derivative of `add_internal` by the body's motion.
+
+        Args:
+            out: Nodal forces by motions (N/m, N/rad), shape (nodes, gdim, components).
+        """
+        active = np.flatnonzero(self.states != FREE)
+        if active.size:
+            by_motion = np.zeros((len(self.x), *out.shape[1:]))
+            by_motion[active] = -self._by_motion(active)
+            flat = by_motion.reshape(len(self.x), -1)
+            nodal = np.asarray(self.corners.N.T @ flat)
+            out[self.corners.nodes] += nodal.reshape(-1, *out.shape[1:])
+
+    def _by_motion(self, active) -> Array:
+        """Derivative of the forces on corners by the body's motion, shape (n, gdim, components)."""
+        K = self._world_slope(active)
+        arm = cross_matrix(self.x[active] - self.contact.body.pose.centre)
+        turned = cross_matrix(self.forces[active])
+        by_turn = turned.transpose(0, 2, 1) - K @ arm.transpose(0, 2, 1)
+        return np.concatenate([-K, by_turn], axis=2)
+
+    def add_to_body(self, by_x: Array, by_y: Array) -> None:
+        """Add the derivatives of force and moment on the body, this rank's share.
+
+        Args:
+            by_x: By nodal increments, shape (nodes, gdim, components).
+            by_y: By the body's own motion, shape (components, components).
+        """
+        active = np.flatnonzero(self.states != FREE)
+        if active.size == 0:
+            return
+        K, d = self._world_slope(active), self.x.shape[1]
+        S = cross_matrix(self.x[active] - self.contact.body.pose.centre)
+        S_f = cross_matrix(self.forces[active])
+        to_x = -np.concatenate([K, S @ K - S_f], axis=1)
+        whole = np.zeros((len(self.x), d, by_y.shape[0]))
+        whole[active] = to_x.transpose(0, 2, 1)
+        nodal = np.asarray(self.corners.N.T @ whole.reshape(len(self.x), -1))
+        by_x[self.corners.nodes] += nodal.reshape(-1, *by_x.shape[1:])
+        A = self._by_motion(active)
+        to_y = -np.concatenate([A, S @ A], axis=1)
+        # the arm is from the centre, which moves
+        to_y[:, d:, :d] -= S_f
+        by_y += to_y.sum(axis=0)
+
+    def _world_slope(self, active) -> Array:
+        """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
+        Q = self.contact.body.pose.rotation
+        return np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
+
+    def new_fields(self) -> dict[str, Array]:
+        """What the points keep of it at the end of the step."""
+        points, c = self.contact.points, self.corners
+        new: dict[str, Any] = {}
+        for name, values in zip(self.contact.names, (self._traction, self.pressures)):
+            new[name] = np.zeros_like(points[name])
+            new[name][c.rows, c.which] = values
+        return new
+
+    def dissipated(self) -> float:
+        """Work that friction takes in this step (J), on all ranks. Collective."""
+        slips = self.states == SLIPS
+        done = 0.0
+        if slips.any():
+            t, size = self._traction[slips], np.linalg.norm(self._traction[slips], axis=1)
+            eT = self.contact.slip_share * self._stiffness[slips]
+            at = self.contact.body.pose.back(self.x[slips])
+            n = self.contact.body.surface.probe(at)[1]
+            w = self._before[slips] - eT[:, None] * (at - self._start[slips])
+            trial = w - np.sum(w * n, axis=1)[:, None] * n
+            done = (
+                float(np.sum(size * (np.linalg.norm(trial, axis=1) - size) / eT)) if t.size else 0.0
+            )
+        return self.contact.points.comm.allreduce(done, op=MPI.SUM)
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Corners of this rank that stick, and that slip."""
+        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
+
+
+def _within(poses: list[Pose], low: Array, high: Array, x: Array, reach: Array):
+    """Which positions are within their reach of a box around a body, in any pose."""
+    if not np.isfinite(low).all():
+        return np.ones(len(x), bool)
+    corners = np.concatenate([pose.forth(box_corners(low, high)) for pose in poses])
+    first, last = corners.min(axis=0), corners.max(axis=0)
+    reach = reach[:, None]
+    return np.all((x + reach >= first) & (x - reach <= last), axis=1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Moments of forces b at arms a, shape (n, 1) in 2D, (n, 3) in 3D."""
+    if a.shape[1] == 3:
+        return np.asarray(np.cross(a, b), float)
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_corners(
+    active, start, nodes, N, K, row_of, column_of, indptr, indices, data, prescribed, lift
+):
+    d = K.shape[1]
+    for e in range(active.size):
+        c = active[e]
+        for a in range(start[c], start[c + 1]):
+            for b in range(start[c], start[c + 1]):
+                weight = N[a] * N[b]
+                if weight == 0.0:
+                    continue
+                for i in range(d):
+                    row = row_of[nodes[a], i]
+                    if row < 0:
+                        continue
+                    for k in range(d):
+                        value = weight * K[e, i, k]
+                        column = column_of[nodes[b], k]
+                        if column < 0:
+                            lift[nodes[a], i] += value * prescribed[nodes[b], k]
+                            continue
+                        low, high = indptr[row], indptr[row + 1]
+                        while low < high:
+                            middle = (low + high) // 2
+                            if indices[middle] < column:
+                                low = middle + 1
+                            else:
+                                high = middle
+                        data[low] += value

@@ -1,0 +1,114 @@
+"""The rigid bodies of a problem, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx.mesh import Mesh
+
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.terms import Contact
+from dolfinmpm.grid.lattice import smallest_height
+
+__all__ = ["Bodies"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Bodies:
+    """The bodies that the contacts of a form are with.
+
+    Args:
+        contacts: The contacts.
+        grid: The grid; in one part of a step a body may go as far as its smallest cell.
+    """
+
+    def __init__(self, contacts: Sequence[Contact], grid: Mesh):
+        self._contacts = list(contacts)
+        # looking for it is collective, and without contacts nobody asks
+        self._limit = smallest_height(grid) if contacts else 0.0
+        self.all: list[RigidBody] = []
+        for contact in contacts:
+            if not any(contact.body is body for body in self.all):
+                self.all.append(contact.body)
+
+    @property
+    def free(self) -> list[RigidBody]:
+        """Those that have free components."""
+        return [b for b in self.all if b.freedom is not None and b.freedom.free.size]
+
+    def begin(self, dt: float) -> None:
+        """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
+        for body in self.all:
+            body.begin(dt)
+            body.put(1.0)
+
+    def put(self, share: float) -> None:
+        """Put them where they are at a share of the step."""
+        for body in self.all:
+            body.put(share)
+
+    def reset(self) -> None:
+        """Put them back to where they were when the last part of a step ended."""
+        for body in self.all:
+            body.pose = body.start
+
+    def fault(self, dt: float) -> str | None:
+        """Why a step of that length (s; steps) is too long for their motion, or None."""
+        for body in self.all:
+            body.begin(dt)
+            if body.freedom is not None:
+                body.freedom.increment = np.zeros_like(body.freedom.increment)
+            travel = body.travel()
+            if travel > self._limit:
+                return (
+                    f"'{body.name}' moves {travel:.3g} m at once, more than a cell "
+                    f"({self._limit:.3g} m)"
+                )
+        return None
+
+    def push(self, contacts: Sequence[ActiveContact]) -> None:
+        """Let forces at the start of an explicit step move the free bodies in it. Collective."""
+        for body in self.free:
+            force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
+            for active in contacts:
+                if active.contact.body is body:
+                    force += np.concatenate(active.totals())
+            body.push(force)
+
+    def commit(self, contacts: Sequence[ActiveContact]) -> None:
+        """Take where the bodies are, and what acts on them. Collective."""
+        sums: dict[int, list[Array]] = {
+            id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
+        }
+        for active in contacts:
+            force, moment = active.totals()
+            both = sums[id(active.contact.body)]
+            both[0] = both[0] + force
+            both[1] = both[1] + moment
+            active.contact.dissipated += active.dissipated()
+        for body in self.all:
+            body.commit(*sums[id(body)])
+
+    def record(self) -> dict[str, dict[str, list[float]]]:
+        """What records of steps have of the bodies, by name."""
+        return {body.name: body.record() for body in self.all}
+
+    def memory(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        if not self.all:
+            return {}
+        rows = {f"rigid body {k}": body.memory() for k, body in enumerate(self.all)}
+        return {**rows, "friction's work": np.array([c.dissipated for c in self._contacts])}
+
+    def remember(self, state: dict[str, Any]) -> None:
+        """Take what `memory` returned."""
+        for k, body in enumerate(self.all):
+            body.remember(state[f"rigid body {k}"])
+        if self.all:
+            for contact, done in zip(self._contacts, state["friction's work"]):
+                contact.dissipated = float(done)

@@ -1,0 +1,226 @@
+"""Where a body of material points touches: corners of the points' domains, or of marked faces.
+
+A corner is a quadrature point of contact, with a stencil of its own. Corners are those of the
+points' domains, x ± l, where a basis averages over these (GIMP, averaged splines), or they follow
+the points' own material, x + F R with R = ±l0, which turns and shears: then neighbours share their
+corners as a body bends, and what bends is no stair. In large shear it is far from its point.
+
+Where the basis has domains a corner sees the functions as they are there, from a cell that the
+domain overlaps: nodes that its point sees too, so that contact makes no node active and couples
+none anew. Elsewhere it moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
+
+Of a marked face whose normal is an axis only the corners on that face touch; of one from arrays the
+face's middle does.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.stencils import Stencils, selected
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.cut.activation import ActiveField
+
+__all__ = ["Corners", "Sites", "corner_count"]
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.integer]
+
+
+def _signs(gdim: int) -> Array:
+    """Corners of a unit domain, shape (2^gdim, gdim)."""
+    return np.array(list(itertools.product((-1.0, 1.0), repeat=gdim)))
+
+
+def corner_count(gdim: int, surface: Surface | None) -> int:
+    """Corners that a point has."""
+    return 1 if surface is not None and surface.normal is None else 2**gdim
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners of some points on an activation.
+
+    Attributes:
+        rows: Their points, shape (m,).
+        which: Which of its point's corners each is, likewise.
+        x: Positions at the start of the step (m), shape (m, gdim).
+        nodes: Nodes that any of them sees, shape (k,).
+        N: What they see of these nodes, shape (m, k).
+    """
+
+    rows: Rows
+    which: Rows
+    x: Array
+    nodes: npt.NDArray[np.int32]
+    N: sparse.csr_matrix
+
+    def displacement(self, u: Array) -> Array:
+        """Displacements of the corners (m), shape (m, gdim), from nodal ones."""
+        return np.asarray(self.N @ u[self.nodes])
+
+    def add(self, forces: Array, out: Array) -> None:
+        """Add forces on the corners, shape (m, ...), to nodal ones."""
+        out[self.nodes] += self.N.T @ forces
+
+
+class Sites:
+    """Where the points of a body touch, on an activation.
+
+    Args:
+        points: Material points.
+        field: The displacement.
+        total: Whether stencils are those at first positions.
+        surface: Marked faces, or None for all corners.
+        material: Whether corners follow the points' material and not their domains.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        field: ActiveField,
+        total: bool,
+        surface: Surface | None,
+        material: bool,
+    ):
+        self._points, self._field, self._total = points, field, total
+        self._surface = surface
+        self._middles = surface is not None and surface.normal is None
+        basis = field.basis
+        # whether corners see functions as they are there, and whether domains say where that is
+        self._placed = not (self._middles or total) and basis.averaged
+        self._boxes = self._placed and not material
+        signs = _signs(points.gdim)
+        self._which: Rows = np.arange(1 if self._middles else len(signs))
+        if surface is not None and surface.normal is not None:
+            self._which = np.flatnonzero(signs @ surface.normal > 0)
+
+    def reach(self) -> Array:
+        """How far the corners of each point are from its centre at most (m), shape (points,)."""
+        points = self._points
+        if self._boxes:
+            return np.linalg.norm(points["l"], axis=1)
+        size = np.sqrt(np.einsum("pij,pij->p", points["F"], points["F"]))
+        R = points["l0"]
+        if self._surface is not None and self._middles:
+            R = points[self._surface.offset.name]
+        return size * np.linalg.norm(R, axis=1)
+
+    def marked(self) -> npt.NDArray[np.bool_] | None:
+        """Which points have corners, or None if all do."""
+        if self._surface is None:
+            return None
+        return np.any(self._points[self._surface.area.name] != 0.0, axis=1)
+
+    def areas(self, corners: Corners, normal: Array) -> Array:
+        """The share of the body's face that goes with each corner (m^(d-1)), shape (m,).
+
+        Corners of a marked face share its area at first. A domain shows A·n = Σ |n_i| A_i of its
+        first faces towards the normal, which its corners on that side share: exact for the sides
+        of a body that the grid's axes follow.
+
+        Args:
+            corners: The corners.
+            normal: Normal of the rigid surface at each, shape (m, gdim).
+        """
+        points, rows = self._points, corners.rows
+        if self._surface is not None:
+            area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
+            return np.asarray(area / self._which.size)
+        half = points["l0"][rows]
+        d = half.shape[1]
+        if not self._boxes:
+            # as the material sees the normal
+            normal = np.einsum("pij,pi->pj", points["F"][rows], normal)
+            normal /= np.linalg.norm(normal, axis=1)[:, None]
+        faces = np.stack([np.prod(np.delete(half, i, axis=1), axis=1) for i in range(d)], axis=1)
+        return np.sum(np.abs(normal) * faces, axis=1)
+
+    def corners(self, rows: Rows) -> Corners:
+        """The corners of some points.
+
+        Args:
+            rows: The points, increasing, shape (n,).
+        """
+        which = np.tile(self._which, rows.size)
+        each = np.repeat(rows, self._which.size)
+        if self._placed:
+            x, N = self._in_place(rows)
+        else:
+            x, N = self._of_material(each, which)
+        nodes = np.unique(N.indices).astype(np.int32)
+        local = np.searchsorted(nodes, N.indices)
+        N = sparse.csr_matrix((N.data, local, N.indptr), shape=(each.size, nodes.size))
+        return Corners(each, which, x, nodes, N)
+
+    def _in_place(self, rows: Rows) -> tuple[Array, sparse.csr_matrix]:
+        basis = self._field.basis
+        assert isinstance(basis, LatticeBasis)
+        points = self._points
+        where = points.placement()
+        x, half, signs = where.x[rows], where.half[rows], _signs(points.gdim)[self._which]
+        low, count = basis.spans(x, half)
+        last = low + count - 1
+        if self._boxes:
+            at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
+            # a corner is in the outermost cell that its point's domain overlaps
+            cell: Rows = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
+        else:
+            R = signs * points["l0"][rows][:, None]
+            at = x[:, None] + np.einsum("pij,pcj->pci", points["F"][rows], R)
+            # beyond what the domain overlaps functions go on as they are in the last cell
+            own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
+            cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
+            cell, at = cell.reshape(-1, points.gdim), at.reshape(-1, points.gdim)
+        one = np.ones_like(cell)
+        s = basis.stencils_in(at, np.zeros_like(at), np.ascontiguousarray(cell, np.int32),
+                              one.astype(np.int32))  # fmt: skip
+        # the cells are some that the points' own stencils have nodes in
+        assert s is not None
+        N = _matrix(s, s.N, (len(at), basis.nodes.size))
+        return at, N if self._field.C is None else sparse.csr_matrix(N @ self._field.C)
+
+    def _of_material(self, each: Rows, which: Rows) -> tuple[Array, sparse.csr_matrix]:
+        points = self._points
+        chosen = np.zeros(len(points), bool)
+        chosen[each] = True
+        s = selected(self._field.stencils, chosen)
+        if self._surface is not None and self._middles:
+            R = points[self._surface.offset.name][each]
+        else:
+            R = _signs(points.gdim)[which] * points["l0"][each]
+        r = np.einsum("cij,cj->ci", points["F"][each], R)
+        shape = len(points), self._field.basis.nodes.size
+        parts = [_matrix(s, s.N, shape)[each]]
+        # gradients at first positions go with offsets at first
+        along = R if self._total else r
+        for k in range(points.gdim):
+            parts.append(sparse.diags(along[:, k]) @ _matrix(s, s.dN[:, k], shape)[each])
+        return points["x"][each] + r, sparse.csr_matrix(sum(parts[1:], parts[0]))
+
+
+def _matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:
+    """Stencils as a matrix.
+
+    Args:
+        s: Stencils.
+        values: N, or one direction of ∇N.
+        shape: Number of points and of nodes.
+    """
+    m = np.diff(s.node_start).astype(np.int64)
+    number = np.diff(s.groups).astype(np.int64)
+    of = np.repeat(np.arange(m.size), number)
+    length = m[of]
+    rows = np.repeat(s.order, length)
+    first = np.repeat(s.node_start[:-1][of].astype(np.int64), length)
+    begin = np.cumsum(length) - length
+    at = first + np.arange(rows.size) - np.repeat(begin, length)
+    columns = s.nodes[at]
+    return sparse.csr_matrix((values, (rows, columns)), shape=shape)

@@ -1,0 +1,179 @@
+"""The motion of a rigid body that forces decide: its mass, loads, velocity, and increments.
+
+The motion of a step has a component for each direction and each rotation: (u_x, u_y, θ) in 2D,
+(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow what is prescribed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.pose import Pose
+
+__all__ = ["Freedom", "vector"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Freedom:
+    """Which components of a body's motion are free, and what moves them.
+
+    Args:
+        gdim: Dimension of space.
+        free: Which components are free, shape (3,) or in 3D (6,).
+        mass: Mass (kg), or None where inertia does not count.
+        inertia: Moment of inertia about the centre (kg m²): a number, or in 3D three for the axes
+            of the body at first.
+        gravity: Acceleration (m/s²) that gives it weight, shape (gdim,), or a DOLFINx constant.
+        force: Further force at its centre (N), likewise, or a function of time.
+        moment: Further moment (N m), shape (1,) or in 3D (3,), likewise.
+        velocity: Velocity of its components at first (m/s, rad/s), shape (components,).
+
+    Attributes:
+        free: The argument, as indices.
+        velocity, acceleration: Of all components, in s; the latter None before it is known.
+        increment: Of the step, of all components (m, rad).
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+    """
+
+    def __init__(
+        self, gdim: int, free: Any, mass: Any, inertia: Any, gravity: Any, force: Any,
+        moment: Any, velocity: Array,
+    ):  # fmt: skip
+        self._gdim = gdim
+        size = 3 if gdim == 2 else 6
+        if free is None:
+            free = (True,) * size
+        if not isinstance(free, (Sequence, np.ndarray)) or len(free) != size:
+            raise ParameterError(
+                f"free = {shown(free)} must say of {size} components whether they are: the "
+                "directions first, then the rotations"
+            )
+        self.free = np.flatnonzero(np.asarray(free, bool))
+        self.mass = None if mass is None else number("mass", mass, 0.0, unit="kg")
+        turns = size - gdim
+        self._inertia = None
+        if inertia is not None:
+            values = np.atleast_1d(np.asarray(inertia, float))
+            if values.shape not in ((1,), (turns,)) or not np.all((values > 0) & (values < np.inf)):
+                raise ParameterError(
+                    f"inertia = {shown(inertia)} kg m² must be positive: a number, or in 3D three"
+                )
+            self._inertia = np.broadcast_to(values, (turns,)).astype(float)
+        turning = np.any(self.free >= gdim)
+        if self.mass is not None and turning and self._inertia is None:
+            raise ParameterError("a body of mass that is free to turn needs its inertia (kg m²)")
+        if gravity is not None and self.mass is None:
+            raise ParameterError("gravity acts on a mass; give mass = ... (kg), or a force")
+        self._gravity = _Load("gravity", gravity, gdim)
+        self._force, self._moment = _Load("force", force, gdim), _Load("moment", moment, turns)
+        self.velocity = np.array(velocity, float)
+        self.acceleration: Array | None = None
+        self.increment = np.zeros(size)
+
+    @property
+    def loads(self) -> list[fem.Constant]:
+        """DOLFINx constants that load it."""
+        parts = self._gravity, self._force, self._moment
+        return [p.given for p in parts if isinstance(p.given, fem.Constant)]
+
+    def external(self, t: float) -> Array:
+        """Forces and moments on it that are no contact (N, N m), shape (components,)."""
+        force = self._force.value(t)
+        if self.mass is not None:
+            force = force + self.mass * self._gravity.value(t)
+        return np.concatenate([force, self._moment.value(t)])
+
+    def inertia(self, pose: Pose) -> Array:
+        """Mass matrix of all components, shape (components, components); zero without a mass."""
+        size, d = self.increment.size, self._gdim
+        M = np.zeros((size, size))
+        if self.mass is None:
+            return M
+        M[:d, :d] = self.mass * np.eye(d)
+        own = self._inertia if self._inertia is not None else np.zeros(size - d)
+        M[d:, d:] = np.diag(own) if d == 2 else pose.rotation @ np.diag(own) @ pose.rotation.T
+        return M
+
+    def gyroscopic(self, pose: Pose) -> Array:
+        """ω × Jω of a body that turns (N m), as forces on all components; zero in 2D."""
+        out = np.zeros(self.increment.size)
+        if self._gdim == 3 and self.mass is not None:
+            J, w = self.inertia(pose)[3:, 3:], self.velocity[3:]
+            out[3:] = np.cross(w, J @ w)
+        return out
+
+    def begin(self, pose: Pose, force: Array, t: float, afresh: bool) -> None:
+        """Find the acceleration at the start of a step where it is not known.
+
+        Args:
+            pose: Where the body is.
+            force: Force and moment of what it touches (N, N m), shape (components,).
+            t: Time (s).
+            afresh: Whether a load jumps, so that it is another one than at the end of the last.
+        """
+        if self.mass is None or (self.acceleration is not None and not afresh):
+            return
+        self.acceleration = np.zeros(self.increment.size)
+        at = np.ix_(self.free, self.free)
+        out = self.external(t) + force - self.gyroscopic(pose)
+        self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
+
+    def parts(self, share: float) -> tuple[Array, Array]:
+        """Shift (m) and turn (rad) of the free components at a share of the step."""
+        return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
+
+
+class _Load:
+    """A load: numbers, a DOLFINx constant, or a function of time."""
+
+    def __init__(self, name: str, given: Any, size: int):
+        self._name, self._size, self.given = name, size, given
+        if given is not None and not isinstance(given, fem.Constant) and not callable(given):
+            self.given = vector(name, np.atleast_1d(np.asarray(given, object)), size)
+        if isinstance(given, fem.Constant) and given.value.size != size:
+            raise ParameterError(f"{name} has {given.value.size} components and must have {size}")
+
+    def value(self, t: float) -> Array:
+        given = self.given
+        if given is None:
+            return np.zeros(self._size)
+        if isinstance(given, fem.Constant):
+            return np.array(given.value, float).ravel()
+        if callable(given):
+            return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(given(t))), self._size)
+        return np.asarray(given)
+
+
+def vector(what: str, given: Any, size: int) -> Array:
+    """Finite numbers as an array of that many.
+
+    Raises:
+        ParameterError: They are not.
+    """
+    try:
+        values = np.asarray(given, float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise ParameterError(f"{what} = {shown(given)} must be {size} finite numbers")
+    return values
+
+
+def cross_matrix(arms: Array) -> Array:
+    """S with S(a) f = a × f, shape (n, 1, 2) of arms in 2D, (n, 3, 3) in 3D."""
+    if arms.shape[1] == 2:
+        return np.stack([-arms[:, 1], arms[:, 0]], axis=1)[:, None]
+    S = np.zeros((len(arms), 3, 3))
+    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -arms[:, 2], arms[:, 1], -arms[:, 0]
+    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = arms[:, 2], -arms[:, 1], arms[:, 0]
+    return S

@@ -1,0 +1,155 @@
+"""Surface meshes of rigid bodies: read, joined at their corners, checked."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.facets import Facets, facet_normals
+
+__all__ = ["checked", "is_mesh", "mesh_surface"]
+
+Array = npt.NDArray[np.float64]
+Facet = npt.NDArray[np.int64]
+
+# Corners that are nearer than this share of the mesh's size are one: STL has single precision
+_SAME = 1e-6
+
+
+def is_mesh(shape: Any) -> bool:
+    """Whether it is a file, or a mesh of meshio's."""
+    return isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio")
+
+
+def mesh_surface(mesh: Any) -> Facets:
+    """The surface of a mesh of triangles, or in the plane of segments.
+
+    Args:
+        mesh: A file that meshio reads, or a `meshio.Mesh`.
+
+    Raises:
+        ParameterError: It has no triangles, or is not closed, or inside out; see `checked`.
+        OSError: The file cannot be read.
+    """
+    import meshio
+
+    name = "the mesh"
+    if not isinstance(mesh, meshio.Mesh):
+        name = str(mesh)
+        # meshio ends the interpreter where a file is not there
+        if not Path(mesh).is_file():
+            raise OSError(f"there is no file {mesh}")
+        try:
+            # a file of text passes for one of numbers until its length is looked at
+            with np.errstate(over="ignore"):
+                mesh = meshio.read(mesh)
+        except (meshio.ReadError, SystemExit, KeyError, ValueError) as error:
+            raise OSError(f"meshio cannot read {mesh}: {error}") from error
+    x = np.asarray(mesh.points, float)
+    triangles = [np.asarray(b.data) for b in mesh.cells if b.type == "triangle"]
+    lines = [np.asarray(b.data) for b in mesh.cells if b.type == "line"]
+    if triangles:
+        return checked(x[:, :3], np.concatenate(triangles), name)
+    if lines:
+        return checked(x[:, :2], np.concatenate(lines), name)
+    kinds = ", ".join(sorted({b.type for b in mesh.cells})) or "nothing"
+    raise ParameterError(
+        f"{name} has cells of kind {kinds}; the surface of a rigid body is of triangles, or in 2D "
+        "of lines"
+    )
+
+
+def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> Facets:
+    """A closed surface whose normals point outwards, of facets that may not share their corners.
+
+    Args:
+        x: Corners (m), shape (n, gdim).
+        facets: Corners of the facets, shape (m, gdim).
+        name: What messages call it.
+
+    Raises:
+        ParameterError: A corner is not finite, facets are degenerate, the surface has a hole, two
+            neighbours have opposite normals, more than two facets meet at an edge, or all normals
+            point inwards.
+    """
+    if len(facets) == 0:
+        raise ParameterError(f"{name} has no facets")
+    if not np.isfinite(x).all():
+        bad = int(np.flatnonzero(~np.isfinite(x).all(axis=1))[0])
+        raise ParameterError(f"corner {bad} of {name} at {x[bad]} m must be finite")
+    x, cells = _joined(x, np.asarray(facets, np.int64))
+    d = x.shape[1]
+    size = float(np.ptp(x, axis=0).max())
+    measure = np.linalg.norm(facet_normals(x, cells), axis=1)
+    flat = np.flatnonzero(measure <= 1e-12 * size ** (d - 1))
+    if flat.size:
+        what = "length" if d == 2 else "area"
+        raise ParameterError(
+            f"{flat.size} facets of {name} have no {what}, such as facet {flat[0]} at "
+            f"{shown(x[cells[flat[0], 0]])} m: take them out"
+        )
+    _check_edges(x, cells, name)
+    middle = x[cells].mean(axis=1) - x.mean(axis=0)
+    volume = float(np.sum(middle * facet_normals(x, cells)))
+    if volume <= 0.0:
+        raise ParameterError(
+            f"{name} is inside out: the normals of its facets point into the body; turn their "
+            "corners round"
+        )
+    return Facets(x, cells)
+
+
+def _joined(x: Array, facets: Facet) -> tuple[Array, Facet]:
+    """Corners in the same place made one."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    used, facets = np.unique(facets, return_inverse=True)
+    x, facets = x[used], facets.reshape(-1, x.shape[1])
+    size = float(np.ptp(x, axis=0).max())
+    pairs = cKDTree(x).query_pairs(_SAME * size, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x),) * 2)
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    return x[first], group[facets].astype(np.int64)
+
+
+def _check_edges(x: Array, facets: Facet, name: str) -> None:
+    """Every edge (in 2D every corner) has two facets, which run through it the opposite ways."""
+    d = x.shape[1]
+    if d == 2:
+        ends = np.bincount(facets[:, 1], minlength=len(x))
+        begins = np.bincount(facets[:, 0], minlength=len(x))
+        places, forth, back = x, begins, ends
+    else:
+        directed = np.concatenate([facets[:, [k, (k + 1) % 3]] for k in range(3)])
+        ordered = directed[:, 0] < directed[:, 1]
+        edges, which = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        forth = np.bincount(which[ordered], minlength=len(edges))
+        back = np.bincount(which[~ordered], minlength=len(edges))
+        places = x[edges].mean(axis=1)
+    count = forth + back
+    part = "corner" if d == 2 else "edge"
+    for bad, what in (
+        (count == 1, f"is open: {{}} {part}s have one facet only, which are the rim of a hole"),
+        (count > 2, f"meets itself: {{}} {part}s have more than two facets"),
+        (
+            forth != back,
+            f"has neighbours whose normals disagree at {{}} {part}s",
+        ),
+    ):
+        at = np.flatnonzero(bad)
+        if at.size:
+            place = np.array2string(places[at[0]], precision=6)
+            raise ParameterError(
+                f"{name} {what.format(at.size)}, such as that at {place} m: mend the mesh, so "
+                "that it is closed and all normals point outwards"
+            )

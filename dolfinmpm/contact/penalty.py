@@ -1,0 +1,107 @@
+"""The force on a corner against a rigid surface: penalty or multiplier, Coulomb friction.
+
+With the gap g, the outward normal n and H = ∇n of the surface at a corner at ξ, all in the frame
+of the body, so that what the body does itself is no slip:
+
+    p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ μ p,
+    t = μ p P w/|P w| else,    f = p n + t,    P = I − n ⊗ n,
+
+the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
+Mechanics, 2006, ch. 10; AMPSSIE takes the same in the material point method). Its derivative by ξ
+is exact, that of the normal included, and not symmetric where a corner slips.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+__all__ = ["FREE", "SLIPS", "STICKS", "forces_on_corners"]
+
+FREE, STICKS, SLIPS = 0, 1, 2
+
+
+@numba.njit(cache=True, error_model="numpy")
+def forces_on_corners(
+    gap, normal, curvature, at, start, before, multiplier, normal_stiffness, slip_stiffness,
+    friction, holds, force, traction, pressure, slope, state,
+):  # fmt: skip
+    """Forces on corners and their derivatives; see above. All in the frame of the body.
+
+    Args:
+        gap, normal, curvature: g, n and H at the corners, shapes (m,), (m, d), (m, d, d).
+        at, start: ξ and ξ_n (m), shape (m, d).
+        before: t_n (N), shape (m, d).
+        multiplier: λ (N), shape (m,).
+        normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
+        friction: μ.
+        holds: Which corners are held even where they are outside, by p < 0, shape (m,).
+        force: Written: f (N), shape (m, d).
+        traction: Written: t (N), likewise.
+        pressure: Written: p (N), shape (m,).
+        slope: Written: ∂f/∂ξ (N/m), shape (m, d, d).
+        state: Written: FREE, STICKS or SLIPS, shape (m,).
+    """
+    d = at.shape[1]
+    w, trial, dn = np.empty(d), np.empty(d), np.empty(d)
+    tangent = np.empty((d, d))
+    for c in range(at.shape[0]):
+        n, H = normal[c], curvature[c]
+        eN, eT = normal_stiffness[c], slip_stiffness[c]
+        p = multiplier[c] - eN * gap[c]
+        state[c] = FREE
+        pressure[c] = 0.0
+        for i in range(d):
+            force[c, i] = 0.0
+            traction[c, i] = 0.0
+            for j in range(d):
+                slope[c, i, j] = 0.0
+        if not (p > 0.0 or holds[c]):
+            continue
+        pressure[c] = p
+        state[c] = STICKS
+        for i in range(d):
+            force[c, i] = p * n[i]
+            for j in range(d):
+                slope[c, i, j] = p * H[i, j] - eN * n[i] * n[j]
+        if friction == 0.0 or p <= 0.0:
+            continue
+        along = 0.0
+        for i in range(d):
+            w[i] = before[c, i] - eT * (at[c, i] - start[c, i])
+            along += w[i] * n[i]
+        size = 0.0
+        for i in range(d):
+            trial[i] = w[i] - along * n[i]
+            size += trial[i] * trial[i]
+        size = math.sqrt(size)
+        for j in range(d):
+            dn[j] = 0.0
+            for i in range(d):
+                dn[j] += w[i] * H[i, j]
+        for i in range(d):
+            for j in range(d):
+                tangent[i, j] = eT * n[i] * n[j] - along * H[i, j] - n[i] * dn[j]
+            tangent[i, i] -= eT
+        if size <= friction * p:
+            for i in range(d):
+                traction[c, i] = trial[i]
+                force[c, i] += trial[i]
+                for j in range(d):
+                    slope[c, i, j] += tangent[i, j]
+            continue
+        state[c] = SLIPS
+        share = friction * p / size
+        for i in range(d):
+            traction[c, i] = share * trial[i]
+            force[c, i] += share * trial[i]
+        for j in range(d):
+            dsize = 0.0
+            for i in range(d):
+                dsize += trial[i] * tangent[i, j]
+            dsize /= size
+            for i in range(d):
+                s = trial[i] / size
+                slope[c, i, j] += share * (tangent[i, j] - s * dsize) - friction * eN * n[j] * s

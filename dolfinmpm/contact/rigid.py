@@ -1,0 +1,305 @@
+"""Rigid bodies: a surface, and how it moves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.freedom import Freedom, vector
+from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.pose import Pose, rotation_of
+from dolfinmpm.contact.surfaces import Surface
+
+__all__ = ["RigidBody", "check_bodies"]
+
+Array = npt.NDArray[np.float64]
+Motion = Callable[[float], Any]
+
+_numbers = itertools.count(1)
+
+
+class RigidBody:
+    """A rigid body that touches material points through `contact`; all ranks know it.
+
+    It stands still, or its motion is prescribed. Time t is that of the problem in s, or for
+    quasi-static problems the number of steps since the body was made, so that a velocity is what it
+    moves in a step. In parts of a step it goes that part of the way.
+
+    Args:
+        shape: `Plane`, `Wedge`, `Polygon`, `Disc`, `Box` or `TurnedBox` in 2D; `Plane`, `Cone`,
+            `Ball`, `Box` or a closed surface mesh in 3D: a file that meshio reads (STL, Gmsh), or
+            a `meshio.Mesh`, of triangles whose normals point out of the body.
+        velocity: Of its centre (m/s; m per step), shape (gdim,): numbers, or a function of t.
+        angular_velocity: About the centre (rad/s; rad per step), counter-clockwise: a number, in
+            3D a vector of shape (3,); or a function of t.
+        displacement: Where the centre has got to since the body was made (m), instead of
+            velocities: a function of t, or a DOLFINx constant, which steps set and solvers scale
+            like a load.
+        rotation: How far the body has turned since (rad), likewise: an angle, in 3D a rotation
+            vector.
+        centre: What it turns about (m); by default the middle of a box around it, or a plane's
+            point.
+        fillet: Radius (m) by which convex edges are rounded, so that what slides around them meets
+            no jump of the normal. The body stays within its shape.
+        name: What messages, records and files call it.
+        free: Which components of its motion forces decide, the directions first, then the
+            rotations; all if only a mass or a load is given. The other ones are prescribed.
+            Velocities of free ones are those at first.
+        mass: Its mass (kg; kg/m in plane strain), without which only quasi-static problems can
+            have it free.
+        inertia: Moment of inertia about its centre (kg m²): a number, in 3D one or three, about
+            the axes of the grid as the body is at first.
+        gravity: Acceleration (m/s²) that gives it weight, shape (gdim,), or a DOLFINx constant.
+        force: Force that acts at its centre (N), likewise, or a function of t.
+        moment: Moment (N m), a number or in 3D three, likewise.
+
+    Attributes:
+        freedom: What is free of its motion, or None.
+        surface: Its surface, where it was at first.
+        name: Its name.
+        pose: Where it is.
+        force: Force of the material points on it (N; N/m in plane strain), shape (gdim,).
+        moment: Their moment about its centre (N m), shape (1,), in 3D (3,).
+        time: Time that it is of (s; steps).
+
+    Raises:
+        ParameterError: An argument is not what it may be, or a mesh is open, inside out, or meets
+            itself at an edge; the message tells where.
+        OSError: A file cannot be read.
+    """
+
+    def __init__(
+        self,
+        shape: Any,
+        *,
+        velocity: Sequence[float] | Motion | None = None,
+        angular_velocity: float | Sequence[float] | Motion | None = None,
+        displacement: fem.Constant | Motion | None = None,
+        rotation: fem.Constant | Motion | None = None,
+        centre: Sequence[float] | None = None,
+        fillet: float = 0.0,
+        name: str | None = None,
+        free: Sequence[bool] | None = None,
+        mass: float | None = None,
+        inertia: float | Sequence[float] | None = None,
+        gravity: fem.Constant | Sequence[float] | None = None,
+        force: fem.Constant | Sequence[float] | Motion | None = None,
+        moment: fem.Constant | float | Sequence[float] | Motion | None = None,
+    ):
+        number("fillet", fillet, 0.0, math.inf, "m", closed=True)
+        self.surface: Surface = surface_of(shape, fillet)
+        d = self.surface.gdim
+        middle: Array = _middle(self.surface)
+        if centre is not None:
+            middle = vector("centre", centre, d)
+        self.name = f"body{next(_numbers)}" if name is None else name
+        if not isinstance(self.name, str) or not self.name.isidentifier():
+            raise ParameterError(f"name = {shown(name)} must be an identifier")
+        turns = 1 if d < 3 else 3
+        if velocity is not None and displacement is not None:
+            raise ParameterError("velocity and displacement are both given; leave one out")
+        if angular_velocity is not None and rotation is not None:
+            raise ParameterError("angular_velocity and rotation are both given; leave one out")
+        self._shift = _Course("displacement", displacement, "velocity", velocity, d)
+        self._turn = _Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
+        # a rotation vector is not the sum of small ones
+        self._turn.absolute = d == 3 and rotation is not None
+        loads = mass, inertia, gravity, force, moment
+        self.freedom: Freedom | None = None
+        if free is not None or any(load is not None for load in loads):
+            rates = [_first_rate(c) for c in (self._shift, self._turn)]
+            self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
+        self.pose = self.start = Pose.first(middle)
+        self.time, self.dt = 0.0, 0.0
+        self.force: Array = np.zeros(d)
+        self.moment: Array = np.zeros(turns)
+
+    @property
+    def gdim(self) -> int:
+        """Dimension of space."""
+        return self.surface.gdim
+
+    @property
+    def position(self) -> Array:
+        """Where its centre is (m), shape (gdim,)."""
+        return self.pose.centre
+
+    @property
+    def angle(self) -> Array:
+        """How far it has turned (rad), shape (1,), in 3D (3,), see `Pose`."""
+        return self.pose.turn
+
+    @property
+    def loads(self) -> list[fem.Constant]:
+        """DOLFINx constants that prescribe its motion or load it."""
+        both = self._shift, self._turn
+        prescribe = [c.given for c in both if isinstance(c.given, fem.Constant)]
+        return prescribe + ([] if self.freedom is None else self.freedom.loads)
+
+    # -- what solvers do with it ----------------------------------------------
+
+    def begin(self, dt: float) -> None:
+        """Begin a step, or a part of one, of that length (s; steps)."""
+        self.dt = dt
+
+    def put(self, share: float) -> None:
+        """Put it where it is at that share of the step."""
+        self.pose = self.at(share)
+
+    def at(self, share: float) -> Pose:
+        """Where it is at that share of the step."""
+        start, t = self.start, self.time
+        shift = self._shift.change(start.shift, t, share * self.dt)
+        turn = self._turn.change(start.turn, t, share * self.dt)
+        if self.freedom is not None:
+            d, own = self.gdim, self.freedom.free
+            parts = self.freedom.parts(share)
+            shift[own[own < d]] = parts[0][own[own < d]]
+            turn[own[own >= d] - d] = parts[1][own[own >= d] - d]
+        if self._turn.absolute:
+            whole = start.turn + turn
+            pose = Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
+            return pose
+        return start.moved(shift, turn)
+
+    def push(self, force: Array) -> None:
+        """Take velocity and motion of an explicit step from the force on it (N, N m)."""
+        free = self.freedom
+        assert free is not None
+        free.begin(self.start, force, self.time, True)
+        assert free.acceleration is not None
+        own = free.free
+        free.velocity[own] += self.dt * free.acceleration[own]
+        free.increment = np.zeros_like(free.velocity)
+        free.increment[own] = self.dt * free.velocity[own]
+
+    def commit(self, force: Array, moment: Array) -> None:
+        """Take where it has been put for where it is, and what acts on it there."""
+        self.start, self.time = self.pose, self.time + self.dt
+        self.force, self.moment = force, moment
+
+    def travel(self) -> float:
+        """How far any part of it, but of a plane its centre, goes in this step (m)."""
+        return travelled(self.surface, self.start, self.at(1.0))
+
+    def record(self) -> dict[str, list[float]]:
+        """Position, angle, force and moment, as records of steps have them."""
+        parts = {
+            "position": self.position, "angle": self.angle, "force": self.force,
+            "moment": self.moment,
+        }  # fmt: skip
+        return {name: [float(v) for v in values] for name, values in parts.items()}
+
+    def memory(self) -> Array:
+        """What a checkpoint keeps, as one row of numbers."""
+        pose = self.start
+        parts = [pose.shift, pose.rotation.ravel(), pose.turn, self.force, self.moment]
+        free = self.freedom
+        if free is not None:
+            parts += [free.velocity, np.zeros(free.velocity.size)]
+            if free.acceleration is not None:
+                parts[-1] = free.acceleration
+            parts.append(np.array([float(free.acceleration is not None)]))
+        return np.concatenate([np.array([self.time]), *parts])
+
+    def remember(self, row: Array) -> None:
+        """Take what `memory` returned."""
+        d, turns = self.gdim, len(self.moment)
+        sizes = np.cumsum([1, d, d * d, turns, d])
+        sizes = np.append(sizes, sizes[-1] + turns)
+        time, shift, rotation, turn, force, moment, rest = np.split(row, sizes)
+        self.start = Pose(self.start.origin, shift, rotation.reshape(d, d), turn)
+        self.pose, self.time = self.start, float(time[0])
+        self.force, self.moment = force, moment
+        if self.freedom is not None:
+            n = self.freedom.velocity.size
+            self.freedom.velocity = rest[:n].copy()
+            self.freedom.acceleration = rest[n : 2 * n].copy() if rest[2 * n] else None
+
+    def outline(self, low: Array, high: Array) -> Array:
+        """Facets that draw it where it is, shape (facets, gdim, gdim); see `Surface.outline`."""
+        return self.pose.forth(self.surface.outline(low, high))
+
+
+def check_bodies(bodies: Any, gdim: int) -> None:
+    """Raise ParameterError unless these are rigid bodies in space of that dimension."""
+    if not isinstance(bodies, (list, tuple)):
+        raise ParameterError(f"bodies = {shown(bodies)} must be a list of mpm.RigidBody")
+    for body in bodies:
+        if not isinstance(body, RigidBody) or body.gdim != gdim:
+            raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
+
+
+def travelled(surface: Surface, start: Pose, end: Pose) -> float:
+    """How far a body's parts are apart in two poses at most; of one without end its centre (m)."""
+    if not np.isfinite(surface.low).all():
+        return float(np.linalg.norm(end.shift - start.shift))
+    corners = box_corners(surface.low, surface.high)
+    return float(np.linalg.norm(end.forth(corners) - start.forth(corners), axis=1).max())
+
+
+def box_corners(low: Array, high: Array) -> Array:
+    """Corners of a box (m), shape (2^gdim, gdim)."""
+    return np.array(list(itertools.product(*zip(low, high))))
+
+
+class _Course:
+    """One prescribed motion: a displacement or a rotation, by itself or by its rate."""
+
+    def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
+        self.size, self.given, self.rate, self.absolute = size, given, rate, False
+        self._name = name if given is not None else rate_name
+        if isinstance(given, fem.Constant):
+            if given.value.size != size:
+                raise ParameterError(
+                    f"{name} has {given.value.size} components and must have {size}"
+                )
+            self._first: Array = np.array(given.value, float).ravel()
+        elif given is not None:
+            if not callable(given):
+                raise ParameterError(
+                    f"{name} = {shown(given)} must be a function of time or a dolfinx.fem.Constant"
+                )
+            self._first = self.value(given, 0.0)
+        elif rate is not None and not callable(rate):
+            constant: Array = vector(rate_name, np.atleast_1d(np.asarray(rate, object)), size)
+            self.rate = lambda t: constant
+        if callable(self.rate):
+            self.value(self.rate, 0.0)
+
+    def value(self, function: Motion, t: float) -> Array:
+        return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self.size)
+
+    def change(self, start: Array, t: float, dt: float) -> Array:
+        """Change from the start of a step, at t, to dt later."""
+        if isinstance(self.given, fem.Constant):
+            # the solver has set it to what belongs to the part of the step
+            return np.array(self.given.value, float).ravel() - self._first - start
+        if self.given is not None:
+            return self.value(self.given, t + dt) - self._first - start
+        if self.rate is None or dt == 0.0:
+            return np.zeros(self.size)
+        first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
+        # Simpson's rule
+        return np.asarray(dt / 6 * (first + 4 * middle + last))
+
+
+def _first_rate(course: _Course) -> Array:
+    """What a velocity is at first; zero where there is none."""
+    return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
+
+
+def _middle(surface: Surface) -> Array:
+    if np.isfinite(surface.low).all():
+        return np.asarray(0.5 * (surface.low + surface.high))
+    g, n, _ = surface.probe(np.zeros((1, surface.gdim)))
+    # the point of a plane that is nearest to the origin
+    return np.asarray(-g[0] * n[0])

@@ -1,0 +1,204 @@
+"""The term of a weak form by which material points touch a rigid body."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from mpi4py import MPI
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import check_kind, choice, number
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.corners import corner_count
+from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.forms.declarations import Declaration, as_tags
+
+__all__ = ["Contact", "contact"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Contact:
+    """Contact of material points with a rigid body, as a form declares it; see `contact`.
+
+    Attributes:
+        body, points, u: The body, the points, and the increment that moves them.
+        surface: Marked faces, or None.
+        material: Whether corners follow the points' material, or their domains.
+        tags: Tags of the points that touch, or None for all.
+        friction: μ.
+        stiffness: Penalty (Pa/m) that was given, or None.
+        penalty: Penalty by Young's modulus (1/m), else.
+        slip_share: ε_T/ε_N.
+        penetration: Bound of the penetration (m) by multipliers, or None.
+        integrand: What the form has in its place.
+        names: Fields of the points: tangential forces on corners (N) in the frame of the body,
+            normal ones (N), and Young's modulus (Pa).
+        dissipated: Work that friction has taken (J), on all ranks.
+    """
+
+    def __init__(
+        self, body, points, u, surface, material, tags, friction, stiffness, penalty, slip_share,
+        penetration, integrand,
+    ):  # fmt: skip
+        self.body: RigidBody = body
+        self.points: MaterialPoints = points
+        self.u, self.surface, self.tags = u, surface, tags
+        self.material: bool = material
+        self.friction: float = friction
+        self.stiffness: float | None = stiffness
+        self.penalty: float = penalty
+        self.slip_share: float = slip_share
+        self.penetration: float | None = penetration
+        self.integrand: Expr = integrand
+        counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
+        first = f"contact{next(counter)}"
+        self.names = f"{first}_traction", f"{first}_pressure", f"{first}_modulus"
+        self.dissipated = 0.0
+
+    def __repr__(self) -> str:
+        return f"the contact with '{self.body.name}'"
+
+    def bind(self, declarations: Sequence[Declaration]) -> None:
+        """Give the points the fields that it keeps; see `names`. Collective.
+
+        Raises:
+            ParameterError: The penalty needs moduli, and a point has none.
+        """
+        points, count = self.points, corner_count(self.points.gdim, self.surface)
+        traction, pressure, modulus = self.names
+        points.add_field(traction, (count, points.gdim), "N")
+        points.add_field(pressure, (count,), "N")
+        if self.stiffness is not None:
+            return
+        points.add_field(modulus, (), "Pa")
+        E = points[modulus]
+        new = E == 0.0
+        if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
+            found = np.zeros((len(points), 2))
+            for declaration in declarations:
+                found[declaration.rows] = declaration.moduli()
+            lame = found[:, 0] - 2 * found[:, 1]
+            whole = found[:, 0] - found[:, 1]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                young = found[:, 1] * (2 * found[:, 1] + 3 * lame) / whole
+            E[new] = np.where(whole > 0, young, 0.0)[new]
+        error = None
+        mine = np.ones(len(points), bool) if self.tags is None else self.chosen()
+        if not np.all(E[mine] > 0):
+            p = int(np.flatnonzero(mine & ~(E > 0))[0])
+            error = ParameterError(
+                f"{self!r} takes its penalty from Young's modulus, and no law of the form has one "
+                f"at the point at {points['x'][p]} m: give contact(..., stiffness_per_area=...) in "
+                "Pa/m"
+            )
+        raise_together(points.comm, error)
+
+    def chosen(self) -> npt.NDArray[np.bool_]:
+        """Which points have its tags."""
+        return np.isin(self.points["tag"], self.tags)
+
+    def rate(self) -> float:
+        """Largest square of a frequency that contact gives the body (1/s²). Collective.
+
+        A point whose corners on one side touch has the stiffness κ A of a face; a node at the
+        body's edge has half of its points' mass.
+        """
+        points = self.points
+        rows = np.arange(len(points))
+        area = np.prod(2 * points["l0"], axis=1) / (2 * points["l0"].min(axis=1, initial=np.inf))
+        mass = points["density"] * points["V0"]
+        worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
+        return self.points.comm.allreduce(worst, op=MPI.MAX)
+
+    def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
+        """Penalty per area at some points (Pa/m), shape (len(rows),)."""
+        if self.stiffness is not None:
+            return np.full(rows.size, self.stiffness)
+        return np.asarray(self.penalty * self.points[self.names[2]][rows])
+
+
+def contact(
+    body: RigidBody,
+    points: MaterialPoints,
+    u: Any,
+    v: Any,
+    *,
+    friction: float = 0.0,
+    penalty: float = 50.0,
+    stiffness_per_area: float | None = None,
+    slip_stiffness: float = 0.5,
+    penetration: float | None = None,
+    surface: Surface | None = None,
+    corners: str | None = None,
+    tag: int | tuple[int, ...] | None = None,
+) -> ufl.Form:
+    """Contact with a rigid body, a term to be added to the internal forces: F += contact(...).
+
+    What touches are the corners of the points' domains, see `dolfinmpm.contact.corners`, or
+    the faces of a `Surface`; where they are inside the body by g_N < 0, they are pressed out by
+    κ |g_N| per area, and rubbed by what Coulomb's law allows, see `dolfinmpm.contact.penalty`.
+    Corners have their share of the points' first faces.
+
+    A body in contact is indented by as much as the penalty allows. With a bound of the penetration,
+    multipliers take over the pressure (Uzawa's augmented Lagrangian): after Newton's method has
+    found balance, it does so again with the pressure found so far as multiplier, until the bound
+    holds, whatever the penalty.
+
+    Args:
+        body: The body. One that points or bodies touch in several terms is one body.
+        points: Material points.
+        u: Increment of the step, `Space.increment`.
+        v: Test function, `Space.test`.
+        friction: Coefficient μ of Coulomb's friction.
+        penalty: κ by Young's modulus of the points' first state (1/m): κ = penalty · E. 50 as
+            AMPSSIE has it; 1000 for stiff bodies that are confined.
+        stiffness_per_area: κ itself (Pa/m), instead.
+        slip_stiffness: Stiffness against slip that sticks, as a share of κ.
+        penetration: Bound of the penetration (m), or None for what the penalty leaves.
+        surface: Marked faces that touch, instead of all corners.
+        corners: "domains" for corners of the points' domains, "material" for corners that turn
+            and shear with the points' material, see `dolfinmpm.contact.corners`; by default the
+            latter of marked faces, and the former otherwise, for the ground that flows.
+        tag: Tags of the points that can touch, one or several; None means all.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+    """
+    check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
+    check_points(points)
+    check_displacement(points, u=u, v=v)
+    if body.gdim != points.gdim:
+        raise ParameterError(
+            f"'{body.name}' is a body in {body.gdim}D, the points are in {points.gdim}D"
+        )
+    number("friction", friction, 0.0, math.inf, closed=True)
+    number("penalty", penalty, 0.0, unit="1/m")
+    if stiffness_per_area is not None:
+        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
+    number("slip_stiffness", slip_stiffness, 0.0)
+    if penetration is not None:
+        number("penetration", penetration, 0.0, unit="m")
+    if surface is not None:
+        check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
+        if surface.points is not points:
+            raise ParameterError(f"the surface '{surface.name}' is of other points")
+    if corners is None:
+        corners = "domains" if surface is None else "material"
+    corners = choice("corners", corners, ("domains", "material"))
+    integrand = ufl.inner(u, v)
+    term = Contact(
+        body, points, u, surface, corners == "material", as_tags(tag), friction,
+        stiffness_per_area, penalty, slip_stiffness, penetration, integrand,
+    )  # fmt: skip
+    metadata = {**points.dX.metadata(), "contact": term}
+    return integrand * points.dX.reconstruct(metadata=metadata)

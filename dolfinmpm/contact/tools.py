@@ -1,0 +1,107 @@
+"""Shapes that rigid bodies have besides those that are filled with points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.shapes import Polygon, Shape
+
+__all__ = ["Cone", "Plane", "Wedge"]
+
+
+class Plane(Shape):
+    """All that lies behind a plane, in 2D behind a line.
+
+    Args:
+        point: A point of the plane (m).
+        normal: Normal of the plane, out of what is behind it; of any length.
+
+    Raises:
+        ParameterError: The normal has no length, or the two have not as many coordinates.
+    """
+
+    def __init__(self, point: Sequence[float], normal: Sequence[float]):
+        at, n = np.array(point, float), np.array(normal, float)
+        size = float(np.linalg.norm(n))
+        fits = at.ndim == 1 and at.shape == n.shape and 2 <= at.size <= 3
+        if not fits or not np.isfinite(at).all() or not 0.0 < size < np.inf:
+            raise ParameterError(
+                f"a plane needs a point and a normal of 2 or 3 finite coordinates, got {point} and "
+                f"{normal}"
+            )
+        self.point, self.normal = at, n / size
+        super().__init__(lambda x: (x - self.point) @ self.normal <= 0.0)
+
+
+class Wedge(Polygon):
+    """A wedge in 2D that points downwards, symmetric about the vertical through its tip.
+
+    Args:
+        tip: Its tip (m).
+        semi_angle: Angle between its sides and the vertical (rad).
+        height: How high it is (m).
+
+    Raises:
+        ParameterError: The angle is not between 0 and π/2, or the height not positive.
+    """
+
+    def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
+        number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
+        number("height", height, 0.0, unit="m")
+        at, reach = np.array(tip, float), height * math.tan(semi_angle)
+        if at.shape != (2,):
+            raise ParameterError(f"tip = {tip} must be a point in 2D")
+        self.tip, self.semi_angle = at, float(semi_angle)
+        x, y = float(at[0]), float(at[1])
+        super().__init__([(x, y), (x + reach, y + height), (x - reach, y + height)])
+
+
+class Cone(Shape):
+    """A cone in 3D on a shaft, as of a penetrometer, that points against its axis.
+
+    Args:
+        tip: Its tip (m).
+        radius: Radius of the shaft, and of the cone's base (m).
+        semi_angle: Angle between the cone's side and the axis (rad); 60° at the tip are π/6.
+        length: Length from the tip to the upper end of the shaft (m).
+        axis: Direction from the tip to the shaft.
+
+    Raises:
+        ParameterError: A size is not positive, or the shaft ends within the cone.
+    """
+
+    def __init__(
+        self,
+        tip: Sequence[float],
+        radius: float,
+        semi_angle: float,
+        length: float,
+        axis: Sequence[float] = (0.0, 0.0, 1.0),
+    ):
+        number("radius", radius, 0.0, unit="m")
+        number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
+        base = radius / math.tan(semi_angle)
+        number("length", length, base, unit="m")
+        self.tip, along = np.array(tip, float), np.array(axis, float)
+        size = float(np.linalg.norm(along))
+        if self.tip.shape != (3,) or along.shape != (3,) or not 0.0 < size < np.inf:
+            raise ParameterError(f"a cone needs a tip and an axis in 3D, got {tip} and {axis}")
+        self.axis = along / size
+        self.profile = np.array(
+            [(0, 0), (radius, base), (radius, length), (-radius, length), (-radius, base)], float
+        )
+        slope = math.tan(semi_angle)
+
+        def contains(x):
+            z = (x - self.tip) @ self.axis
+            r = np.linalg.norm(x - self.tip - z[:, None] * self.axis, axis=1)
+            return (z <= length) & (r <= np.minimum(radius, slope * z))
+
+        ends = self.tip, self.tip + length * self.axis
+        across = radius * np.sqrt(np.maximum(1.0 - self.axis**2, 0.0))
+        super().__init__(contains, np.minimum(*ends) - across, np.maximum(*ends) + across)

@@ -1,0 +1,195 @@
+"""The border of a step with free rigid bodies: their motions, and the balance of their forces.
+
+A body's components w, at the level where forces balance, solve M a(w) = Q(x, w) + F with the forces
+Q of what it touches and its loads F; without inertia Q + F = 0. See `Bordered`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.solve.newton import Newton
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["FreeBodies", "Inertial", "check_masses"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """How accelerations follow from increments in a step in time.
+
+    Attributes:
+        factor: Derivative of the acceleration by the increment at the level of balance (1/s²).
+        known: The rest of it (m/s²) for velocities and accelerations at the start.
+        level: The level, as a share of the step.
+    """
+
+    factor: float
+    known: Callable[[Array, Array], Array]
+    level: float
+
+
+class FreeBodies:
+    """The border of a step with free bodies; see `Border`.
+
+    Args:
+        bodies: The bodies of the problem.
+        tolerance: How well their forces are to balance, as a share of the largest of them.
+
+    Attributes:
+        inertial: How increments make accelerations, or None in quasi-static steps.
+        tolerance, unmet: See `Border`.
+    """
+
+    unmet = "the forces on a free rigid body were not balanced"
+
+    def __init__(self, bodies: Bodies, tolerance: float):
+        self.tolerance = tolerance
+        self._bodies: list[RigidBody] = bodies.free
+        self.inertial: Inertial | None = None
+
+    def begin(self, operator: Operator) -> None:
+        """See `Border`. Collective."""
+        self._operator = operator
+
+    @property
+    def _level(self) -> float:
+        return 1.0 if self.inertial is None else self.inertial.level
+
+    def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
+        """The bodies go on as they move, the points' increments are none. Collective."""
+        for body in self._bodies:
+            free = body.freedom
+            assert free is not None
+            free.increment = np.zeros_like(free.increment)
+            if self.inertial is not None and free.acceleration is not None:
+                guess = body.dt * free.velocity + 0.5 * body.dt**2 * free.acceleration
+                free.increment[free.free] = guess[free.free]
+            body.put(self._level)
+        x = np.zeros(operator.here.unknowns.owned)
+        return x, operator.residual(x).norm
+
+    def move(self, change: Array) -> None:
+        """See `Border`. Collective."""
+        at = 0
+        for body in self._bodies:
+            free = body.freedom
+            assert free is not None
+            n = free.free.size
+            free.increment[free.free] += change[at : at + n] / self._level
+            at += n
+            body.put(self._level)
+
+    def _columns(self, nodal: Array, field: int) -> Array:
+        """Owned unknowns' entries of forces at nodes, one column each. Collective.
+
+        Args:
+            nodal: Shape (nodes, components of the field, columns), this rank's share.
+            field: The field.
+        """
+        unknowns = self._operator.here.unknowns
+        out = []
+        for k in range(nodal.shape[2]):
+            forces = unknowns.nodal()
+            forces.arrays[field][...] = nodal[:, :, k]
+            forces.add_up()
+            out.append(unknowns.restrict(forces.arrays))
+        return np.column_stack(out) if out else np.zeros((unknowns.owned, 0))
+
+    def _contacts(self, body: RigidBody):
+        return [c for c in self._operator.contacts if c.contact.body is body]
+
+    def slopes(self, x: Array) -> Array:
+        """See `Border`. Collective."""
+        found = []
+        for body in self._bodies:
+            size, free = body.freedom.increment.size, body.freedom.free  # type: ignore[union-attr]
+            total: Any = 0.0
+            for contact in self._contacts(body):
+                shape = self._operator.increments[contact.field].shape
+                nodal = np.zeros((*shape, size))
+                contact.add_slopes(nodal)
+                total = total + self._columns(nodal[:, :, free], contact.field)
+            found.append(total)
+        return np.hstack(found)
+
+    def gap(self, x: Array) -> tuple[Array, Array, Array]:
+        """See `Border`. Collective."""
+        gaps, columns, blocks = [], [], []
+        comm = self._operator.here.unknowns.comm
+        for body in self._bodies:
+            free = body.freedom
+            assert free is not None
+            size, own = free.increment.size, free.free
+            by_x: Any = 0.0
+            by_y: Array = np.zeros((size, size))
+            touching: Array = np.zeros(size)
+            for contact in self._contacts(body):
+                force, moment = contact.totals()
+                touching += np.concatenate([force, moment])
+                shape = self._operator.increments[contact.field].shape
+                nodal = np.zeros((*shape, size))
+                contact.add_to_body(nodal, by_y)
+                by_x = by_x + self._columns(nodal[:, :, own], contact.field)
+            by_y = comm.allreduce(by_y, op=MPI.SUM)
+            t = body.time + self._level * body.dt
+            external = free.external(t)
+            out, slope = -touching - external, -by_y
+            M = free.inertia(body.start)
+            inertia: Array = np.zeros(size)
+            if self.inertial is not None:
+                assert free.acceleration is not None
+                known = self.inertial.known(free.velocity, free.acceleration)
+                w = self._level * free.increment
+                inertia = M @ (self.inertial.factor * w + known) + free.gyroscopic(body.start)
+                out, slope = out + inertia, slope + self.inertial.factor * M
+            d = body.gdim
+            scale = np.ones(size)
+            for part in (slice(0, d), slice(d, size)):
+                sizes = [np.abs(v[part]).max() for v in (touching, external, inertia)]
+                scale[part] = max(sizes)
+            # moments of a body that does not turn are measured by its forces
+            reach = max(_size(body), 1e-300)
+            scale[d:] = max(scale[d:].max(), scale[:d].max() * reach)
+            scale[:d] = max(scale[:d].max(), 1e-300)
+            scale[d:] = np.maximum(scale[d:], 1e-300)
+            gaps.append((out / scale)[own])
+            columns.append(-by_x / scale[own])
+            blocks.append((slope / scale[:, None])[np.ix_(own, own)])
+        whole = np.zeros((sum(map(len, gaps)),) * 2)
+        at = 0
+        for block in blocks:
+            n = len(block)
+            whole[at : at + n, at : at + n] = block
+            at += n
+        return np.concatenate(gaps), np.hstack(columns), whole
+
+
+def check_masses(bodies: Bodies) -> None:
+    """Raise ParameterError unless every free body has a mass, as steps in time need it."""
+    for body in bodies.free:
+        assert body.freedom is not None
+        if body.freedom.mass is None:
+            raise ParameterError(
+                f"'{body.name}' is free and has no mass; steps in time need mass = ... (kg) and "
+                "inertia = ... (kg m²)"
+            )
+
+
+def _size(body: RigidBody) -> float:
+    """Half of the largest extent of a body (m); 1 of one without end."""
+    surface = body.surface
+    if not np.isfinite(surface.low).all():
+        return 1.0
+    return 0.5 * float(np.max(surface.high - surface.low))

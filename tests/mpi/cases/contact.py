@@ -1,0 +1,87 @@
+"""Contact with rigid bodies on several ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import mesh
+
+import dolfinmpm as mpm
+
+from .common import COMM, sums
+from .restart import REPEATABLE, goes_on
+
+
+def ploughed(**options):
+    """A wedge with a round tip is pressed into a block with friction, and then drawn aside."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (6, 4)], (12, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (6, 2)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    tool = mpm.RigidBody(
+        mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", angular_velocity=-0.01,
+        velocity=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
+    )  # fmt: skip
+    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4), points, u, v)
+    F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
+    F += mpm.contact(tool, points, u, v, friction=0.3)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options)
+    return problem, problem.step
+
+
+def figures(problem):
+    body = problem.bodies.all[0]
+    names = "x", "F", "stress", "contact1_traction", "contact1_pressure"
+    return {
+        "force": body.force.tolist(), "moment": body.moment.tolist(),
+        "position": body.position.tolist(), "angle": body.angle.tolist(),
+        "dissipated": problem.form.parts.contacts[0].dissipated,
+        **sums(problem.points, *names),
+    }  # fmt: skip
+
+
+def contact_quasistatic():
+    """Penetration and ploughing: the tool's force, slips that points carry from rank to rank."""
+    problem, step = ploughed(tolerance=1e-12)
+    for _ in range(8):
+        step()
+    assert problem.bodies.all[0].force[1] > 0
+    return figures(problem)
+
+
+def contact_restart():
+    """A run that is broken off while the tool is in the ground."""
+    return goes_on(lambda: ploughed(petsc_options=REPEATABLE, tolerance=1e-12), 7, moves=False)
+
+
+def _thrown(kind, free=True, **options):
+    """A ball falls on a block, turning: it is free, or it goes on as it came."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (6, 3)], (12, 6), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (6, 1.5)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    mass = {"mass": 2000.0, "inertia": 100.0, "gravity": (0.0, -10.0)} if free else {}
+    ball = mpm.RigidBody(
+        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=-1.0, name="ball", **mass
+    )  # fmt: skip
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
+    F += mpm.contact(ball, points, V.increment, V.test, friction=0.2, penalty=10.0)
+    return kind(F, V.increment, points, mpm.fixed(V, "bottom"), **options), ball
+
+
+def contact_in_time():
+    """A free ball, by implicit and explicit steps."""
+    found = {}
+    for kind, options in (
+        (mpm.Newmark, {"mass": "lumped", "tolerance": 1e-12}),
+        (mpm.GeneralisedAlpha, {"mass": "lumped", "tolerance": 1e-12}),
+        (mpm.Explicit, {}),
+    ):
+        problem, ball = _thrown(kind, **options)
+        for t in mpm.times(0.2, dt=0.01):
+            problem.step(t)
+        assert ball.force[1] > 0 or kind is mpm.Explicit
+        assert np.isfinite(ball.freedom.velocity).all()
+        velocity = ball.freedom.velocity.tolist()
+        found[kind.__name__] = {"velocity": velocity, **figures(problem)}
+    return found
