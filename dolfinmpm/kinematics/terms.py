@@ -235,7 +235,7 @@ def momentum(
     """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
 
     The measures of strain, ∇ũ being the increment's gradient on the grid at the
-    start of the step:
+    start of the step, at points that are rings with the hoop term (`mpm.gradient`):
 
     - "large": logarithmic strain ½ ln(ΔF b_n ΔFᵀ), Kirchhoff stress τ, S = τ ΔF⁻ᵀ; for strains
       and rotations of any size;

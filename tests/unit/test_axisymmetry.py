@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import free_motions
+from dolfinmpm.dynamics.faces import Faces
 
 HENCKY = mpm.materials.Hencky(10.0, 0.3)
 
@@ -364,3 +365,16 @@ def test_pictures_and_files(tmp_path):
     with mpm.ParaView(tmp_path / "rings.pvd", points) as out:
         out.write(0.0)
     assert (tmp_path / "rings.pvd").exists()
+
+
+@pytest.mark.parametrize("basis", ["linear", "bspline2", "bspline3"])
+def test_absorbing_faces_are_rings(basis):
+    """Dashpots have the areas of the whole sides: of the top, and of the mantle."""
+    grid = grid_of((6, 4), low=(0.0, 0.0), high=(3.0, 2.0))
+    V = mpm.Space(grid, basis)
+    rate, shear = 5.0, 3.0
+    for side, axis, area in (("top", 1, np.pi * 9), ("right", 0, 2 * np.pi * 3 * 2)):
+        face = mpm.absorbing(V, side, density=1.0, p_speed=rate, s_speed=shear)
+        found = Faces(face, V.basis, 2, rings=True).dashpots
+        assert found[:, axis].sum() == pytest.approx(rate * area, rel=1e-12)
+        assert found[:, 1 - axis].sum() == pytest.approx(shear * area, rel=1e-12)
