@@ -15,8 +15,9 @@
 #
 # `--force` is come to by secants in the depth.
 #
-# What comes out: the figures in `tests/demos/test_contact_studies.py`, and with a/h = 8 the
-# half-width within 2 %, the peak within 3 %.
+# What comes out: a cylinder's half-width within 0.1 % from a/h = 6 on, its peak within 4.5 %, 2.1 %
+# and 0.2 % with a/h = 6, 8 and 12; a sphere's force 3.6 % too large with a/h = 6, its half-width
+# 1.8 %. The pressure on single corners alternates by a fifth from one to the next.
 
 # %%
 import math

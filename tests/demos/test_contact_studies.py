@@ -75,7 +75,7 @@ def test_a_wall_that_gives_way(tmp_path):
     options = "--h", "0.25", "--length", "2", "--steps", "10", "--direction", "active"
     found = figures(tmp_path, "retaining_wall", *options, "--no-plot")
     assert abs(found["thrust_error"]) < 0.05
-    assert found["halvings"] == 0
+    assert found["halvings"] <= 1
 
 
 def test_wedge(tmp_path):
