@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
@@ -32,6 +33,8 @@ Array = npt.NDArray[np.float64]
 
 # eigenvalues of an energy that are rounding of 0, by the largest
 _NONE = 1e-13
+# and pivots of it that may be
+_SINGULAR = 1e-11
 
 
 def _tangents(moduli: Array, d: int) -> Array:
@@ -89,8 +92,48 @@ def _ringed(A: sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDA
     return rows
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _fill(indptr, indices, data, patch, place, out):
+    for i in range(patch.size):
+        place[patch[i]] = i
+    for i in range(patch.size):
+        for k in range(indptr[patch[i]], indptr[patch[i] + 1]):
+            j = place[indices[k]]
+            if j >= 0:
+                out[i, j] = data[k]
+    for i in range(patch.size):
+        place[patch[i]] = -1
+
+
+def _part(
+    matrix: sparse.csr_matrix, patch: npt.NDArray[Any], place: npt.NDArray[np.int64]
+) -> Array:
+    """A dense part of a matrix; `place` is -1 everywhere, before and after."""
+    out = np.zeros((patch.size, patch.size))
+    _fill(matrix.indptr, matrix.indices, matrix.data, patch, place, out)
+    return 0.5 * (out + out.T)
+
+
 def _largest(energy: Array, traction: Array) -> float:
     """Largest eigenvalue of tractions by energy; infinite where there is traction without it."""
+    from scipy import linalg
+
+    n = len(energy)
+    try:
+        factor = linalg.cholesky(energy, lower=True, check_finite=False)
+    except linalg.LinAlgError:
+        return _largest_of_free(energy, traction)
+    spread = np.diag(factor)
+    if spread.min() ** 2 <= _SINGULAR * spread.max() ** 2:
+        return _largest_of_free(energy, traction)
+    half = linalg.solve_triangular(factor, traction, lower=True, check_finite=False)
+    whole = linalg.solve_triangular(factor, half.T, lower=True, check_finite=False)
+    found = linalg.eigvalsh(whole, subset_by_index=[n - 1, n - 1], check_finite=False)
+    return max(float(found[0]), 0.0)
+
+
+def _largest_of_free(energy: Array, traction: Array) -> float:
+    """The same where some motions have no energy, as those of a body that nothing holds."""
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.T))
     some = values > _NONE * values[-1]
     free = vectors[:, ~some]
@@ -146,9 +189,10 @@ def trace_constants(
     (A, N), numbers = _around(here, [energy, tractions], wanted, rings)
     constants = np.zeros(len(markers))
     lost: Array | None = None
+    place = np.full(len(numbers), -1, np.int64)
     for g, rows in enumerate(groups):
         patch = _ringed(A, np.searchsorted(numbers, rows), rings)
-        constant = _largest(A[patch][:, patch].toarray(), N[patch][:, patch].toarray())
+        constant = _largest(*(_part(matrix, patch, place) for matrix in (A, N)))
         members = s.order[s.groups[g] : s.groups[g + 1]]
         constants[members] = constant
         if not np.isfinite(constant) and lost is None:

@@ -316,7 +316,7 @@ class Boundary:
         if d == 2:
             x, area = along_segments(pieces, (), np.inf, rule)
         else:
-            x, area = cut_triangles(pieces, None)
+            x, area = cut_triangles(pieces, None, coarse=True)
         if points.comm.allreduce(len(x), op=MPI.SUM) == 0:
             raise EmptyShapeError(
                 "phi changes its sign nowhere on the grid; it has no level 0 there"

@@ -22,6 +22,8 @@ _TRIANGLE = np.array(
     [np.roll([1 - 2 * a, a, a], k) for a, _ in (_NEAR, _FAR) for k in range(3)], float
 )
 _WEIGHTS = np.repeat([_NEAR[1], _FAR[1]], 3)
+# degree 2, for small pieces of curved surfaces
+_COARSE = np.array([np.roll([2 / 3, 1 / 6, 1 / 6], k) for k in range(3)], float)
 # pieces smaller than this share of what they are cut from are rounding
 _NONE = 1e-13
 
@@ -72,12 +74,15 @@ def _half(polygon: Array, d: int, level: float, above: bool) -> Array:
     return np.array(kept).reshape(-1, 3)
 
 
-def cut_triangles(corners: Array, lines: Sequence[Array] | None) -> tuple[Array, Array]:
+def cut_triangles(
+    corners: Array, lines: Sequence[Array] | None, coarse: bool = False
+) -> tuple[Array, Array]:
     """Quadrature points of triangles in space and their area vectors.
 
     Args:
         corners: Corners (m), shape (n, 3, 3); the normal is that of their right-handed turn.
         lines: Grid lines (m) in each direction, where the triangles are cut; or None.
+        coarse: Whether three points a piece are enough, instead of six.
 
     Returns:
         Positions (m) and area vectors (m²), both of shape (markers, 3).
@@ -98,8 +103,9 @@ def cut_triangles(corners: Array, lines: Sequence[Array] | None) -> tuple[Array,
                     pieces.append(piece)
     made = np.array(pieces).reshape(-1, 3, 3)
     area = 0.5 * np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0])
-    x = np.einsum("qk,nki->nqi", _TRIANGLE, made)
-    return x.reshape(-1, 3), (area[:, None, :] * _WEIGHTS[:, None]).reshape(-1, 3)
+    rule, weights = (_COARSE, np.full(3, 1 / 3)) if coarse else (_TRIANGLE, _WEIGHTS)
+    x = np.einsum("qk,nki->nqi", rule, made)
+    return x.reshape(-1, 3), (area[:, None, :] * weights[:, None]).reshape(-1, 3)
 
 
 def kuhn(d: int) -> npt.NDArray[np.intp]:

@@ -41,7 +41,11 @@ from dolfinmpm.kinematics.terms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
-__all__ = ["METHODS", "WeakCondition", "dirichlet"]
+__all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet"]
+
+# Name of the markers' field of their cells' constants (Pa/m), 0 where not known; and with _x and
+# _cell behind it where the marker and its cell were then
+TRACE = "trace_constant"
 
 METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
@@ -196,6 +200,10 @@ def dirichlet(
         boundary, declaration, method, beta, stiffness, k.name, moduli, on,
         {gap.name: along, reached.name: wanted, total.name: force * markers.V},
     )  # fmt: skip
+    if condition.local:
+        markers.add_field(TRACE, (), "Pa/m")
+        for name in (f"{TRACE}_x", f"{TRACE}_cell"):
+            markers.add_field(name, (d,), "m")
     mark = {**boundary.ds.metadata(), "condition": condition}
     where: Any = "everywhere"
     if declaration is not None and declaration.tags is not None:

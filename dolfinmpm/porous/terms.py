@@ -32,6 +32,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError, UnstablePairWarning, warn
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
+from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, CellOffset, carried
@@ -62,34 +63,41 @@ class _Kinematics:
     """What a step's increment does to volumes and gradients.
 
     Attributes:
+        points: Material points.
         J: det F at the end of the step.
         growth: J less that at the start of the step.
         inverse: From gradients at the start of the step to spatial ones at its end.
     """
 
+    points: MaterialPoints
     J: Expr | float
     growth: Expr
     inverse: Expr | None
 
     def grad(self, w: Expr) -> Expr:
-        """Spatial gradient at the end of the step."""
-        slope = ufl.grad(w)
-        return slope if self.inverse is None else ufl.dot(slope, self.inverse)
+        """Spatial gradient at the end of the step; of rings with the hoop term, see `gradient`."""
+        points, inverse = self.points, self.inverse
+        if w.ufl_shape == ():
+            slope = ufl.grad(w)
+            inverse = inverse if inverse is None else in_section(points, inverse)
+        else:
+            slope = gradient(points, w)
+        return slope if inverse is None else ufl.dot(slope, inverse)
 
 
 def _kinematics(points: MaterialPoints, u: Expr, strain: str) -> _Kinematics:
-    slope = ufl.grad(u)
+    slope = gradient(points, u)
     if strain == "small":
-        return _Kinematics(1.0, ufl.tr(slope), None)
-    dF = ufl.Identity(points.gdim) + slope
+        return _Kinematics(points, 1.0, ufl.tr(slope), None)
+    dF = ufl.Identity(points.strain_dim) + slope
     before = ufl.det(points.F)
     # by invariants, for the difference of two determinants would lose small strains
     growth = ufl.tr(slope)
-    if points.gdim == 2:
+    if points.strain_dim == 2:
         growth += ufl.det(slope)
-    elif points.gdim == 3:
+    elif points.strain_dim == 3:
         growth += 0.5 * (growth**2 - ufl.tr(slope * slope)) + ufl.det(slope)
-    return _Kinematics((1 + growth) * before, growth * before, ufl.inv(dF))
+    return _Kinematics(points, (1 + growth) * before, growth * before, ufl.inv(dF))
 
 
 def poromechanics(
@@ -225,7 +233,7 @@ def poromechanics(
     }
     form += terms * dX(metadata=marked)
     for surface, value in _surfaces("drained", drained, points):
-        form += _held(surface, value, p, q, at, M, K, b, water, points)
+        form += _held(surface, value, u, p, q, at, M, K, b, water, points)
     for surface, value in _surfaces("seepage", seepage, points):
         out = ufl.max_value(surface.at(p) - value, 0.0)
         form += surface.density * _stiff(M, K, points) * out * surface.at(q) * points.dX
@@ -418,7 +426,7 @@ def _stiff(M, K, points: MaterialPoints) -> Expr:
     return _DRAINED * (points.dt * _largest(K) / h + h / M)
 
 
-def _held(surface: Surface, value, p, q, at: _Kinematics, M, K, b, water, points) -> ufl.Form:
+def _held(surface: Surface, value, u, p, q, at: _Kinematics, M, K, b, water, points) -> ufl.Form:
     """Nitsche's condition without its adjoint: what flows through the face, and a penalty."""
     gap = surface.at(p) - value
     form = surface.density * _stiff(M, K, points) * gap * surface.at(q) * points.dX
@@ -426,7 +434,9 @@ def _held(surface: Surface, value, p, q, at: _Kinematics, M, K, b, water, points
     area = surface.area
     if at.inverse is not None:
         # Nanson's formula, as it is at the end of the step
-        F = ufl.dot(ufl.inv(at.inverse), points.F)
+        F = ufl.dot(ufl.inv(in_section(points, at.inverse)), in_section(points, points.F))
         area = ufl.det(F) * ufl.dot(area, ufl.inv(F))
+        if points.axisymmetric:
+            area *= surface.position(u)[0] / (points.x0 + surface.offset)[0]
     through = ufl.dot(_times(K, drive), area) / points.V0
     return form - points.dt * through * surface.at(q) * points.dX

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
+from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.traces import trace_constants
@@ -17,6 +19,8 @@ from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.splitting import BoundaryTerms
+from dolfinmpm.grid.lattice import lattice_of, smallest_height
+from dolfinmpm.kinematics.weakly import TRACE
 
 __all__ = [
     "MarkerState",
@@ -30,6 +34,8 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+# Constants of cells with a remedy serve as long as the boundary moves by no more of a cell
+_STILL = 0.02
 MarkerState = tuple[Boundary, dict[str, Array], Destinations | None]
 
 
@@ -48,7 +54,11 @@ def place_markers(boundaries: Sequence[BoundaryTerms]) -> None:
 
 
 def set_penalties(
-    boundaries: Sequence[BoundaryTerms], here: Activation, moduli: Any, increments: Sequence[Any]
+    boundaries: Sequence[BoundaryTerms],
+    here: Activation,
+    moduli: Any,
+    increments: Sequence[Any],
+    stabilised: bool,
 ) -> None:
     """Set the penalties of weak conditions for a step. Collective.
 
@@ -57,25 +67,54 @@ def set_penalties(
         here: What is active.
         moduli: Function that gives the elastic moduli M and G at the points (Pa).
         increments: Increments of the fields.
+        stabilised: Whether a remedy bounds the constants of cells with small cuts, so that they
+            change little with the cut.
     """
     for number, of in enumerate(boundaries):
         markers = of.boundary.markers
         rows = np.sort(here.fields[0].of_markers[number].order)
-        known: dict[int, Array] = {}
         for condition in of.conditions:
             condition.prepare(rows)
-            if not condition.local:
+        # constants are kept of one field
+        fields = {id(c.declaration.u) for c in of.conditions if c.local}
+        for k, u in enumerate(increments):
+            local = [c for c in of.conditions if c.local and c.declaration.u is u]
+            if not local:
                 continue
-            declaration = condition.declaration
-            (k,) = (i for i, u in enumerate(increments) if u is declaration.u)
-            if k not in known:
+            if not (stabilised and len(fields) == 1 and _stays(of.boundary, rows)):
                 at = np.zeros((len(markers), 2))
                 for one in of.declarations:
                     at[one.rows] = one.moduli()
                 points = of.boundary.points
-                known[k] = trace_constants(here, k, points, moduli(), markers, at, number)
-            of_law = declaration.rows
-            markers[condition.stiffness][of_law] = 2.0 * known[k][of_law]
+                found = trace_constants(here, k, points, moduli(), markers, at, number)
+                markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
+                markers[f"{TRACE}_cell"] = _middles(of.boundary)
+            for condition in local:
+                of_law = condition.declaration.rows
+                markers[condition.stiffness][of_law] = 2.0 * markers[TRACE][of_law]
+
+
+def _middles(boundary: Boundary) -> Array:
+    """Middles of the markers' cells (m), shape (markers, gdim)."""
+    markers, grid = boundary.markers, boundary.markers.grid
+    lattice = lattice_of(grid)
+    if lattice is None:
+        corners = grid.geometry.x[:, : markers.gdim][geometry_dofmap(grid)[markers["cell"]]]
+        return np.asarray(corners.mean(axis=1), np.float64)
+    ijk = lattice.cells_at(markers["x"])
+    lines = enumerate(lattice.lines)
+    return np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
+
+
+def _stays(boundary: Boundary, rows: npt.NDArray[np.integer]) -> bool:
+    """Whether markers are next to where constants were computed for them, in the same cells."""
+    markers = boundary.markers
+    h = smallest_height(markers.grid)
+    way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
+    other = np.abs(_middles(boundary) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
+    known = bool((markers[TRACE][rows] > 0).all())
+    same = known and way < _STILL * h and other < 1e-6 * h
+    return bool(markers.comm.allreduce(same, op=MPI.LAND))
 
 
 def advance_markers(

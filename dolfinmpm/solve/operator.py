@@ -19,7 +19,7 @@ from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on, regions_of
@@ -152,7 +152,11 @@ class WeakForm:
         """Set the penalties of weak conditions on an activation. Collective."""
         increments = [space.increment for space in self.spaces]
         laws = self.parts.declarations
-        set_penalties(self.boundaries, here, lambda: self._moduli_of(laws), increments)
+        tied = any(f.C is not None or f.penalty is not None for f in here.fields)
+        stabilised = tied or GHOST_FACETS in self.moving
+        set_penalties(
+            self.boundaries, here, lambda: self._moduli_of(laws), increments, stabilised
+        )  # fmt: skip
 
     def _first_moduli(self) -> None:
         """Give points that have no moduli of a tangent yet the elastic ones."""
