@@ -60,14 +60,15 @@ def rim(points: mpm.MaterialPoints, radius: float, segments: int = 20000) -> mpm
 
     angle = 0.5 * np.pi * (np.arange(segments) + 0.5) / segments
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    length = 0.5 * np.pi * radius / segments
+    length = np.full(segments, 0.5 * np.pi * radius / segments)
+    if points.axisymmetric:
+        length *= 2 * np.pi * radius * normal[:, 0]
     _, owner = cKDTree(points["x"]).query(radius * normal)
     count = len(points)
     area = np.stack([np.bincount(owner, length * n, count) for n in normal.T], axis=1)
-    share = np.maximum(np.bincount(owner, minlength=count), 1)
-    place = np.stack([np.bincount(owner, radius * n, count) for n in normal.T], axis=1)
-    offset = np.where(share[:, None] * area.any(axis=1)[:, None], place / share[:, None], 0.0)
-    offset = np.where(area.any(axis=1)[:, None], offset - points["x"], 0.0)
+    share = np.bincount(owner, length, count)[:, None]
+    place = np.stack([np.bincount(owner, length * radius * n, count) for n in normal.T], axis=1)
+    offset = np.where(share > 0, place / np.where(share > 0, share, 1.0) - points["x"], 0.0)
     return mpm.Surface.from_arrays(points, offset, area, "rim")
 
 
