@@ -27,7 +27,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmark_rows import ROWS, Row
+import benchmark_rows
+import benchmark_rows_soil
+from benchmark_rows import Row
+
+ROWS = (*benchmark_rows.ROWS, *benchmark_rows_soil.ROWS)
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent

@@ -18,15 +18,14 @@
 # less than a hundredth of the largest mass: their critical step is no eigenvalue, the flight tells.
 #
 # With half the critical step of the uncut block the plain consistent mass ends within the
-# first cell, linear or GIMP. Aggregation keeps step (0.88 h/c with GIMP, 0.75 h/c linear, at the
+# first cell, linear or GIMP. Aggregation keeps step (0.98 h/c with GIMP, 0.78 h/c linear, at the
 # worst of twelve places) and energy. Its lumped mass is that of all nodes behind the ties,
 # $C^T M_L C$: row sums of what is behind $C$ turn negative at corners that point into the grid, and
 # blow the block up in a single step. "usl" loses a third of the energy in six cells of GIMP, with
 # the consistent mass too; "musl" and "usf" keep it.
 #
 # Quadratic splines need a remedy least: "musl" with the lumped mass keeps 1.2 h/c at the worst
-# place and has a third of the spurious stress of GIMP. Aggregated or extended, with a lumped mass,
-# they have a critical step of 0 at some places, and blow up within two cells (elastic) or four.
+# place and has a third of the spurious stress of GIMP. Aggregated or extended they keep the same.
 # Cut-off of light nodes adds a third to the energy of the elastic block, redistribution of
 # forces no more than "musl" has without it.
 #

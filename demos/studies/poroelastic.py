@@ -54,7 +54,7 @@ def node_value(space: mpm.Space, place: Sequence[float], component: int = 0) -> 
 def rim(points: mpm.MaterialPoints, radius: float, segments: int = 20000) -> mpm.Surface:
     """The circle about the origin as a surface: each of its segments belongs to the nearest point.
 
-    For a body in the first quadrant, on one rank.
+    For a body in the first quadrant. Collective.
     """
     from scipy.spatial import cKDTree
 
@@ -63,7 +63,14 @@ def rim(points: mpm.MaterialPoints, radius: float, segments: int = 20000) -> mpm
     length = np.full(segments, 0.5 * np.pi * radius / segments)
     if points.axisymmetric:
         length *= 2 * np.pi * radius * normal[:, 0]
-    _, owner = cKDTree(points["x"]).query(radius * normal)
+    # of several points as near as each other every number of ranks takes the same one
+    x = np.concatenate(points.comm.allgather(points["x"]))
+    order = np.lexsort(x.T)
+    _, nearest = cKDTree(x[order]).query(radius * normal)
+    first = points.comm.exscan(len(points)) or 0
+    owner = order[nearest] - first
+    mine = (owner >= 0) & (owner < len(points))
+    owner, normal, length = owner[mine], normal[mine], length[mine]
     count = len(points)
     area = np.stack([np.bincount(owner, length * n, count) for n in normal.T], axis=1)
     share = np.bincount(owner, length, count)[:, None]
@@ -173,7 +180,7 @@ def run_round(title: str, axisymmetric: bool) -> None:
         problem.step(T * a**2 / c_v)
         if T in args.times:
             area = points["rim_area"]
-            inward = -np.einsum("pi,pi->", area, edge.displacements())
+            inward = -comm.allreduce(float(np.einsum("pi,pi->", area, edge.displacements())))
             mean = M * inward / (edge.total_area * p0 * a)
             measured.append((node_value(Q, (0.0, 0.0)) / p0, mean))
     exact = round_series(nu, axisymmetric, args.times)

@@ -1,0 +1,85 @@
+"""Rows of `benchmarks.py` on bodies of revolution, contact, boundaries, and soil with water."""
+
+from __future__ import annotations
+
+from benchmark_rows import Answer, Row, each, keys
+
+RINGS, STEEL, WATER = "Bodies of revolution", "Soil and steel", "Soil and water"
+EXACT = "exact: 0"
+
+
+def percent(*names: str):
+    """Reads relative errors by name from every answer in turn, in percent."""
+    return lambda *answers: [100 * answer[name] for answer in answers for name in names]
+
+
+def iterations(answer: Answer) -> list[float]:
+    """Mean linear iterations of every run."""
+    return [run["mean_iterations"] for run in answer["runs"]]
+
+
+ROWS = (
+    Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
+        "r(a)/a = 1.5, cylinder and sphere (%)",
+        each("cavity_expansion", "--ratio 1.5", "--ratio 1.5 --shape sphere"), percent("error"),
+        "{:+.3f}, {:+.3f}", EXACT, quick=True),
+    Row("cavity-tresca", RINGS, "cavity expansion, incompressible Tresca clay, F-bar, I_r = 100, "
+        "a/a0 = 2: cylinder, sphere (%)",
+        each("cavity_expansion", "--law tresca --ratio 2",
+             "--law tresca --ratio 2 --shape sphere"), percent("error"),
+        "{:+.2f}, {:+.2f}", EXACT),
+    Row("shell", RINGS, "thick sphere that yields: largest error of the pressure (%)",
+        each("thick_shell", ""), percent("max_pressure_error"), "{:.2f}", EXACT, quick=True),
+    Row("circular", RINGS, "circular footing on Tresca clay, F-bar, smooth, rough: bearing factor",
+        each("circular_footing", "--rough off", "--rough on"), keys("factor"), "{:.3f}, {:.3f}",
+        "5.69, 6.05 (Cox 1961, Eason & Shield)"),
+    Row("plate", STEEL, "plate on a cube, contact stiffness 1e8 Pa/m: relative error of the height",
+        each("plate_on_cube", "--stiffness-per-area 1e8"), keys("height_error"), "{:.0e}", EXACT,
+        quick=True),
+    Row("incline", STEEL, "block on an incline of 45°, μ = 0.3, 1 s: error of the way, Newmark, "
+        "explicit (%)", each("incline", "", "--integrator explicit"),
+        percent("displacement_error"), "{:+.2f}, {:+.2f}", EXACT),
+    Row("hertz", STEEL, "cylinder on elastic ground, 8 cells over half the contact: error of its "
+        "half-width, of the peak pressure (%)", each("hertz", "--force 1000 --resolution 8"),
+        percent("half_width_error", "peak_error"), "{:+.2f}, {:+.2f}", "Hertz: 0"),
+    Row("wall", STEEL, "smooth retaining wall, φ = 33.5°: error of the thrust, passive, active (%)",
+        each("retaining_wall", "", "--direction active"), percent("thrust_error"),
+        "{:+.2f}, {:+.2f}", "Rankine: 0"),
+    Row("wedge", STEEL, "wedge into clay, semi-angle 30°, 45°, 60°: error of the slope of the "
+        "force (%)", each("wedge", "--semi-angle 30", "--semi-angle 45", "--semi-angle 60"),
+        percent("slope_error"), "{:+.1f}, {:+.1f}, {:+.1f}", "Hill, Lee & Tupper 1947: 0"),
+    Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "
+        "displacement with ghost penalty, with aggregation",
+        each("nitsche_ring", "--cells 4,8,16 --positions 0",
+             "--cells 4,8,16 --positions 0 --stabilisation aggregation"),
+        lambda *answers: [answer["orders"][-1] for answer in answers], "{:.2f}, {:.2f}", "2"),
+    Row("oedometer", WATER, "consolidation to 21 % of the height, matched, constant, "
+        "Kozeny–Carman permeability: largest error of U at T = 0.05 … 1 (%)",
+        each("consolidation", "--load 0.3", "--load 0.3 --permeability constant",
+             "--load 0.3 --permeability kozeny-carman"), percent("U_error"),
+        "{:.2f}, {:.2f}, {:.2f}", "exact, finite differences: 0", quick=True),
+    Row("self-weight", WATER, "the same under the layer's own weight, 12 % of the height: U, base "
+        "pressure by the weight (%)",
+        each("consolidation", "--scene self-weight --load 0.3 --permeability kozeny-carman"),
+        percent("U_error", "base_pressure_error"), "{:.2f}, {:.2f}", "finite differences: 0",
+        quick=True),
+    Row("overshoot", WATER, "overshoot of a first step of 1e-6 h²/c_v, with and without the "
+        "pressure projection",
+        each("consolidation", "--load 1e-3 --stabilisation none",
+             "--load 1e-3 --stabilisation none --projection none"), keys("overshoot"),
+        "{:.4f}, {:.4f}", "0", quick=True),
+    Row("mandel", WATER, "Mandel's slab, ν = 0.2: largest error of the pressure in the middle, "
+        "displacement of the side (%)", each("mandel", ""),
+        percent("pressure_centre_error", "u_x_error"), "{:.2f}, {:.2f}", EXACT, quick=True),
+    Row("round", WATER, "de Leeuw's cylinder, ν = 0.2, Cryer's sphere, ν = 1/3: largest error of "
+        "the pressure in the centre (%)",
+        (*each("de_leeuw", ""), *each("cryer", "")), percent("centre_pressure_error"),
+        "{:.2f}, {:.2f}", EXACT, quick=True),
+    Row("strip", WATER, "strip footing on saturated ground, T = 0.1: E s/(qB) in the centre, at "
+        "the edge", each("footing_consolidation", "--times 0.1"),
+        lambda a: [a["settlement_centre"][0], a["settlement_edge"][0]], "{:.3f}, {:.3f}",
+        "conforming Q2–Q1 elements: 1.493, 0.848", quick=True),
+    Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations a "
+        "Newton iteration", each("footing_3d", "--cells 14,20 --steps 2"), iterations,
+        "{:.0f}, {:.0f}"),
+)  # fmt: skip
