@@ -195,12 +195,18 @@ class ActiveContact:
         return True
 
     def totals(self) -> tuple[Array, Array]:
-        """Force and moment of the points on the body (N, N m), on all ranks. Collective."""
+        """Force and moment of the points on the body (N, N m), on all ranks. Collective.
+
+        Of rings they are those all around.
+        """
         arm = self.x - self.contact.body.pose.centre
         moment = _cross(arm, self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
         both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
         d = self.forces.shape[1]
+        if self.contact.points.axisymmetric:
+            # what acts all around has a resultant along the axis alone
+            both[[0, d]] = 0.0
         return both[:d], both[d:]
 
     def add_slopes(self, out: Array) -> None:

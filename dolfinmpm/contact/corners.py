@@ -24,6 +24,7 @@ from scipy import sparse
 
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.stencils import Stencils, selected
+from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.activation import ActiveField
@@ -92,6 +93,7 @@ class Sites:
     ):
         self._points, self._field, self._total = points, field, total
         self._surface = surface
+        self._F: Array = in_section(points, points["F"])
         self._middles = surface is not None and surface.normal is None
         basis = field.basis
         # whether corners see functions as they are there, and whether domains say where that is
@@ -107,7 +109,7 @@ class Sites:
         points = self._points
         if self._boxes:
             return np.linalg.norm(points["l"], axis=1)
-        size = np.sqrt(np.einsum("pij,pij->p", points["F"], points["F"]))
+        size = np.sqrt(np.einsum("pij,pij->p", self._F, self._F))
         R = points["l0"]
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name]
@@ -124,7 +126,8 @@ class Sites:
 
         Corners of a marked face share its area at first. A domain shows A·n = Σ |n_i| A_i of its
         first faces towards the normal, which its corners on that side share: exact for the sides
-        of a body that the grid's axes follow.
+        of a body that the grid's axes follow. Of rings it is that all around, at the radius of the
+        point, as its volume is: even pressure and even stress are then in balance.
 
         Args:
             corners: The corners.
@@ -138,10 +141,11 @@ class Sites:
         d = half.shape[1]
         if not self._boxes:
             # as the material sees the normal
-            normal = np.einsum("pij,pi->pj", points["F"][rows], normal)
+            normal = np.einsum("pij,pi->pj", self._F[rows], normal)
             normal /= np.linalg.norm(normal, axis=1)[:, None]
         faces = np.stack([np.prod(np.delete(half, i, axis=1), axis=1) for i in range(d)], axis=1)
-        return np.sum(np.abs(normal) * faces, axis=1)
+        areas = np.sum(np.abs(normal) * faces, axis=1)
+        return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
     def corners(self, rows: Rows) -> Corners:
         """The corners of some points.
@@ -174,7 +178,7 @@ class Sites:
             cell: Rows = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
         else:
             R = signs * points["l0"][rows][:, None]
-            at = x[:, None] + np.einsum("pij,pcj->pci", points["F"][rows], R)
+            at = x[:, None] + np.einsum("pij,pcj->pci", self._F[rows], R)
             # beyond what the domain overlaps functions go on as they are in the last cell
             own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
             cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
@@ -196,7 +200,7 @@ class Sites:
             R = points[self._surface.offset.name][each]
         else:
             R = _signs(points.gdim)[which] * points["l0"][each]
-        r = np.einsum("cij,cj->ci", points["F"][each], R)
+        r = np.einsum("cij,cj->ci", self._F[each], R)
         shape = len(points), self._field.basis.nodes.size
         parts = [_matrix(s, s.N, shape)[each]]
         # gradients at first positions go with offsets at first

@@ -122,6 +122,22 @@ class RigidBody:
         self.force: Array = np.zeros(d)
         self.moment: Array = np.zeros(turns)
 
+    def require_axis(self) -> None:
+        """Raise unless it can be the meridian of a body of revolution, which moves along the axis.
+
+        Raises:
+            ParameterError: It is free to go across the axis x[0] = 0 or to turn, or begins to.
+        """
+        across = [c for c in ([] if self.freedom is None else self.freedom.free) if c != 1]
+        first = np.concatenate([_first_rate(self._shift), _first_rate(self._turn)])
+        if across or first[0] != 0.0 or first[2] != 0.0:
+            raise ParameterError(
+                f"'{self.name}' would go across the axis or turn (velocity {first[:2]} m/s, "
+                f"angular velocity {first[2]:g} rad/s, free components {across}), and against a "
+                "body of revolution it moves along the axis alone: give velocity=(0.0, v), or "
+                "free=(False, True, False)"
+            )
+
     @property
     def gdim(self) -> int:
         """Dimension of space."""

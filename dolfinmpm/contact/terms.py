@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.corners import corner_count
@@ -116,6 +117,8 @@ class Contact:
         points = self.points
         rows = np.arange(len(points))
         area = np.prod(2 * points["l0"], axis=1) / (2 * points["l0"].min(axis=1, initial=np.inf))
+        if points.axisymmetric:
+            area = ring(points["x"][:, 0], area)
         mass = points["density"] * points["V0"]
         worst = float((2 * self.stiffness_at(rows) * area / mass).max(initial=0.0))
         return self.points.comm.allreduce(worst, op=MPI.MAX)
@@ -154,6 +157,10 @@ def contact(
     found balance, it does so again with the pressure found so far as multiplier, until the bound
     holds, whatever the penalty.
 
+    Against rings a body of revolution acts, whose meridian is the right half of the shape, and
+    which moves along the axis alone: give the whole shape, symmetric about x[0] = 0, such as a
+    `Wedge` for a cone.
+
     Args:
         body: The body. One that points or bodies touch in several terms is one body.
         points: Material points.
@@ -181,6 +188,8 @@ def contact(
         raise ParameterError(
             f"'{body.name}' is a body in {body.gdim}D, the points are in {points.gdim}D"
         )
+    if points.axisymmetric:
+        body.require_axis()
     number("friction", friction, 0.0, math.inf, closed=True)
     number("penalty", penalty, 0.0, unit="1/m")
     if stiffness_per_area is not None:
