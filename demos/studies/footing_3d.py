@@ -63,9 +63,9 @@ def run(cells: int, permeability: float):
         petsc_options=own,
     )  # fmt: skip
     started = time.perf_counter()
-    for step in mpm.steps(args.steps, f"{cells}³ cells"):
-        load.value[2] = -args.load * E * (step + 1) / args.steps
-        problem.step(step + 1.0)
+    for share in mpm.steps(args.steps, f"{cells}³ cells"):
+        load.value[2] = -args.load * E * share
+        problem.step(share * args.steps)
     linear = [count for record in problem.history for count in record.linear_iterations]
     figures = {
         "cells": cells,

@@ -18,6 +18,7 @@ def test_nitsche_ring(ranks):
     assert figures["ranks"] == ranks
 
 
+@pytest.mark.long
 def test_nitsche_ring_otherwise(tmp_path):
     options = "--cells", "4,8", "--offset", "1e-5", "--stabilisation", "aggregation"
     figures = run("nitsche_ring", *options, "--positions", "1", "--output", str(tmp_path))

@@ -13,6 +13,8 @@ from conftest import start
 
 # where a point yields a little earlier, rounding is carried on from step to step
 TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
+# variants of other cases, which run with --long only
+VARIANTS = {"rings_bases", "restart_triangles", "boundaries_triangles", "remedies_triangles"}
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7
 GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
@@ -29,7 +31,8 @@ def launched(cases: tuple[str, ...], ranks: int) -> tuple[dict[str, dict], str]:
 
 def figures(case: str, ranks: int) -> dict:
     (group,) = (names for names in GROUPS if case in names)
-    found, end = launched(tuple(group), ranks)
+    alike = [name for name in group if (name in VARIANTS) == (case in VARIANTS)]
+    found, end = launched(tuple(alike), ranks)
     if case not in found:
         # another one may have ended the launch
         found, end = launched((case,), ranks)
@@ -51,7 +54,8 @@ def leaves(figures, path=()):
         pytest.param(
             case,
             ranks,
-            marks=[pytest.mark.xdist_group(f"ranks-{k}")] + [pytest.mark.long] * (ranks > 2),
+            marks=[pytest.mark.xdist_group(f"ranks-{k}")]
+            + [pytest.mark.long] * (ranks > 2 or case in VARIANTS),
         )
         for k, names in enumerate(GROUPS)
         for case in names

@@ -97,13 +97,22 @@ def test_a_sealed_body_carries_an_even_load_by_its_water(u):
     assert np.abs(points["stress"]).max() < 1e-3
 
 
-@pytest.mark.parametrize("u", ["linear", "gimp"])
 @pytest.mark.parametrize("remedy", ["none", "ghost"])
-def test_a_first_step_does_not_overshoot(u, remedy):
+@pytest.mark.parametrize(
+    ("u", "cuts", "shares"),
+    [
+        ("gimp", (1e-6, 0.67), (1e-8, 0.1)),
+        *(
+            pytest.param(u, (1e-6, 0.3, 0.67, 1.0), (1e-8, 1e-3, 0.1, 1.0), marks=pytest.mark.long)
+            for u in ("linear", "gimp")
+        ),
+    ],
+)
+def test_a_first_step_does_not_overshoot(u, cuts, shares, remedy):
     """However short it is, and however the top cuts its cell."""
     worst = 0.0
-    for cut in (1e-6, 0.3, 0.67, 1.0):
-        for share in (1e-8, 1e-3, 0.1, 1.0):
+    for cut in cuts:
+        for share in shares:
             n, E, k, q = 8, 1e6, 1e-3, 1e3
             h = 1 / n
             height = (5 + cut) * h

@@ -165,6 +165,7 @@ def test_with_ghost_penalty_every_step_converges_at_once(h, points, steps, scali
     np.testing.assert_allclose(figures["v_L"][-1], reference[-1, 2], rtol=0.015)
 
 
+@pytest.mark.long
 def test_conforming_elements_have_converged():
     """Between two meshes the tip moves by less than a tenth of the tolerance above."""
     coarse, fine = conforming(), conforming(cells=(80, 8))

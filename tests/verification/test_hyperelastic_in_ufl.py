@@ -90,6 +90,7 @@ def test_without_the_penalty():
         assert bare[name] == pytest.approx(figures[f"bare_{name}"], rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("mpirun") is None, reason="needs mpirun")
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_figures_do_not_depend_on_the_ranks(ranks):

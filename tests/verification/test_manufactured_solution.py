@@ -30,7 +30,7 @@ def orders(scene, *options):
     [
         ("cut cells", "hencky"),
         pytest.param("full cells", "hencky", marks=pytest.mark.long),
-        ("full cells", "neo-hookean"),
+        pytest.param("full cells", "neo-hookean", marks=pytest.mark.long),
         pytest.param("cut cells", "neo-hookean", marks=pytest.mark.long),
     ],
 )
@@ -40,7 +40,14 @@ def test_order_in_many_steps(scene, law):
     assert stress > 1.5
 
 
-@pytest.mark.parametrize(("basis", "cells"), [("bspline2", "8,16,32"), ("bspline3", "8,16")])
+@pytest.mark.parametrize(
+    ("basis", "cells"),
+    [
+        pytest.param("bspline2", "8,16,32", marks=pytest.mark.long),
+        ("bspline2", "8,16"),
+        pytest.param("bspline3", "8,16", marks=pytest.mark.long),
+    ],
+)
 def test_order_of_splines(basis, cells):
     figures = solve("--cells", cells, "--basis", basis, "--cuts", "0.37")
     assert len(figures["overall"]) == 2
