@@ -389,7 +389,11 @@ def _array(what: str, values: Any) -> Array:
 def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:
     """No chosen face may have another point in front of it: it would be inside the body."""
     x, half = points["x0"], points["l0"]
-    mine = x[chosen] + 1.02 * half[chosen] * n
+    # within the thinnest domain, which may be the sliver that a shape leaves in a cell
+    along = np.abs(half @ n)
+    thinnest = points.comm.allreduce(float(along.min(initial=np.inf)), op=MPI.MIN)
+    beyond = along + np.minimum(0.02 * along, 0.5 * thinnest)
+    mine = x[chosen] + beyond[chosen, None] * n
     probes = np.concatenate(points.comm.allgather(mine))
     hidden = np.zeros(len(probes), bool)
     if len(points) and len(probes):
@@ -399,7 +403,8 @@ def _check_exposed(points: MaterialPoints, chosen, n: Array) -> None:
         owner = np.repeat(np.arange(len(probes)), [len(found) for found in near])
         others = np.concatenate([np.asarray(found, np.int64) for found in near])
         # domains of points that are not on one lattice overlap a little at their sides
-        covered = np.all(np.abs(probes[owner] - x[others]) < 0.99 * half[others], axis=1)
+        share = np.where(n != 0, 1.0, 0.99)
+        covered = np.all(np.abs(probes[owner] - x[others]) < share * half[others], axis=1)
         hidden[owner[covered]] = True
     total = np.flatnonzero(points.comm.allreduce(hidden.astype(np.int32), op=MPI.SUM))
     if total.size:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import Linearised, dense
+from conftest import Linearised, dense, unit_grid
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from scipy.optimize import brentq
@@ -295,6 +295,16 @@ def test_history(tmp_path):
 
 
 # -- errors -------------------------------------------------------------------
+
+
+def test_a_face_behind_a_sliver_is_inside_the_body():
+    """A top that cuts the next cell by a millionth: both layers have faces next to it."""
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5 + 1e-7)), 2, 1.0, exact=True)
+    with pytest.raises(ParameterError, match="8 of 16 chosen faces are inside the body"):
+        mpm.Surface(points, lambda x: np.isclose(x[1], 0.5), (0, 1))
+    top = mpm.Surface(points, lambda x: x[1] > 0.5 + 5e-8, (0, 1))
+    assert top.total_area == pytest.approx(1.0)
 
 
 def test_errors():
