@@ -108,6 +108,10 @@ class ConvergenceError(DolfinMPMError, RuntimeError):
     """A step did not converge, however small it was made."""
 
 
+class UndeterminedFieldError(DolfinMPMError, RuntimeError):
+    """A field is determined up to a constant alone."""
+
+
 class InstabilityError(DolfinMPMError, RuntimeError):
     """An explicit computation became unstable."""
 

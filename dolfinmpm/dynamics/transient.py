@@ -21,6 +21,7 @@ from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
 from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Step
 
@@ -65,6 +66,9 @@ class Transient(QuasiStatic):
             rate (that of backward Euler's rule), as a share of the largest displacement of a
             step so far; a step that exceeds it is halved. None for no bound.
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
+
+    The first step ends with an error if a pressure is determined up to a constant alone, or is held
+    where the body is not.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -135,7 +139,12 @@ class Transient(QuasiStatic):
         if self._constant is not None:
             self._constant.value = step.t
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
-        return super()._operator(step)
+        first = self.here is None
+        operator = super()._operator(step)
+        if first:
+            refuse_idle(self.bcs, operator.here)
+            refuse_undetermined(operator)
+        return operator
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         state = super()._advance(operator, x, step)

@@ -12,7 +12,12 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError, UnstablePairWarning
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    ParameterError,
+    UndeterminedFieldError,
+    UnstablePairWarning,
+)
 from dolfinmpm.solve import method
 
 LAW = mpm.materials.Hencky(E=1e4, nu=0.3)
@@ -291,6 +296,26 @@ def test_soil_cannot_be_compressed_beyond_its_grains():
 def test_what_is_no_soil_is_refused(wrong, message):
     with pytest.raises(ParameterError, match=message):
         block(**wrong)
+
+
+def test_a_pressure_that_nothing_determines_is_told():
+    F, points, V, Q, _ = block(height=1.0, drained=False, permeability=1e-3)
+    everywhere = mpm.rollers(V, "left", "right", "bottom", "top")
+    with pytest.raises(UndeterminedFieldError, match=r"field 2 of 2.*up to a constant"):
+        problem_of(F, points, V, Q, everywhere).step(1.0)
+    assert np.all(points["x"] == points["x0"])
+    # any of these determines it
+    for bcs in (held(V), everywhere + mpm.fixed(Q, "top")):
+        problem_of(F, points, V, Q, bcs).step(1.0)
+    water = mpm.Fluid(bulk_modulus=1e6)
+    F, points, V, Q, _ = block(height=1.0, drained=False, permeability=1e-3, fluid=water)
+    problem_of(F, points, V, Q, mpm.rollers(V, "left", "right", "bottom", "top")).step(1.0)
+
+
+def test_a_drained_side_away_from_the_body_is_told():
+    F, points, V, Q, _ = block(height=0.5, drained=False)
+    with pytest.raises(ParameterError, match=r"pressure at 'top' hold no node of the body"):
+        problem_of(F, points, V, Q, held(V) + mpm.fixed(Q, "top")).step(1.0)
 
 
 def test_what_is_no_pair_of_fields_is_refused():
