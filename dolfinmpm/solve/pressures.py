@@ -25,17 +25,15 @@ def refuse_idle(conditions: list[Condition], here: Activation) -> None:
     Raises:
         ParameterError: There are such conditions.
     """
-    scalar = [
-        c for c in conditions if c.space.components == 1 and c.space.increment.ufl_shape == ()
-    ]
+    scalar = [c for c in conditions if c.space.increment.ufl_shape == ()]
     spaces = [field.space for field in here.fields]
     names = idle(scalar, spaces, [active_on_grid(field) for field in here.fields])
     if names:
         places = ", ".join(f"'{name}'" for name in names)
         raise ParameterError(
             f"the conditions on the pressure at {places} hold no node of the body, which is away "
-            "from there: hold the pressure where the body is, by a function of positions, or on its "
-            "own surface, mpm.poromechanics(..., drained=surface)"
+            "from there: hold the pressure where the body is, by a function of positions, or on "
+            "its own surface, mpm.poromechanics(..., drained=surface)"
         )
 
 
@@ -63,8 +61,8 @@ def refuse_undetermined(operator: Operator) -> None:
             norms.append(y.norm())
         if norms[0] <= _NOTHING * norms[1]:
             raise UndeterminedFieldError(
-                f"field {k + 1} of {len(here.fields)}, a pressure, is determined up to a constant: "
-                "the body is held all around, sealed, and what fills its pores cannot be "
-                "compressed. Hold the pressure somewhere, drain a surface, leave a part of the body "
-                "free to move, or give the fluid a bulk modulus"
+                f"field {k + 1} of {len(here.fields)}, a pressure, is determined up to a "
+                "constant: the body is held all around, sealed, and what fills its pores cannot "
+                "be compressed. Hold the pressure somewhere, drain a surface, leave a part of the "
+                "body free to move, or give the fluid a bulk modulus"
             )
