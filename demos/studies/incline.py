@@ -246,7 +246,7 @@ class Rigid:
 def grid_end(grid):
     """Highest coordinates of the grid (m). Collective."""
     x = grid.geometry.x[:, : grid.geometry.dim]
-    return COMM.allreduce(x.max(axis=0, initial=-np.inf), op=MPI.MAX)
+    return np.max(COMM.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
 
 
 def draw(args, history, rotates):
