@@ -53,7 +53,7 @@ def arguments():
     add("--porosity", type=float, default=0.5)
     add("--load", type=float, default=0.1, help="q/M, or ρ'gH/M of the submerged weight")
     add("--height", type=float, default=1.0, help="of the layer (m)")
-    add("--h", type=float, default=1 / 32, help="size of the cells (m); need not divide the height")
+    add("--h", type=float, default=1 / 40, help="size of the cells (m); need not divide the height")
     add("--points-per-cell", type=int, default=4)
     add("--pair", choices=PAIRS, default="gimp-gimp", help="bases of displacement, pressure")
     add("--projection", default="auto", help="factor of the pressure projection; none; auto")
