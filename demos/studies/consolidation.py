@@ -31,6 +31,7 @@ from mpi4py import MPI
 from scene import finish, numbers, parser, say, solver_figures
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.sparse import diags_array
 
 import dolfinmpm as mpm
 
@@ -129,9 +130,10 @@ def layer(times, count=400):
         return np.diff(flow) / dZ
 
     t = np.array(times) * H**2 / c_v
+    tridiagonal = diags_array([1.0, 1.0, 1.0], offsets=[-1, 0, 1], shape=(count, count))
     found = solve_ivp(
         rate, (0, t[-1]), np.ones(count), "BDF", t_eval=t, rtol=1e-7, atol=1e-10,
-        lband=1, uband=1,
+        jac_sparsity=tridiagonal,
     ).y.T  # fmt: skip
     base = 1.5 * found[:, 0] - 0.5 * found[:, 1]
     return np.sum(1 - found, axis=1) * dZ, q + submerged * H + cauchy(base)

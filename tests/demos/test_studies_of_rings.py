@@ -100,9 +100,8 @@ def test_clay_around_a_cavity(options, p):
 @pytest.mark.parametrize(
     ("options", "p"),
     [
-        ("--ratio 2", 5.3200), ("--ratio 5", 5.5668), ("--shape sphere --ratio 1.5", 7.0084),
-        ("--outer 10 --ratio 3", 2.4849),
-        ("--shape sphere --ratio 2", 7.2988), ("--shape sphere --outer 10 --ratio 2", 6.3704),
+        ("--ratio 5", 5.5668), ("--outer 10 --ratio 3", 2.4849),
+        ("--shape sphere --outer 10 --ratio 2", 6.3704),
         ("--shape sphere --ratio 1.2 --rigidity-index 50", 5.4035),
     ],
 )  # fmt: skip

@@ -13,8 +13,16 @@ from conftest import start
 
 # where a point yields a little earlier, rounding is carried on from step to step
 TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
-# variants of other cases, which run with --long only
-VARIANTS = {"rings_bases", "restart_triangles", "boundaries_triangles", "remedies_triangles"}
+# variants of other cases, which run with --long only, on three ranks
+VARIANTS = {
+    "boundaries_triangles",
+    "facets_of_few_ranks",
+    "fbar_bases",
+    "remedies_triangles",
+    "restart_splines",
+    "restart_triangles",
+    "rings_bases",
+}
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7
 GROUPS = [list(CASES)[k : k + GROUP] for k in range(0, len(CASES), GROUP)]
@@ -59,7 +67,7 @@ def leaves(figures, path=()):
         )
         for k, names in enumerate(GROUPS)
         for case in names
-        for ranks in (2, 3)
+        for ranks in ((3,) if case in VARIANTS else (2, 3))
     ],
 )
 def test_figures_do_not_depend_on_the_ranks(case, ranks):

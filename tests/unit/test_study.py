@@ -126,7 +126,9 @@ def test_a_penalty_of_ones_own_enters_the_mass():
     penalty = mpm.ghost(points, u, v, 0.25, scaling="literal")
     bare = study.conditioning(problem, 1.0)
     own = study.conditioning(problem, 1.0, extra=penalty)
-    assert own.kappa_K == pytest.approx(bare.kappa_K)
+    # the smallest eigenvalue is known to the rounding of the largest
+    rounding = 10 * np.finfo(float).eps * bare.kappa_K
+    assert own.kappa_K == pytest.approx(bare.kappa_K, rel=rounding)
     assert own.kappa_M < 1e4 < 1e8 < bare.kappa_M
 
 

@@ -112,9 +112,9 @@ def test_the_elastica_is_the_known_one():
     [
         (),
         pytest.param(("--h", "0.125"), marks=pytest.mark.long),
-        ("--basis", "linear"),
+        pytest.param(("--basis", "linear"), marks=pytest.mark.long),
         ("--ghost", "scaled"),
-        ("--points-per-cell", "4"),
+        pytest.param(("--points-per-cell", "4"), marks=pytest.mark.long),
         pytest.param(("--modulus", "6e6", "--load", "50e3"), marks=pytest.mark.long),
         ("--length", "5", "--depth", "0.5", "--h", "0.125", "--load", "50e3"),
     ],
@@ -147,11 +147,11 @@ def test_the_tip_follows_conforming_elements(h, bent, all_loads):
 @pytest.mark.parametrize(
     ("h", "points", "steps"),
     [
-        (0.5, 4, 25),
+        pytest.param(0.5, 4, 25, marks=pytest.mark.long),
         pytest.param(0.5, 4, 50, marks=pytest.mark.long),
         pytest.param(0.5, 6, 100, marks=pytest.mark.long),
         (0.25, 3, 50),
-        (0.25, 4, 25),
+        pytest.param(0.25, 4, 25, marks=pytest.mark.long),
     ],
 )
 def test_with_ghost_penalty_every_step_converges_at_once(h, points, steps, scaling):

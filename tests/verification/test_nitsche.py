@@ -166,7 +166,7 @@ def positions(count):
     return [1e-6, *np.random.default_rng(5).random(count), *shares, *(1 - shares)][:count]
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("count", [4, pytest.param(40, marks=pytest.mark.long)])
 def test_conditioning_is_bounded_wherever_the_boundary_lies(count):
     largest = {"ghost": 2.5e4, "aggregation": 2e3}
     for stabilisation, bound in largest.items():

@@ -24,11 +24,11 @@ def demo(options: str, ranks: int = 1) -> dict:
     [
         "",
         "--stabilisation ghost",
-        "--basis gimp",
+        pytest.param("--basis gimp", marks=pytest.mark.long),
         "--basis gimp --stabilisation ghost",
-        "--basis gimp --points-per-cell 2 --steps 16",
-        "--basis bspline3",
-        "--h 0.025",
+        pytest.param("--basis gimp --points-per-cell 2 --steps 16", marks=pytest.mark.long),
+        pytest.param("--basis bspline3", marks=pytest.mark.long),
+        pytest.param("--h 0.025", marks=pytest.mark.long),
         "--h 0.011 --stabilisation extended",
     ],
 )

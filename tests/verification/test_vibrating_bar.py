@@ -56,18 +56,56 @@ def zeros(t, p):
 # mass, mapping, further options; shares of energy left after one period and after five, as printed;
 # period (s)
 ROWS = [
-    ("lumped", "accel", {}, ".99990", ".99950", 10.0102),
+    pytest.param("lumped", "accel", {}, ".99990", ".99950", 10.0102, marks=pytest.mark.long),
     ("lumped", "flip", {}, ".99975", ".99877", 10.0121),
     ("lumped", "pic", {}, ".9286", ".6906", 10.0084),
-    ("lumped", mpm.Mapping("xpic", order=2), {}, ".9976", ".9881", 10.012),
+    pytest.param(
+        "lumped", mpm.Mapping("xpic", order=2), {}, ".9976", ".9881", 10.012, marks=pytest.mark.long
+    ),
     ("lumped", mpm.Mapping("xpic", order=5), {}, ".9995", ".9975", 10.012),
-    ("consistent", "flip", {"ghost_mass": 0.0}, ".99998", ".99992", 10.0030),
-    ("consistent", "flip", {"stabilisation": STIFF}, ".99995", ".99984", 10.0028),
+    pytest.param(
+        "consistent",
+        "flip",
+        {"ghost_mass": 0.0},
+        ".99998",
+        ".99992",
+        10.0030,
+        marks=pytest.mark.long,
+    ),
+    pytest.param(
+        "consistent",
+        "flip",
+        {"stabilisation": STIFF},
+        ".99995",
+        ".99984",
+        10.0028,
+        marks=pytest.mark.long,
+    ),
     ("consistent", "pic", {"stabilisation": STIFF}, "", ".99977", 10.0028),
-    ("consistent", "accel", {"stabilisation": STIFF}, ".99995", ".99985", 10.0028),
-    ("lumped", "accel", {"rho_inf": 1.0}, ".99999", ".99997", 10.0084),
-    ("lumped", "flip", {"rho_inf": 1.0}, ".99985", ".99924", 10.0102),
-    ("consistent", "flip", {"rho_inf": 1.0, "stabilisation": STIFF}, ".99997", ".99994", 10.0028),
+    pytest.param(
+        "consistent",
+        "accel",
+        {"stabilisation": STIFF},
+        ".99995",
+        ".99985",
+        10.0028,
+        marks=pytest.mark.long,
+    ),
+    pytest.param(
+        "lumped", "accel", {"rho_inf": 1.0}, ".99999", ".99997", 10.0084, marks=pytest.mark.long
+    ),
+    pytest.param(
+        "lumped", "flip", {"rho_inf": 1.0}, ".99985", ".99924", 10.0102, marks=pytest.mark.long
+    ),
+    pytest.param(
+        "consistent",
+        "flip",
+        {"rho_inf": 1.0, "stabilisation": STIFF},
+        ".99997",
+        ".99994",
+        10.0028,
+        marks=pytest.mark.long,
+    ),
     ("consistent", "flip", {"rho_inf": 0.5, "stabilisation": STIFF}, ".99946", ".99918", 10.0044),
 ]
 
@@ -107,7 +145,10 @@ def test_losses_and_period_in_smaller_cells(mass, mapping, five, period):
     ("v0", "expected"),
     [(0.1, (2.5141, 7.5143, 12.5144, 17.5145)), (1.0, (2.6471, 7.6595, 12.6719, 17.6843))],
 )
-@pytest.mark.parametrize(("mass", "bound"), [("consistent", 1e-4), ("lumped", 5e-4)])
+@pytest.mark.parametrize(
+    ("mass", "bound"),
+    [("consistent", 1e-4), pytest.param("lumped", 5e-4, marks=pytest.mark.long)],
+)
 def test_zeros_of_the_momentum(v0, expected, mass, bound):
     """At strains of 1 % and of 10 %, where the bar swings a thirtieth more slowly."""
     stabilisation = STIFF if mass == "consistent" else "none"
@@ -121,10 +162,10 @@ def test_zeros_of_the_momentum(v0, expected, mass, bound):
 @pytest.mark.parametrize(
     ("basis", "off", "lost"),
     [
-        ("linear", 3e-4, 1e-4),
+        pytest.param("linear", 3e-4, 1e-4, marks=pytest.mark.long),
         ("gimp", 3e-4, 2e-4),
         ("bspline2", 3e-5, 1e-6),
-        ("bspline3", 3e-5, 1e-6),
+        pytest.param("bspline3", 3e-5, 1e-6, marks=pytest.mark.long),
     ],
 )
 def test_bases(basis, off, lost):
@@ -163,15 +204,19 @@ def moving_bar(h=0.5, length=10.0, **options):
 @pytest.mark.parametrize(
     ("options", "kept"),
     [
-        ({"mass": "lumped", "mapping": "accel"}, 0.991),
-        ({"mass": "lumped", "mapping": "flip"}, 0.980),
+        pytest.param({"mass": "lumped", "mapping": "accel"}, 0.991, marks=pytest.mark.long),
+        pytest.param({"mass": "lumped", "mapping": "flip"}, 0.980, marks=pytest.mark.long),
         ({"mass": "lumped", "mapping": "pic"}, 0.395),
         ({"mapping": "flip", "ghost_mass": 0.0}, 0.998),
         ({"stabilisation": STIFF}, 0.993),
-        ({"stabilisation": mpm.Stabilisation("ghost", E=100.0, gamma=10.0)}, 0.992),
+        pytest.param(
+            {"stabilisation": mpm.Stabilisation("ghost", E=100.0, gamma=10.0)},
+            0.992,
+            marks=pytest.mark.long,
+        ),
         ({"stabilisation": mpm.Stabilisation("ghost", E=100.0, gamma=90.0)}, 0.989),
-        ({"stabilisation": STIFF, "ghost_mass": 0.025}, 0.997),
-        ({"stabilisation": STIFF, "ghost_mass": 2.5}, 0.990),
+        pytest.param({"stabilisation": STIFF, "ghost_mass": 0.025}, 0.997, marks=pytest.mark.long),
+        pytest.param({"stabilisation": STIFF, "ghost_mass": 2.5}, 0.990, marks=pytest.mark.long),
     ],
 )
 def test_a_bar_that_vibrates_while_it_flies(options, kept):
