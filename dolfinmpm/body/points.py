@@ -111,8 +111,8 @@ class MaterialPoints:
     Attributes:
         strain_dim: Dimension of the gradients' tensors, gdim or 3.
         total: Number of points on all ranks; needs no communication.
-        dt: Length of a step in time (s), a constant for UFL that `Transient`, `Newmark` and
-            `GeneralisedAlpha` set.
+        dt: Time that the step's increments take (s), a constant for UFL that `Transient`,
+            `Newmark` and `GeneralisedAlpha` set.
         revision: How many times the rows of the arrays have changed.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import choice, number
@@ -135,6 +136,11 @@ class Explicit(Problem):
                 f"the form has terms over {self.form.boundaries[0].boundary}, and Explicit makes "
                 "no equations for them; take Newmark, GeneralisedAlpha or QuasiStatic, or hold "
                 "sides of the grid"
+            )
+        if points.dt in extract_constants(form):
+            raise FormError(
+                "the form has rates over points.dt, and increments are 0 where explicit steps find "
+                "their forces; take Newmark or Transient, or bulk_viscosity and damping"
             )
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)

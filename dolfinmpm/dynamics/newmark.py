@@ -22,7 +22,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm._platform.checks import choice, number
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -141,6 +141,13 @@ class TimeStepping(QuasiStatic):
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
         super().__init__(form, increment, points, conditions, **options)
+        if rule.alpha_f and self.form.parts.carried:
+            raise FormError(
+                f"the form carries '{self.form.parts.carried[0].name}' from the end of one step to "
+                f"the end of the next, and forces balance within a step here, at {rule.alpha_f:g} "
+                "of its length before the end: take Newmark, for damping with beta=0.3025, "
+                "gamma=0.6, or GeneralisedAlpha with rho_inf=0"
+            )
         terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
         sides = Sides(faces, points)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
@@ -207,7 +214,8 @@ class TimeStepping(QuasiStatic):
     def _operator(self, step: Step) -> Operator:
         motion, rule = self.motion, self.motion.rule
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
-        self.points.dt.value = step.dt
+        # increments are those of the level where forces balance, and so are rates
+        self.points.dt.value = (1 - rule.alpha_f) * step.dt
         self.bodies.begin(step.dt)
         here = self.activate(step)
         self._load_at(step, 0.0)
@@ -354,6 +362,7 @@ class GeneralisedAlpha(TimeStepping):
 
     Raises:
         ParameterError: An argument is not what it may be.
+        FormError: The form carries fields from step to step, and forces balance within a step.
     """
 
     def __init__(
