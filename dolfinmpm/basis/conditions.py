@@ -53,6 +53,7 @@ class Condition:
         where: What it says in messages.
         velocity: Velocity that it is to have (m/s) at a time (s), or None; steps in time then set
             the value, a constant.
+        whole: Whether the value is that of the field itself, which parts of a step have in full.
     """
 
     space: Space
@@ -61,6 +62,7 @@ class Condition:
     value: float | fem.Constant | npt.NDArray[np.float64]
     where: str
     velocity: Callable[[float], float] | None = None
+    whole: bool = False
 
     @property
     def changes(self) -> bool:
@@ -144,8 +146,10 @@ def prescribed(
     where: Where,
     component: int,
     value: float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] = 0.0,
+    *,
+    increment: bool = True,
 ) -> list[Condition]:
-    """Prescribe one component's increment in every step. Collective.
+    """Prescribe one component's increment in every step, or its value. Collective.
 
     Args:
         space: Space of the field.
@@ -156,6 +160,8 @@ def prescribed(
         value: Increment a step (m for a displacement): a number, a scalar DOLFINx
             constant, or a function of node positions like `where` that returns n numbers.
             When a step is halved, so is it.
+        increment: False for a field that is no increment, such as the pressure of `poromechanics`:
+            the value is the field's own, also in parts of a step that is halved.
 
     Raises:
         ParameterError: The space, the side, the component or the value is not what it
@@ -168,7 +174,7 @@ def prescribed(
         )
     nodes, name = _nodes(space, where)
     given = _value(space, nodes, name, value)
-    return [Condition(space, nodes, int(component), given, name)]
+    return [Condition(space, nodes, int(component), given, name, whole=not increment)]
 
 
 def moving(

@@ -127,7 +127,8 @@ class Held:
                 continue
             column, own = condition.component, condition.nodes < basis.nodes.owned
             nodes = condition.nodes[own]
-            value = np.broadcast_to(share * condition.increment, condition.nodes.shape)[own]
+            part = 1.0 if condition.whole else share
+            value = np.broadcast_to(part * condition.increment, condition.nodes.shape)[own]
             differs = flags[nodes, column] & (values[nodes, column] != value)
             clash = nodes[differs]
             if clash.size and error is None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError
+from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError, raise_together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, idle
+from dolfinmpm.body.points import PointField
 from dolfinmpm.cut.activation import Activation, active_on_grid
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["refuse_idle", "refuse_undetermined"]
+__all__ = ["refuse_idle", "refuse_increments", "refuse_undetermined"]
 
 # Share of what an arbitrary field of its size does, up to which a constant one does nothing
 _NOTHING = 1e-12
@@ -66,3 +70,25 @@ def refuse_undetermined(operator: Operator) -> None:
                 "be compressed. Hold the pressure somewhere, drain a surface, leave a part of the "
                 "body free to move, or give the fluid a bulk modulus"
             )
+
+
+def refuse_increments(bcs: Sequence[Condition], kept: Sequence[PointField]) -> None:
+    """Refuse increments of fields that are none. Collective.
+
+    A field that a form carries as it is, from step to step, is no increment.
+
+    Raises:
+        ParameterError: A condition would give parts of a step a share of its value.
+    """
+    wholes = [f.update for f in kept if isinstance(f, CarriedField)]
+    for condition in bcs:
+        if condition.whole or all(w is not condition.space.increment for w in wholes):
+            continue
+        error = None
+        if condition.changes:
+            error = ParameterError(
+                f"the condition at '{condition.where}' prescribes an increment, a share of which "
+                "is that of a step's part, and the field is none: its values are carried from step "
+                "to step; give mpm.prescribed(..., increment=False)"
+            )
+        raise_together(condition.space.grid.comm, error)

@@ -48,6 +48,7 @@ from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.pressures import refuse_increments
 from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Step, StepRecord
 
@@ -113,6 +114,7 @@ class Problem:
         whole, softening = with_remedies(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, softening)
         check_fields(form, spaces)
+        refuse_increments(bcs, self.form.parts.carried)
         if self.form.boundaries and self.configuration == "total":
             raise ParameterError(
                 'boundaries that do not fit the grid need Space(..., configuration="updated"), got '

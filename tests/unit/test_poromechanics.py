@@ -361,3 +361,35 @@ def test_a_field_is_carried_under_a_name_once():
         mpm.carried(points, "a b", u)
     with pytest.raises(ParameterError, match="expression of UFL"):
         mpm.carried(points, "c", 3.0)
+
+
+def test_a_pressure_that_is_held_is_so_in_parts_of_a_step():
+    """A step that is halved, and two steps of half its length."""
+    found = {}
+    for parts in (1, 2):
+        F, points, V, Q, _ = block(height=1.0, drained=False)
+        bcs = held(V) + mpm.prescribed(Q, "right", 0, 50.0, increment=False)
+        problem = problem_of(F, points, V, Q, bcs)
+        if parts == 1:
+            fail_first_part(problem)
+        for t in np.arange(1, parts + 1) * 0.02 / parts:
+            problem.step(t)
+        assert problem.history[0].halvings == (parts == 1)
+        found[parts] = points["pressure"].copy()
+        assert 30 < found[parts].max() < 50
+    np.testing.assert_array_equal(found[1], found[2])
+
+    bcs = held(V) + mpm.prescribed(Q, "right", 0, 50.0)
+    with pytest.raises(ParameterError, match=r"'right' prescribes an increment.*increment=False"):
+        problem_of(F, points, V, Q, bcs)
+
+
+def fail_first_part(problem):
+    """Let the first attempt at a step fail."""
+    advance, attempts = problem._advance, []
+
+    def first_not(*given):
+        attempts.append(given)
+        return "so that the step is halved" if len(attempts) == 1 else advance(*given)
+
+    problem._advance = first_not
