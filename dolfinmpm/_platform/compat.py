@@ -144,9 +144,11 @@ def library_of(symbol: str) -> Path | None:
 
 
 def preallocate_coo(matrix: PETSc.Mat, rows, columns) -> None:
-    """MatSetPreallocationCOO with global indices; petsc4py 3.22 does not bind it. Collective."""
-    # PETSc permutes the arrays it is given
-    rows, columns = (np.array(a, dtype=PETSc.IntType) for a in (rows, columns))
+    """MatSetPreallocationCOO with global indices, which PETSc permutes in place. Collective.
+
+    petsc4py 3.22 does not bind it.
+    """
+    rows, columns = (np.require(a, PETSc.IntType, ["C", "O", "W"]) for a in (rows, columns))
     code = _libpetsc().MatSetPreallocationCOO(
         matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data
     )

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform import stages
+from dolfinmpm._platform import garbage, stages
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
@@ -258,6 +258,7 @@ class Explicit(Problem):
         self._kept_state.time = math.nan
         while self.time < target:
             if record.parts % _EVERY == 0:
+                garbage.free(self.comm)
                 self._check_energy(record.dt, begins=record.parts == 0)
                 if record.parts % _KEEP == 0:
                     self._kept_state.take(self.time, self.balance.work)

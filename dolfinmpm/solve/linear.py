@@ -197,7 +197,10 @@ class LinearSolver:
             return
         # the old matrix and its factors go before the new ones come: they are the largest
         self.snes.reset()
-        self.matrix = None
+        if self.matrix is not None:
+            # that Python lets go of it frees nothing yet on several ranks
+            self.matrix.petsc.destroy()
+        self.matrix = self.true = None
         self.matrix = Matrix(here.pattern, here.unknowns)
         A = self.matrix.petsc
         A.setOption(PETSc.Mat.Option.SYMMETRIC, self._tangent.symmetric)

@@ -64,12 +64,14 @@ def refuse_undetermined(operator: Operator) -> None:
             matrix.petsc.mult(x, y)
             norms.append(y.norm())
         if norms[0] <= _NOTHING * norms[1]:
+            matrix.petsc.destroy()
             raise UndeterminedFieldError(
                 f"field {k + 1} of {len(here.fields)}, a pressure, is determined up to a "
                 "constant: the body is held all around, sealed, and what fills its pores cannot "
                 "be compressed. Hold the pressure somewhere, drain a surface, leave a part of the "
                 "body free to move, or give the fluid a bulk modulus"
             )
+    matrix.petsc.destroy()
 
 
 def refuse_increments(bcs: Sequence[Condition], kept: Sequence[PointField]) -> None:

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import stages
+from dolfinmpm._platform import garbage, stages
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     raise_together,
@@ -232,6 +232,7 @@ class QuasiStatic(Problem):
         """Solve and commit a step; returns why not, the state being untouched."""
         points, record = self.points, self._record
         raise_together(self.comm, points.fault())
+        garbage.free(self.comm)
         record.migrated += balance(points)
         fault = self.bodies.fault(step.dt)
         if fault is not None:
