@@ -30,7 +30,15 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
-__all__ = ["FacetPlace", "FacetTensors", "facet_moduli", "one_dimensional", "product", "readable"]
+__all__ = [
+    "FacetPlace",
+    "FacetTensors",
+    "facet_moduli",
+    "measured",
+    "one_dimensional",
+    "product",
+    "readable",
+]
 
 Array = npt.NDArray[np.float64]
 # what has one value on each side, and what is made of such values here
@@ -108,7 +116,7 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
 
     Args:
         form: The form.
-        size: The grid's `cell_size`.
+        size: The `cell_size` of its space.
     """
     if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
         return False
@@ -120,6 +128,16 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
     return all(
         node is size or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
         for integral in integrals
+        for node in unique_pre_traversal(integral.integrand())
+    )
+
+
+def measured(form: ufl.Form) -> bool:
+    """Whether a form asks for the size of the grid's own cells or facets."""
+    kinds = classes.CellVolume, FacetArea
+    return any(
+        isinstance(node, kinds)
+        for integral in form.integrals()
         for node in unique_pre_traversal(integral.integrand())
     )
 

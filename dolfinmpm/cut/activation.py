@@ -486,10 +486,12 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
         if not moving:
             return {}
         cells = active_cells(seen[bases.index(basis)], basis.cells)
+        entities: Entities = {}
+        if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
+            entities[GHOST_FACETS] = tables.select_coarse(cells, basis)
         if basis.grid_cells is not None:
             cells = cells[basis.grid_cells]
-        entities: Entities = {}
-        if tables is not None:
+        if tables is not None and GHOST_FACETS not in entities:
             entities[GHOST_FACETS] = tables.select(cells)
         if ACTIVE_CELLS in moving:
             topology = points.grid.topology
@@ -510,9 +512,7 @@ def _field(
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
         radius = basis.node_coordinates()[:, 0] if rings else None
-        rows, columns, values = remedy.penalty(
-            field.space.grid, basis.degree, C, owned, field.space.components, radius
-        )
+        rows, columns, values = remedy.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
     if field.prolongate is not None:
         from scipy import sparse

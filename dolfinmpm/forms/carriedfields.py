@@ -38,10 +38,17 @@ class CarriedField(PointField):
 
 
 class CellOffset(PointField):
-    """From the centre of mass of the points in its cell to a point (m), as a step begins."""
+    """From the centre of mass of the points in its cell to a point (m), as a step begins.
 
-    def __init__(self, points: MaterialPoints):
-        super().__init__(points, "cell_offset", (points.gdim,), "m")
+    Args:
+        points: Material points.
+        coarsen: How many cells of the grid a direction are one cell, see `Space`.
+    """
+
+    def __init__(self, points: MaterialPoints, coarsen: int = 1):
+        name = "cell_offset" if coarsen == 1 else f"cell_offset_{coarsen}"
+        super().__init__(points, name, (points.gdim,), "m")
+        self._coarsen = coarsen
 
     def renew(self) -> None:
         """Set it for the cells that the points are in now."""
@@ -50,7 +57,8 @@ class CellOffset(PointField):
         lattice, cells = lattice_of(points.grid), where.cell
         if lattice is not None:
             # under a partition points have no cell of DOLFINx's mesh
-            cells = np.ravel_multi_index(tuple(lattice.cells_at(where.x).T), lattice.shape)
+            at = lattice.cells_at(where.x) // self._coarsen
+            cells = np.ravel_multi_index(tuple(at.T), lattice.shape)
         _, at = np.unique(cells, return_inverse=True)
         volume = np.bincount(at, where.volume)
         centre = [np.bincount(at, where.volume * x) / volume for x in where.x.T]
