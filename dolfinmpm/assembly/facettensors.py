@@ -132,16 +132,6 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
     )
 
 
-def measured(form: ufl.Form) -> bool:
-    """Whether a form asks for the size of the grid's own cells or facets."""
-    kinds = classes.CellVolume, FacetArea
-    return any(
-        isinstance(node, kinds)
-        for integral in form.integrals()
-        for node in unique_pre_traversal(integral.integrand())
-    )
-
-
 @dataclass(frozen=True)
 class _Factor:
     """A component of a derivative of an argument on one side of a facet.

@@ -80,9 +80,6 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
             return False
     if not readable(form, space.cell_size):
         return False
-    if basis.coarsen > 1 and measured(form):
-        # UFL means cells of the grid
-        return False
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
     few = all(k.max() < 8 * basis.degree for k in kinds)

@@ -140,6 +140,8 @@ class ActiveField:
         penalty: Penalty of weak aggregation, or None.
         whole: Stencils of points and markers on all active nodes.
         of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
+        level: Share to which a cell must be filled to have no nodes tied to others, or None if
+            no remedy ties any.
     """
 
     space: Space
@@ -154,6 +156,7 @@ class ActiveField:
     penalty: Blocks | None
     whole: Stencils
     of_markers: tuple[Stencils, ...] = ()
+    level: float | None = None
 
     @functools.cached_property
     def cells(self) -> npt.NDArray[np.bool_]:
@@ -514,6 +517,7 @@ def _field(
         radius = basis.node_coordinates()[:, 0] if rings else None
         rows, columns, values = remedy.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
+    level = None if C is None else remedy.level(basis.degree)
     if field.prolongate is not None:
         from scipy import sparse
 
@@ -527,8 +531,9 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen
-    )
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen,
+        level=level,
+    )  # fmt: skip
 
 
 def _in_active_cells(

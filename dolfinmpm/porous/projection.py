@@ -99,7 +99,14 @@ def factor_of(projection: Any, u: Any, p: Any) -> float:
 
 
 def projected(
-    points: MaterialPoints, factor: float, change: Expr, p: Any, q: Expr, M: Expr, K: Expr
+    points: MaterialPoints,
+    factor: float,
+    change: Expr,
+    p: Any,
+    q: Expr,
+    M: Expr,
+    K: Expr,
+    theta: float,
 ) -> Expr:
     """The projection's term, τ (q − q̄)(p − p̄) of the change of the pressure in a step.
 
@@ -111,12 +118,14 @@ def projected(
         q: Its test function, or a multiple of it.
         M: P-wave modulus (Pa).
         K: Permeability by unit weight of the fluid (m²/(Pa s)).
+        theta: Share of the flow at the end of the step.
     """
     space: Space = p._dolfinmpm_space
     # spent where the step is long enough for the flow itself to smooth
-    spent = 4 * largest(K) * M * points.dt / size_of(p) ** 2
+    place, gdim = CellOffset(points, space), points.gdim
+    offset, h = ufl.as_vector([place[i] for i in range(gdim)]), place[gdim] * size_of(p)
+    spent = 4 * theta * largest(K) * M * points.dt / h**2
     slow = own_constant(points.grid, factor) / M * ufl.max_value(1 - spent, 0.0)
-    offset = CellOffset(points, space.coarsen)
     # second moments of a point's domain about the centre of mass of its cell's points
     own = sum(points.l[i] ** 2 * ufl.grad(q)[i] * change[i] for i in range(points.gdim)) / 3
     return slow * (ufl.dot(offset, ufl.grad(q)) * ufl.dot(offset, change) + own)

@@ -47,7 +47,7 @@ __all__ = ["poromechanics"]
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
 # this 0.7 %)
-_STORAGE, _FLOW = 0.003, 1 / 90
+_STORAGE, _FLOW = 0.002, 1 / 90
 # Penalty of a drained surface, by what flows through a cell and what a cell stores
 _DRAINED = 100.0
 
@@ -145,7 +145,7 @@ def poromechanics(
         projection: Factor of the polynomial pressure projection by which a step shorter than
             h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
             being those of a cell's points (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
-            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 c_v Δt/h²)₊.
+            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 θ c_v Δt/h²)₊.
             "auto" is 3, with which a step without drainage does not overshoot in one dimension,
             whatever the pair; "none" leaves it out. h is the size of the pressure's cells.
         modulus: P-wave modulus M (Pa) that stabilisation is scaled by; the law's by default.
@@ -215,7 +215,7 @@ def poromechanics(
     factor = factor_of(projection, u, p)
     if factor:
         slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
-        terms += projected(points, factor, at.grad(p) - slope, p, q, M, K)
+        terms += projected(points, factor, at.grad(p) - slope, p, q, M, K, theta)
     keeps.append(pressure)
     marked = {
         **dX.metadata(),
