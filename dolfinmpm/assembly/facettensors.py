@@ -34,7 +34,6 @@ __all__ = [
     "FacetPlace",
     "FacetTensors",
     "facet_moduli",
-    "measured",
     "one_dimensional",
     "product",
     "readable",

@@ -19,7 +19,6 @@ from dolfinmpm.assembly.facettensors import (
     FacetPlace,
     FacetTensors,
     facet_moduli,
-    measured,
     readable,
 )
 from dolfinmpm.basis import LatticeBasis
