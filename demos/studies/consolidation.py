@@ -62,7 +62,7 @@ def arguments():
         "--h", type=float, default=1 / 40,
         help="size of the pressure's cells (m); need not divide the height",
     )  # fmt: skip
-    add("--points-per-cell", type=int, default=4, help="of the pressure, a direction")
+    add("--points-per-cell", type=int, default=4, help="of the displacement, a direction")
     add(
         "--pair", choices=(*PAIRS, *NESTED), default="gimp-gimp",
         help="bases of displacement, pressure; nested: the displacement on cells of half the size",
@@ -167,8 +167,8 @@ def column(height=H):
     grid = mesh.create_rectangle(
         comm, [(0, 0), (h, cells * h)], (parts, parts * cells), mesh.CellType.quadrilateral
     )
-    per_cell = max(2, args.points_per_cell // parts)
-    points = mpm.fill(grid, mpm.Box((0, 0), (h, height)), per_cell, 1.0, exact=True)
+    body = mpm.Box((0, 0), (h, height))
+    points = mpm.fill(grid, body, args.points_per_cell, 1.0, exact=True)
     bases = [NESTED[args.pair]] * 2 if nested else args.pair.split("-")
     V, Q = mpm.Space(grid, bases[0]), mpm.Space(grid, bases[1], shape=(), coarsen=parts)
     if args.law == "hencky":

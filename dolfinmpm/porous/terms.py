@@ -46,7 +46,7 @@ __all__ = ["poromechanics"]
 
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.7 %)
+# this 0.9 %)
 _STORAGE, _FLOW = 0.002, 1 / 90
 # Penalty of a drained surface, by what flows through a cell and what a cell stores
 _DRAINED = 100.0
