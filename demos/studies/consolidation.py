@@ -35,10 +35,15 @@ from scipy.sparse import diags_array
 
 import dolfinmpm as mpm
 
+# bases of displacement and pressure
 PAIRS = (
     "linear-linear", "gimp-linear", "gimp-gimp", "bspline2-linear", "bspline2-gimp",
     "bspline2-bspline2", "bspline3-gimp",
 )  # fmt: skip
+# those of nested grids: the displacement has cells of half the size
+NESTED = {"nested": "gimp", "nested-linear": "linear", "nested-bspline2": "bspline2"}
+CUTS = (1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.49, 0.51, 0.7, 0.9, 1.0)
+SHARES = (1e-8, 1e-6, 1e-4, 1e-2, 0.1, 0.25, 1.0)
 WATER = mpm.Fluid()
 K0 = 1e-3  # m/s
 
@@ -54,15 +59,25 @@ def arguments():
     add("--porosity", type=float, default=0.5)
     add("--load", type=float, default=0.1, help="q/M, or ρ'gH/M of the submerged weight")
     add("--height", type=float, default=1.0, help="of the layer (m)")
-    add("--h", type=float, default=1 / 40, help="size of the cells (m); need not divide the height")
-    add("--points-per-cell", type=int, default=4)
-    add("--pair", choices=PAIRS, default="gimp-gimp", help="bases of displacement, pressure")
+    add(
+        "--h", type=float, default=1 / 40,
+        help="size of the pressure's cells (m); need not divide the height",
+    )  # fmt: skip
+    add("--points-per-cell", type=int, default=4, help="of the displacement, a direction")
+    add(
+        "--pair", choices=(*PAIRS, *NESTED), default="gimp-gimp",
+        help="bases of displacement, pressure; nested: the displacement on cells of half the size",
+    )  # fmt: skip
     add("--projection", default="auto", help="factor of the pressure projection; none; auto")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
     add("--steps", type=int, default=200, help="up to the last time, in geometric progression")
     add("--theta", type=float, default=0.5, help="1: backward Euler; 0.5: Crank–Nicolson")
     add("--times", type=numbers(float), default=[0.05, 0.1, 0.2, 0.3, 0.5, 1.0], help="T")
     add("--first", type=float, default=1e-6, help="step of the overshoot, by h²/c_v")
+    add("--sweep", action="store_true", help="first steps alone, of all lengths and cuts")
+    add("--cuts", type=numbers(float), default=list(CUTS), help="of the sweep: filled share of the "
+        "top cell")  # fmt: skip
+    add("--shares", type=numbers(float), default=list(SHARES), help="of the sweep: steps by h²/c_v")
     given = options.parse_args()
     if given.projection not in ("auto", "none"):
         given.projection = float(given.projection)
@@ -146,15 +161,18 @@ def layer(times, count=400):
 
 
 # %%
-def column():
+def column(height=H):
     """The problem, and its loaded top."""
-    cells = int(np.ceil(H / h - 1e-9)) + 1
+    cells = int(np.ceil(height / h - 1e-9)) + 1
+    nested = args.pair in NESTED
+    parts = 2 if nested else 1
     grid = mesh.create_rectangle(
-        comm, [(0, 0), (h, cells * h)], (1, cells), mesh.CellType.quadrilateral
+        comm, [(0, 0), (h, cells * h)], (parts, parts * cells), mesh.CellType.quadrilateral
     )
-    points = mpm.fill(grid, mpm.Box((0, 0), (h, H)), args.points_per_cell, 1.0, exact=True)
-    bases = args.pair.split("-")
-    V, Q = mpm.Space(grid, bases[0]), mpm.Space(grid, bases[1], shape=())
+    body = mpm.Box((0, 0), (h, height))
+    points = mpm.fill(grid, body, args.points_per_cell, 1.0, exact=True)
+    bases = [NESTED[args.pair]] * 2 if nested else args.pair.split("-")
+    V, Q = mpm.Space(grid, bases[0]), mpm.Space(grid, bases[1], shape=(), coarsen=parts)
     if args.law == "hencky":
         soil, modulus = mpm.materials.Hencky(E=E, nu=0.0), None
     else:
@@ -163,7 +181,7 @@ def column():
             lambda e, M: sum(M * ((a - 1) * ufl.exp(a) + 1) for a in (e[0], e[1], e[2])), M=M
         )
         modulus = M
-    top = mpm.Surface(points, lambda x: x[1] > H - 1e-12 * H, (0, 1))
+    top = mpm.Surface(points, lambda x: x[1] > height * (1 - 1e-12), (0, 1))
     F = mpm.poromechanics(
         soil, points, (V.increment, Q.increment), (V.test, Q.test),
         permeability=lambda J, n: conductivity(J, ufl.ln) + 0 * J, porosity=args.porosity,
@@ -191,6 +209,32 @@ def base_pressure(points):
     here = np.isclose(points["x0"][:, 1], low)
     return comm.allreduce(points["pressure"][here].max(initial=0.0), op=MPI.MAX)
 
+
+# %% [markdown]
+# ## First steps of all lengths, with the top anywhere in its cell
+
+
+# %%
+def sweep():
+    """Overshoot of the first step, a row a length and a column a cut."""
+    table = np.zeros((len(args.shares), len(args.cuts)))
+    for j, cut in enumerate(args.cuts):
+        for i, share in enumerate(args.shares):
+            first, _ = column((5 + cut) * h)
+            first.step(share * h**2 / c_v)
+            table[i, j] = largest_pressure(first.points) / q - 1
+    say("step c_v/h²  overshoot (%) with the top cell filled to")
+    say(" " * 11, *(f"{cut:8.3g}" for cut in args.cuts))
+    for share, row in zip(args.shares, table):
+        say(f"{share:11.3g}", *(f"{100 * one:8.3f}" for one in row))
+    say(f"{args.pair}, {args.stabilisation}: worst {100 * table.max():.3f} %")
+    return table
+
+
+if args.sweep:
+    table = sweep()
+    finish(args, {"overshoots": table.tolist(), "overshoot": float(table.max())})
+    raise SystemExit
 
 started = time.perf_counter()
 total = q + submerged * H

@@ -30,7 +30,14 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
-__all__ = ["FacetPlace", "FacetTensors", "facet_moduli", "one_dimensional", "product", "readable"]
+__all__ = [
+    "FacetPlace",
+    "FacetTensors",
+    "facet_moduli",
+    "one_dimensional",
+    "product",
+    "readable",
+]
 
 Array = npt.NDArray[np.float64]
 # what has one value on each side, and what is made of such values here
@@ -108,7 +115,7 @@ def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
 
     Args:
         form: The form.
-        size: The grid's `cell_size`.
+        size: The `cell_size` of its space.
     """
     if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
         return False

@@ -141,16 +141,21 @@ class _Block:
         return blocks if self._keep is None else blocks[self._keep]
 
     def _columns_of(self, modulus: FacetModulus) -> dict[Any, npt.NDArray[np.intp]]:
-        """Columns of the packed coefficients that hold a modulus, by kind and id of integrals."""
+        """Where a facet's packed coefficients hold a modulus, by kind and id of integrals.
+
+        DOLFINx has two rows a facet, which kernels read as one: each coefficient's values on both
+        sides, one coefficient after the other.
+        """
         packed = []
         for value in (1.0, 0.0):
             modulus.x.array[:] = value
             packed.append(pack_coefficients(self._form))
-        return {
-            key: np.flatnonzero((rows != packed[1][key]).any(axis=0))
-            for key, rows in packed[0].items()
-            if rows.size
-        }
+        found = {}
+        for key, rows in packed[0].items():
+            differs = rows != packed[1][key]
+            if differs.any():
+                found[key] = np.flatnonzero(differs.reshape(len(rows) // 2, -1).any(axis=0))
+        return found
 
     def _packed(self) -> Any:
         """Coefficients with the moduli of the facets in their places; None if there are none."""
@@ -159,9 +164,8 @@ class _Block:
         packed = pack_coefficients(self._form)
         for modulus, columns in zip(self._moduli, self._columns):
             for key, at in columns.items():
-                if at.size:
-                    # a row for each side of a facet
-                    packed[key][:, at] = np.repeat(modulus.values, 2)[:, None]
+                rows = packed[key]
+                rows.reshape(len(rows) // 2, -1)[:, at] = modulus.values[:, None]
         return packed
 
     def _scaled(self, modulus: FacetModulus) -> Array:

@@ -15,12 +15,17 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm.assembly.facetpairs import INTERVALS, by_ratio, lattice_pair
-from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors, facet_moduli, readable
+from dolfinmpm.assembly.facettensors import (
+    FacetPlace,
+    FacetTensors,
+    facet_moduli,
+    readable,
+)
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
 from dolfinmpm.body.points import GHOST_FACETS
-from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.grid.lattice import lattice_of
 
 __all__ = ["FacetBlock", "are_alike"]
 
@@ -72,7 +77,7 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
         ids = given if isinstance(given, tuple) else (given,)
         if integral.integral_type() != "interior_facet" or set(ids) != {GHOST_FACETS}:
             return False
-    if not readable(form, cell_size(space.grid)):
+    if not readable(form, space.cell_size):
         return False
     # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
@@ -186,6 +191,7 @@ class FacetBlock:
         # penalties of adaptive moduli for M = 1, by class of facets and ratio of moduli
         self._penalties: dict[int, Array] = {}
         self._attached = False
+        self._rows: slice | npt.NDArray[np.bool_] = slice(None)
         self._values: Array | None = None
 
     def renew(self) -> None:
@@ -211,6 +217,8 @@ class FacetBlock:
             return
         self._basis, self._attached = basis, True
         facets = entities[GHOST_FACETS].reshape(-1, 4)
+        self._rows = self._first_parts(facets)
+        facets = np.asarray(facets[self._rows], np.int32).reshape(-1, 4)
         halo, ijk = self._basis.halo, self._basis.lattice.cell_ijk
         first, second = ijk[facets[:, 0]], ijk[facets[:, 2]]
         low = np.minimum(first, second)
@@ -248,6 +256,17 @@ class FacetBlock:
         self.columns, self._slot_of = np.empty((2, self._begin[-1]), np.int32)
         _couple(*graph, self.columns, self._slot_of)
         self.rows = np.repeat(touched.astype(np.int32), np.diff(self._begin))
+
+    def _first_parts(self, facets: Ints) -> slice | npt.NDArray[np.bool_]:
+        """Which facets stand for all: of a coarse facet's parts the one at its lower corner."""
+        basis = self._basis
+        if basis.coarsen == 1:
+            return slice(None)
+        fine = lattice_of(self._space.grid)
+        assert fine is not None
+        low = np.minimum(fine.cell_ijk[facets[:, 0]], fine.cell_ijk[facets[:, 2]])
+        across = fine.cell_ijk[facets[:, 0]] != fine.cell_ijk[facets[:, 2]]
+        return np.all((low % basis.coarsen == 0) | across, axis=1)
 
     def matrix(self) -> Array:
         """This rank's share of the matrix, as blocks between `rows` and `columns`."""
@@ -287,7 +306,7 @@ class FacetBlock:
     def _scaled(self, k: int) -> Array:
         """Values of a modulus at the facets."""
         modulus = self.moduli[k]
-        M, G = modulus.moduli.T
+        M, G = modulus.moduli[self._rows].T
         if modulus.target is None:
             return M.copy()
         degree = self._basis.degree

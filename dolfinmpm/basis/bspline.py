@@ -14,11 +14,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx.common import IndexMap
-from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.compat import make_index_map
-from dolfinmpm.grid.lattice import Lattice
 
 __all__ = [
     "averaged_spline_weights",
@@ -27,7 +25,6 @@ __all__ = [
     "greville",
     "integrals",
     "middles",
-    "number_functions",
     "spline_weights",
     "uniform_averages",
     "uniform_weights",
@@ -217,19 +214,6 @@ def extension_weights(line: Array, degree: int, cell: int, function: int) -> Arr
     return np.linalg.solve(own.T, _moments(scaled, degree, function, 0.0))
 
 
-def number_functions(
-    grid: Mesh, lattice: Lattice, degree: int
-) -> tuple[IndexMap, npt.NDArray[np.int32]]:
-    """Give every function to the rank that owns the cell in its middle. Collective.
-
-    Returns:
-        Index map without ghosts, and the lattice position of its functions,
-        shape (functions, gdim).
-    """
-    owned = grid.topology.index_map(grid.topology.dim).size_local
-    return functions_of(grid.comm, lattice.cell_ijk[:owned], lattice.shape, degree)
-
-
 def functions_of(
     comm: MPI.Intracomm, cells: npt.NDArray[np.int32], shape: tuple[int, ...], degree: int
 ) -> tuple[IndexMap, npt.NDArray[np.int32]]:
@@ -242,7 +226,8 @@ def functions_of(
         degree: Degree of the functions.
 
     Returns:
-        As `number_functions`.
+        Index map without ghosts, and the lattice position of its functions, shape (functions,
+        gdim).
     """
     last, pieces = np.array(shape) - 1, []
     # a function is anchored at cell i − ⌊p/2⌋, those at the ends at the first and last cell

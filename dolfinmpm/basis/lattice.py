@@ -22,10 +22,10 @@ from dolfinmpm.basis.bspline import averaged_spline_weights, functions_of, grevi
 from dolfinmpm.basis.gimp import domain_weights
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
-from dolfinmpm.grid.lattice import Lattice
+from dolfinmpm.grid.lattice import Lattice, lattice_of
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["SNAP", "LatticeBasis", "line_shares", "line_weights", "overlapped"]
+__all__ = ["SNAP", "LatticeBasis", "first_parts", "line_shares", "line_weights", "overlapped"]
 
 # What is below this share of a cell is rounding: an overlap of a domain with a cell, or the
 # distance of a point without one from where a function begins. It must make nothing active.
@@ -264,6 +264,14 @@ def _fill(linear: bool, rings: bool):
     return kernel
 
 
+def first_parts(ijk: npt.NDArray[np.int32], by: int) -> npt.NDArray[np.int32]:
+    """Coarse cells, given by positions, of which some cells are the lowest parts, shape (n, gdim).
+
+    So a coarse cell that several ranks have parts of is one rank's own.
+    """
+    return ijk[np.all(ijk % by == 0, axis=1)] // by
+
+
 class LatticeBasis:
     """Products of linear functions or B-splines, or of their averages over domains.
 
@@ -276,19 +284,30 @@ class LatticeBasis:
         averaged: Whether functions are averaged over the points' domains.
         node_map: Index map of the nodes.
         node_ijk: Lattice position of its nodes, shape (nodes, gdim).
+        coarsen: How many of the grid's lines there are to one of the lattice's, which is then
+            `Lattice.coarsened`. Cells are those of the lattice.
 
     Attributes:
         nodes, cells: Numberings of the nodes and cells that are known here.
         partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
-        grid_nodes, grid_cells: The nodes that `nodes` has without a partition, and the cells of
-            DOLFINx's mesh, as they are numbered here; None where the numbers are the same.
+        grid_nodes, grid_cells: The nodes that `nodes` has without a partition, and the cells that
+            those of DOLFINx's mesh are, or are part of, as they are numbered here; None where
+            the numbers are the same.
         continuity: Highest derivative that is continuous across facets.
     """
 
     def __init__(
-        self, grid: Mesh, lattice: Lattice, degree: int, averaged: bool, node_map, node_ijk
+        self,
+        grid: Mesh,
+        lattice: Lattice,
+        degree: int,
+        averaged: bool,
+        node_map,
+        node_ijk,
+        coarsen: int = 1,
     ):
         self.grid = grid
+        self.coarsen = coarsen
         self.lattice = lattice
         self.degree = degree
         self.averaged = averaged
@@ -299,18 +318,39 @@ class LatticeBasis:
         self._lines = np.concatenate(lattice.lines)
         self._line_start = running_sum(np.array([x.size for x in lattice.lines]), np.int64)
         self._grown: dict[tuple[Partition | None, int], LatticeBasis] = {}
-        self._surround(1 if averaged or degree > 1 else 0)
+        self._surround(self._least_layers)
+
+    @property
+    def _least_layers(self) -> int:
+        # beside a coarse cell points see others, and which cells are active is asked for
+        return int(self.averaged or self.degree > 1 or self.coarsen > 1)
+
+    def own_cells(self) -> npt.NDArray[np.int32]:
+        """Lattice positions of the grid's cells whose points this rank computes, shape (n, gdim).
+
+        Of the grid's own lattice, and not of a coarser one.
+        """
+        if self.partition is not None:
+            return self.partition.cells(self.grid.comm.rank)
+        fine = lattice_of(self.grid)
+        assert fine is not None
+        return fine.cell_ijk[: self.grid.topology.index_map(self.grid.topology.dim).size_local]
 
     def _surround(self, layers: int) -> None:
         grid, shape, on_grid = self.grid, self.lattice.shape, self.lattice.cell_ijk
         cells = grid.topology.index_map(grid.topology.dim), on_grid
         nodes = self._node_map, self._node_ijk
-        if self.partition is not None:
-            own = self.partition.cells(grid.comm.rank)
+        around = None
+        if self.partition is not None or self.coarsen > 1:
+            own = self.own_cells()
+            if self.coarsen > 1:
+                around = np.unique(own // self.coarsen, axis=0)
+                own = first_parts(own, self.coarsen)
             cells = make_index_map(grid.comm, len(own), [], []), own
-            nodes = functions_of(grid.comm, own, shape, self.degree)
+            if self.partition is not None:
+                nodes = functions_of(grid.comm, own, shape, self.degree)
         self.halo: LatticeHalo = build_halo(
-            grid.comm, shape, self.degree, *cells, *nodes, layers, on_grid
+            grid.comm, shape, self.degree, *cells, *nodes, layers, on_grid, around
         )
         self.nodes = self.halo.nodes
         self.cells = self.halo.cells
@@ -318,9 +358,10 @@ class LatticeBasis:
         self._corners: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
         self.grid_cells: npt.NDArray[np.int32] | None = None
         self.grid_nodes: npt.NDArray[np.int32] | None = None
-        if self.partition is not None:
-            origin = self.halo.origin
+        origin = self.halo.origin
+        if self.partition is not None or self.coarsen > 1:
             self.grid_cells = self.halo.cell_table[tuple((on_grid - origin).T)]
+        if self.partition is not None:
             self.grid_nodes = self.halo.node_table[tuple((self._node_ijk - origin).T)]
 
     def grown(self, layers: int, partition: Partition | None = None) -> LatticeBasis:
@@ -340,7 +381,7 @@ class LatticeBasis:
         # bases of a partition that is no more are not asked for again
         for old in [k for k in self._grown if k[0] is not None and k[0] is not partition]:
             del self._grown[old]
-        key = partition, max(layers, 1 if self.averaged or self.degree > 1 else 0)
+        key = partition, max(layers, self._least_layers)
         if key not in self._grown:
             wider = copy.copy(self)
             wider.partition = partition
@@ -349,10 +390,11 @@ class LatticeBasis:
         return self._grown[key]
 
     def lay(self, lattice: Lattice) -> None:
-        """Take a lattice of as many lines in place of the own one.
+        """Take a lattice of the grid of as many lines in place of the own one.
 
         Numberings stay; what was computed from places does not.
         """
+        lattice = lattice.coarsened(self.coarsen)
         self.lattice = lattice
         self._lines = np.concatenate(lattice.lines)
         self._node_x = self._corners = None

@@ -64,6 +64,7 @@ class LinearBasis:
     degree = 1
     continuity = 0
     averaged = False
+    coarsen = 1
     partition = None
     grid_nodes = None
     grid_cells = None

@@ -16,13 +16,21 @@ from dolfinmpm._platform.checks import choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
-from dolfinmpm.basis.bspline import number_functions
-from dolfinmpm.grid.lattice import lattice_of, once_per_grid, require_lattice
+from dolfinmpm.basis.bspline import functions_of
+from dolfinmpm.basis.lattice import first_parts
+from dolfinmpm.grid.lattice import (
+    Lattice,
+    cell_size,
+    coarse_cell_size,
+    lattice_of,
+    once_per_grid,
+    require_lattice,
+)
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["Space", "extraction", "splines_at"]
+__all__ = ["Space", "extraction", "lattice_basis", "splines_at"]
 
 Basis = LatticeBasis | LinearBasis
 _DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
@@ -37,30 +45,54 @@ class _BasisOnGrid:
 
 
 @once_per_grid
-def _basis_of(grid: Mesh, name: str, averaged: bool) -> _BasisOnGrid:
+def _basis_of(grid: Mesh, name: str, averaged: bool, coarsen: int) -> _BasisOnGrid:
     """The basis of that name on the grid, one for all fields that use it. Collective."""
     degree = _DEGREES[name]
     scalar = fem.functionspace(grid, ("Lagrange", degree))
+    if name != "linear":
+        require_lattice(grid, f'basis="{name}"')
+    if coarsen > 1:
+        _check_multiples(require_lattice(grid, f"coarsen={coarsen}"), coarsen)
     node_map, x = scalar.dofmap.index_map, scalar.tabulate_dof_coordinates()
-    needs_lattice = name != "linear"
-    lattice = require_lattice(grid, f'basis="{name}"') if needs_lattice else lattice_of(grid)
+    lattice = lattice_of(grid)
     if lattice is None:
         return _BasisOnGrid(LinearBasis(grid, node_map, scalar.dofmap.list, x), scalar)
-    if degree == 1:
-        ijk = lattice.index(x[:, : grid.geometry.dim])
-    else:
-        node_map, ijk = number_functions(grid, lattice, degree)
-    basis = LatticeBasis(grid, lattice, degree, averaged, node_map, ijk)
-    return _BasisOnGrid(basis, scalar)
+    if degree > 1 or coarsen > 1:
+        return _BasisOnGrid(lattice_basis(grid, degree, averaged, coarsen), scalar)
+    ijk = lattice.index(x[:, : grid.geometry.dim])
+    return _BasisOnGrid(LatticeBasis(grid, lattice, degree, averaged, node_map, ijk), scalar)
+
+
+def _check_multiples(lattice: Lattice, coarsen: int) -> None:
+    if any(n % coarsen for n in lattice.shape):
+        cells = " × ".join(map(str, lattice.shape))
+        raise UnsupportedGridError(
+            f"coarsen = {coarsen} joins {coarsen} cells to one in each direction, and the grid has "
+            f"{cells} of them: make it with multiples of {coarsen}"
+        )
+
+
+def lattice_basis(grid: Mesh, degree: int, averaged: bool, coarsen: int) -> LatticeBasis:
+    """A basis on a lattice, or on every so many lines of it, with a numbering of its own.
+
+    Collective.
+    """
+    fine = lattice_of(grid)
+    assert fine is not None
+    lattice = fine.coarsened(coarsen)
+    own = fine.cell_ijk[: grid.topology.index_map(grid.topology.dim).size_local]
+    own = own if coarsen == 1 else first_parts(own, coarsen)
+    node_map, ijk = functions_of(grid.comm, own, lattice.shape, degree)
+    return LatticeBasis(grid, lattice, degree, averaged, node_map, ijk, coarsen)
 
 
 def splines_at(
     basis: LatticeBasis, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
-    """The splines of a cell at each position, which may be on the cell's edge.
+    """The functions of a cell at each position, which may be on the cell's edge.
 
     Args:
-        basis: Splines.
+        basis: Splines, or linear functions of a coarser lattice, whose cell then is meant.
         x: Positions (m), shape (n, gdim).
         cells: Their local cells, shape (n,).
 
@@ -81,7 +113,8 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
     """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
 
     A spline is a polynomial of the space's degree in every cell, so that nothing
-    is lost and UFL terms over cells and facets act on splines through E.
+    is lost and UFL terms over cells and facets act on splines through E. So are functions of
+    coarser cells in each part of one.
 
     Args:
         space: The space.
@@ -91,7 +124,9 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
         E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
         both are the same.
     """
-    if not isinstance(basis, LatticeBasis) or (basis.degree == 1 and basis.partition is None):
+    if not isinstance(basis, LatticeBasis):
+        return None
+    if basis.degree == 1 and basis.coarsen == 1 and basis.partition is None:
         return None
     kept = space.__dict__.setdefault("_extractions", weakref.WeakKeyDictionary())
     if basis not in kept:
@@ -102,7 +137,7 @@ def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
 def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
     from scipy import sparse
 
-    if basis.degree == 1:
+    if basis.degree == 1 and basis.coarsen == 1:
         columns = basis.grid_nodes
         assert columns is not None
         shape = columns.size, basis.nodes.size
@@ -162,6 +197,10 @@ class Space:
             start of every step; "total" where they were at first: no point crosses a cell,
             as long as the body stays one (Coombs, Petit & Ghaffari Motlagh 2020, doi
             10.1016/j.cma.2019.112622).
+        coarsen: How many cells of the grid a direction are one cell of this field: 2 gives it the
+            functions of a grid of twice the size, which are exact sums of finer ones, so that a
+            pressure and a displacement on nested grids are a stable pair. Ghost facets, fill
+            fractions and roots are those of the coarse cells. On rectangular grids, graded too.
         domains: How the points' domains grow if the basis averages: "stretch" by diag U with
             U = √(FᵀF), so that they go on to tile a body that is stretched; "volume" by
             J^(1/d), or "fixed", for flow, in which F grows without bound and has no more to do
@@ -172,10 +211,12 @@ class Space:
         test: The test function.
         function_space: The DOLFINx space that both live in: Lagrange functions of
             the basis's degree.
+        coarsen: See there.
 
     Raises:
         ParameterError: The grid, the basis or the shape is not what it may be.
-        UnsupportedGridError: The basis cannot be built on this grid.
+        UnsupportedGridError: The basis cannot be built on this grid, or its numbers of cells are
+            no multiples of `coarsen`.
 
     >>> from dolfinx.mesh import CellType, create_unit_square
     >>> from mpi4py import MPI
@@ -194,6 +235,7 @@ class Space:
         averaged: bool = True,
         configuration: str = "updated",
         domains: str = "stretch",
+        coarsen: int = 1,
     ):
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
@@ -209,7 +251,8 @@ class Space:
                 f"{geometry_degree(grid)}, dimension {grid.topology.dim} in {grid.geometry.dim}D"
             )
         self.grid = grid
-        on_grid = _basis_of(grid, basis, averaged and basis != "linear")
+        self.coarsen = whole("coarsen", coarsen, 1)
+        on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         self.basis: Basis = on_grid.basis
         element = (
             ("Lagrange", self.basis.degree, shape) if shape else ("Lagrange", self.basis.degree)
@@ -222,3 +265,10 @@ class Space:
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")
+
+    @property
+    def cell_size(self) -> fem.Constant | fem.Function:
+        """Size of this field's cells for UFL (m), see `dolfinmpm.cell_size`. Collective."""
+        if self.coarsen == 1:
+            return cell_size(self.grid)
+        return coarse_cell_size(self.grid, self.coarsen)

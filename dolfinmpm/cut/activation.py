@@ -140,6 +140,8 @@ class ActiveField:
         penalty: Penalty of weak aggregation, or None.
         whole: Stencils of points and markers on all active nodes.
         of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
+        level: Share to which a cell must be filled to have no nodes tied to others, or None if
+            no remedy ties any.
     """
 
     space: Space
@@ -154,6 +156,7 @@ class ActiveField:
     penalty: Blocks | None
     whole: Stencils
     of_markers: tuple[Stencils, ...] = ()
+    level: float | None = None
 
     @functools.cached_property
     def cells(self) -> npt.NDArray[np.bool_]:
@@ -486,10 +489,12 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
         if not moving:
             return {}
         cells = active_cells(seen[bases.index(basis)], basis.cells)
+        entities: Entities = {}
+        if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
+            entities[GHOST_FACETS] = tables.select_coarse(cells, basis)
         if basis.grid_cells is not None:
             cells = cells[basis.grid_cells]
-        entities: Entities = {}
-        if tables is not None:
+        if tables is not None and GHOST_FACETS not in entities:
             entities[GHOST_FACETS] = tables.select(cells)
         if ACTIVE_CELLS in moving:
             topology = points.grid.topology
@@ -510,10 +515,9 @@ def _field(
     if C is not None and remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
         radius = basis.node_coordinates()[:, 0] if rings else None
-        rows, columns, values = remedy.penalty(
-            field.space.grid, basis.degree, C, owned, field.space.components, radius
-        )
+        rows, columns, values = remedy.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
+    level = None if C is None else remedy.level(basis.degree)
     if field.prolongate is not None:
         from scipy import sparse
 
@@ -527,8 +531,9 @@ def _field(
         stencils = prolongation.stencils(seen)
         nodes = nodes[~prolongation.tied[nodes]]
     return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen
-    )
+        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen,
+        level=level,
+    )  # fmt: skip
 
 
 def _in_active_cells(

@@ -9,11 +9,13 @@ from dolfinx.mesh import Mesh, exterior_facet_indices
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import UnsupportedGridError
-from dolfinmpm.basis import Stencils
+from dolfinmpm.basis import LatticeBasis, Stencils
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
 __all__ = ["GhostFacets", "active_cells", "active_nodes"]
+
+GhostRows = npt.NDArray[np.int32]
 
 
 def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[np.bool_]:
@@ -115,7 +117,23 @@ class GhostFacets:
         cells = self._cells
         boundary = np.zeros(cells.size, bool)
         _mark_boundary(active, cells.owned, self._cell_facets, self._facet_cells, boundary)
-        boundary = cells.share_flags(boundary)
+        return self._between(active, cells.share_flags(boundary)).ravel()
+
+    def select_coarse(self, active: npt.NDArray[np.bool_], basis: LatticeBasis) -> GhostRows:
+        """The parts of the facets of a basis's coarse cells, as `select` gives facets. Collective.
+
+        Args:
+            active: Whether each cell of the basis is active.
+            basis: The basis.
+        """
+        of = basis.grid_cells
+        assert of is not None
+        boundary = _beside_inactive(active, basis)
+        rows = self._between(active[of], boundary[of])
+        return rows[of[rows[:, 0]] != of[rows[:, 2]]].ravel()
+
+    def _between(self, active, boundary) -> GhostRows:
+        """Facets between active cells of which one is at the boundary, shape (facets, 4)."""
         rows = np.empty((0, 4), np.int32)
         for _ in range(2):  # first count, then fill
             arguments = self._owned_facets, self._cell_facets, self._facet_cells
@@ -123,7 +141,20 @@ class GhostFacets:
             if number <= len(rows):
                 break
             rows = np.empty((number, 4), np.int32)
-        return rows.ravel()
+        return rows
+
+
+def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.NDArray[np.bool_]:
+    """Whether each cell of a lattice is active and has an inactive neighbour. Collective."""
+    halo, shape = basis.halo, np.array(basis.lattice.shape)
+    beside = np.zeros(active.size, bool)
+    own = np.flatnonzero(active[: basis.cells.owned])
+    for step in np.concatenate([np.eye(shape.size, dtype=int), -np.eye(shape.size, dtype=int)]):
+        ijk = halo.cell_ijk[own] + step
+        inside = np.all((ijk >= 0) & (ijk < shape), axis=1)
+        neighbour = halo.cell_table[tuple((ijk[inside] - halo.origin).T)]
+        beside[own[inside]] |= ~active[neighbour]
+    return basis.cells.share_flags(beside)
 
 
 @once_per_grid

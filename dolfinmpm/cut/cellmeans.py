@@ -27,13 +27,13 @@ from dolfinx.la import InsertMode
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
-from dolfinmpm.basis.bspline import number_functions
+from dolfinmpm.basis.space import lattice_basis
 from dolfinmpm.basis.stencils import add_weighted, running_sum
 from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.cut.pattern import Pattern
 from dolfinmpm.cut.unknowns import FieldUnknowns
 from dolfinmpm.grid.halo import Numbering
-from dolfinmpm.grid.lattice import once_per_grid, require_lattice
+from dolfinmpm.grid.lattice import once_per_grid
 
 __all__ = [
     "CellCouplings",
@@ -80,15 +80,13 @@ class Shares:
 
 
 @once_per_grid
-def _lower_splines(grid, degree: int, averaged: bool) -> LatticeBasis:
+def _lower_splines(grid, degree: int, averaged: bool, coarsen: int) -> LatticeBasis:
     """Splines for means alone: their overlap of ranks follows that of the basis above. Collective.
 
     The basis of a field on them would not do, for its numbering must not change when
     that of another one does.
     """
-    lattice = require_lattice(grid, "a mean over splines")
-    node_map, ijk = number_functions(grid, lattice, degree)
-    return LatticeBasis(grid, lattice, degree, averaged, node_map, ijk)
+    return lattice_basis(grid, degree, averaged, coarsen)
 
 
 def _over_splines(basis: LatticeBasis | LinearBasis) -> bool:
@@ -112,7 +110,7 @@ def sharing(where: Placement, seen: Stencils, basis: LatticeBasis | LinearBasis)
 def _lower(basis: LatticeBasis | LinearBasis) -> LatticeBasis:
     """Splines one degree lower, with the same overlap of ranks. Collective."""
     assert isinstance(basis, LatticeBasis)
-    lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged)
+    lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged, basis.coarsen)
     return lower.grown(basis.halo.layers, basis.partition)
 
 

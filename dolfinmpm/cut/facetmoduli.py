@@ -22,7 +22,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm.basis import Placement
+from dolfinmpm.basis import LatticeBasis, Placement
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.fractions import cell_sums
@@ -106,9 +106,14 @@ def _radii(grid) -> Array:
     return grid.geometry.x[geometry_dofmap(grid), 0].mean(axis=1)
 
 
-def _rings(points: MaterialPoints, facets: npt.NDArray[np.int32]) -> Array:
+def _rings(field: ActiveField, facets: npt.NDArray[np.int32]) -> Array:
     """2π r of facets, shape (facets, 1)."""
-    cells = _radii(points.grid)[facets[:, [0, 2]]]
+    radii, basis = _radii(field.space.grid), field.basis
+    if isinstance(basis, LatticeBasis) and basis.coarsen > 1:
+        # parts of a coarse facet have one penalty
+        line, of = basis.lattice.lines[0], basis.lattice.cell_ijk[:, 0]
+        radii = 0.5 * (line[of] + line[of + 1])
+    cells = radii[facets[:, [0, 2]]]
     return ring(cells.mean(axis=1, keepdims=True), 1.0)
 
 
@@ -149,7 +154,7 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     points = modulus.points
     facets = field.entities[GHOST_FACETS].reshape(-1, 4)
     if isinstance(modulus, FacetRing):
-        modulus.moduli = _rings(points, facets) * [1.0, 0.0]
+        modulus.moduli = _rings(field, facets) * [1.0, 0.0]
         return
     where: Placement = points.placement(field.space.configuration)
     M, G = points[FIELD].T
@@ -171,4 +176,4 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
         )
         total = points.comm.allreduce(own)
         means[~known] = total[1:] / total[0] if total[0] > 0 else 0.0
-    modulus.moduli = means * _rings(points, facets) if points.axisymmetric else means
+    modulus.moduli = means * _rings(field, facets) if points.axisymmetric else means

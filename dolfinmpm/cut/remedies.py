@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
@@ -18,6 +17,7 @@ from ufl.domain import extract_unique_domain
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.arguments import (
     check_displacement,
     check_increment,
@@ -140,7 +140,8 @@ def ghost(
         raise ParameterError("gamma lives on another grid than the points; make it on points.grid")
     order = None if order is None else whole("order", order, 1)
     # before γ, always: FFCx tells forms apart by the order in which their constants were made
-    size = cell_size(points.grid)
+    space = getattr(u, "_dolfinmpm_space", None)
+    size = cell_size(points.grid) if space is None else space.cell_size
     factor: Expr
     if adaptive or scaling == "tangent":
         check_displacement(points, u=u, v=v)
@@ -151,7 +152,6 @@ def ghost(
         factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
         if points.axisymmetric:
             factor *= FacetRing(points, u)("+")
-    space = getattr(u, "_dolfinmpm_space", None)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
         order = space.basis.degree if space is not None else 1
@@ -341,11 +341,9 @@ class Stabilisation:
 
     def penalty(
         self,
-        grid: Mesh,
-        degree: int,
+        space: Space,
         C: sparse.csr_matrix,
         nodes,
-        components: int,
         radius: npt.NDArray[np.float64] | None = None,
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
         """Weak aggregation: γ E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
@@ -362,7 +360,7 @@ class Stabilisation:
         from scipy import sparse
 
         assert self.E is not None
-        h = cell_size(grid)
+        h = space.cell_size
         size = float(h.value) if not isinstance(h, fem.Function) else float(h.x.array.mean())
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
@@ -370,11 +368,11 @@ class Stabilisation:
         # so that a far continuation, whose weights are large, does not outweigh the body
         norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
         share = own / np.maximum(norms, 1.0)
-        gamma = WEAK_FACTORS[degree] if self.gamma is None else self.gamma
+        gamma = WEAK_FACTORS[space.basis.degree] if self.gamma is None else self.gamma
         assert not isinstance(gamma, str)
         if radius is not None:
             share *= ring(np.maximum(radius, 0.5 * size), 1.0)
-        weights = sparse.diags(share * gamma * self.E * size ** (grid.geometry.dim - 2))
+        weights = sparse.diags(share * gamma * self.E * size ** (space.grid.geometry.dim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
-        blocks = product.data[:, None, None] * np.eye(components)
+        blocks = product.data[:, None, None] * np.eye(space.components)
         return product.row.astype(np.int32), product.col.astype(np.int32), blocks

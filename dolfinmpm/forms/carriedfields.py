@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import numpy as np
 import ufl
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.points import MaterialPoints, PointField
-from dolfinmpm.grid.lattice import lattice_of
 
 __all__ = ["CARRIED", "CarriedField", "CellOffset", "carried", "carried_in"]
 
@@ -38,23 +37,19 @@ class CarriedField(PointField):
 
 
 class CellOffset(PointField):
-    """From the centre of mass of the points in its cell to a point (m), as a step begins."""
+    """Where a point is in its cell of a field, shape (gdim + 1,), set as a step begins.
 
-    def __init__(self, points: MaterialPoints):
-        super().__init__(points, "cell_offset", (points.gdim,), "m")
+    From the centre of mass of the cell's points to the point (m); and the size of what counts as
+    one cell by that of a cell, see `dolfinmpm.cut.celloffsets`.
 
-    def renew(self) -> None:
-        """Set it for the cells that the points are in now."""
-        points = self.points
-        where = points.placement(points.configuration)
-        lattice, cells = lattice_of(points.grid), where.cell
-        if lattice is not None:
-            # under a partition points have no cell of DOLFINx's mesh
-            cells = np.ravel_multi_index(tuple(lattice.cells_at(where.x).T), lattice.shape)
-        _, at = np.unique(cells, return_inverse=True)
-        volume = np.bincount(at, where.volume)
-        centre = [np.bincount(at, where.volume * x) / volume for x in where.x.T]
-        points[self.name] = where.x - np.stack(centre, axis=1)[at]
+    Args:
+        points: Material points.
+        space: Space of the field.
+    """
+
+    def __init__(self, points: MaterialPoints, space: Space):
+        super().__init__(points, "cell_offset", (points.gdim + 1,), "m")
+        self.space = space
 
 
 def carried(

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm.grid.lattice import cell_size, lattice_of, require_lattice
+from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
 __all__ = ["create_lattice", "lay_lines", "zoned_line"]
 
@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 # What is kept on a grid that does not depend on where its lines are, by the function's name; the
 # size of cells is a function in forms, which gets other values
-_KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", "cell_size")
+_KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", "cell_size", "coarse_cell_size")
 # Largest ratio of neighbouring cells outside a zone
 _STEEPEST = 3.0
 
@@ -144,11 +144,13 @@ def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
     kept = grid.__dict__["_dolfinmpm"]
     for key in [key for key in kept if key[0] not in _KEPT]:
         del kept[key]
-    found = kept.pop(("cell_size",))
-    values: Any = cell_size(grid)
-    sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
-    found.x.array[:] = sizes
-    kept[("cell_size",)] = found
+    makers: dict[str, Any] = {"cell_size": cell_size, "coarse_cell_size": coarse_cell_size}
+    for key in [key for key in kept if key[0] in makers]:
+        found = kept.pop(key)
+        values = makers[key[0]](grid, *key[1:])
+        sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
+        found.x.array[:] = sizes
+        kept[key] = found
     assert lattice_of(grid) is not None
 
 

@@ -121,6 +121,7 @@ def build_halo(
     node_ijk: npt.NDArray[np.int32],
     layers: int,
     also: npt.NDArray[np.int32],
+    around: npt.NDArray[np.int32] | None = None,
 ) -> LatticeHalo:
     """Numberings and tables for points that reach `layers` cells beyond their own. Collective.
 
@@ -132,8 +133,10 @@ def build_halo(
         cell_ijk: Lattice position of every cell of that map, shape (cells, gdim).
         node_map: Index map of the nodes.
         node_ijk: Lattice position of every node of that map, shape (nodes, gdim).
-        layers: Layers of cells that are to be known around the owned cells.
+        layers: Layers of cells that are to be known around the owned cells, or others.
         also: Lattice positions of further cells that are to be known, shape (n, gdim).
+        around: Lattice positions of the cells that layers are around, all owned ones among them,
+            likewise; the owned ones by default.
     """
     gdim = len(shape)
     if comm.size == 1:
@@ -141,8 +144,8 @@ def build_halo(
         origin = np.zeros(gdim, np.int32)
         stop = np.array(shape)
     else:
-        own = cell_ijk[: cell_map.size_local]
-        known = np.vstack([cell_ijk, also])
+        own = cell_ijk[: cell_map.size_local] if around is None else around
+        known = np.vstack([cell_ijk, own, also])
         known = known if len(known) else np.zeros((1, gdim), np.int32)
         origin = np.maximum(known.min(axis=0) - layers, 0).astype(np.int32)
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)

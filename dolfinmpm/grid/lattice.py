@@ -19,7 +19,7 @@ from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
 from dolfinmpm.grid.constants import own_constant
 
-__all__ = ["Lattice", "cell_size", "lattice_of"]
+__all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]
 
 
 def once_per_grid(function: Callable) -> Callable:
@@ -63,6 +63,16 @@ class Lattice:
     def spacing(self) -> npt.NDArray[np.float64]:
         """Mean size of the cells in each direction (m), shape (gdim,)."""
         return np.array([(line[-1] - line[0]) / (line.size - 1) for line in self.lines])
+
+    def coarsened(self, by: int) -> Lattice:
+        """The lattice of every `by`-th line.
+
+        Its `cell_ijk` has, for each local cell of the grid, the coarse one that this is a part of.
+        """
+        if by == 1:
+            return self
+        lines = tuple(np.ascontiguousarray(line[::by]) for line in self.lines)
+        return Lattice(lines, self.cell_ijk // by, self.uniform)
 
     def cells_at(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
         """Lattice position of the cell at each position, or the nearest one, shape (n, gdim)."""
@@ -188,6 +198,22 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     largest = grid.comm.allreduce(sizes.max(initial=0.0), op=MPI.MAX)
     if largest - least <= 1e-9 * largest:
         return own_constant(grid, 0.5 * (least + largest))
+    return _as_function(grid, sizes)
+
+
+@once_per_grid
+def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
+    """Size of the cells of `Lattice.coarsened`, as `cell_size`. Collective."""
+    size = cell_size(grid)
+    if not isinstance(size, fem.Function):
+        return own_constant(grid, by * float(size.value))
+    lattice = require_lattice(grid, "a coarser field").coarsened(by)
+    edges = [np.diff(line)[ijk] for line, ijk in zip(lattice.lines, lattice.cell_ijk.T)]
+    return _as_function(grid, np.prod(edges, axis=0) ** (1 / len(edges)))
+
+
+def _as_function(grid: Mesh, sizes: npt.NDArray[np.float64]) -> fem.Function:
+    """Sizes of the local cells as a function of the library's own."""
     h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")
     h.x.array[:] = sizes
     h._dolfinmpm_own = True

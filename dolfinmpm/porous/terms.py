@@ -26,34 +26,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number, shown
-from dolfinmpm._platform.errors import ParameterError, UnstablePairWarning, warn
+from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, CellOffset, carried
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, carried
 from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.kinematics.terms import momentum
 from dolfinmpm.materials.base import lame
 from dolfinmpm.porous.fluid import Fluid
+from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
 
 __all__ = ["poromechanics"]
 
-PROJECTIONS = ("auto", "none")
-
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.7 %)
-_STORAGE, _FLOW = 0.003, 1 / 90
-# Factor of the pressure projection by which a first step does not overshoot in one dimension: the
-# projection then lumps what a step stores. Quadratic splines for u need 2.5
-_LUMPED = 3.0
+# this 0.9 %)
+_STORAGE, _FLOW = 0.002, 1 / 90
 # Penalty of a drained surface, by what flows through a cell and what a cell stores
 _DRAINED = 100.0
 
@@ -151,9 +145,9 @@ def poromechanics(
         projection: Factor of the polynomial pressure projection by which a step shorter than
             h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
             being those of a cell's points (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
-            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 c_v Δt/h²)₊.
+            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 θ c_v Δt/h²)₊.
             "auto" is 3, with which a step without drainage does not overshoot in one dimension,
-            whatever the pair; "none" leaves it out.
+            whatever the pair; "none" leaves it out. h is the size of the pressure's cells.
         modulus: P-wave modulus M (Pa) that stabilisation is scaled by; the law's by default.
         drained: Surfaces at which the pressure is held: a `Surface`, a pair of one and its
             pressure (Pa, for UFL), or several of these. They move with the body; the condition
@@ -170,7 +164,8 @@ def poromechanics(
             and modulus is missing.
 
     Warns:
-        UnstablePairWarning: u and p are of equal order and projection is "none".
+        UnstablePairWarning: u and p are of equal order on the same cells and projection is "none",
+            or u has coarser cells than p; see `dolfinmpm.porous.projection`.
     """
     check_points(points)
     u, p, v, q = _fields(points, fields, tests)
@@ -196,7 +191,7 @@ def poromechanics(
     keeps[0].bounds = 0.0, 1.0
 
     # volumes in newtons, as forces are: M/h times q, so that solvers see equations alike
-    scale = M / _size(points)
+    scale = M / size_of(p)
     q = scale * q
 
     dX = points.dX("everywhere" if tag is None else tag)
@@ -217,26 +212,22 @@ def poromechanics(
         mass = points.density + at.growth * water
         terms -= mass * ufl.dot(b, v)
         keeps.append(carried(points, "density", mass, "kg/m^d"))
-    slow = _projected(projection, u, p, M, K, points)
-    if slow is not None:
-        offset = CellOffset(points)
+    factor = factor_of(projection, u, p)
+    if factor:
         slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
-        change = at.grad(p) - slope
-        # second moments of a point's domain about the centre of mass of its cell's points
-        across = sum(points.l[i] ** 2 * ufl.grad(q)[i] * change[i] for i in range(gdim)) / 3
-        terms += slow * (ufl.dot(offset, ufl.grad(q)) * ufl.dot(offset, change) + across)
+        terms += projected(points, factor, at.grad(p) - slope, p, q, M, K, theta)
     keeps.append(pressure)
     marked = {
         **dX.metadata(),
         CARRIED: tuple(keeps),
-        PENALTY: {p: scale * _penalty(M, n0, fluid, K0, points)},
+        PENALTY: {p: scale * _penalty(M, n0, fluid, K0, points, p)},
     }
     form += terms * dX(metadata=marked)
     for surface, value in _surfaces("drained", drained, points):
         form += _held(surface, value, u, p, q, at, M, K, b, water, points)
     for surface, value in _surfaces("seepage", seepage, points):
         out = ufl.max_value(surface.at(p) - value, 0.0)
-        form += surface.density * _stiff(M, K, points) * out * surface.at(q) * points.dX
+        form += surface.density * _stiff(M, K, points, p) * out * surface.at(q) * points.dX
     return form
 
 
@@ -309,11 +300,6 @@ def _times(K: Expr, w: Expr) -> Expr:
     return K * w if K.ufl_shape == () else ufl.dot(K, w)
 
 
-def _largest(K: Expr) -> Expr:
-    """A bound of what a permeability does to a vector."""
-    return K if K.ufl_shape == () else ufl.tr(K)
-
-
 def _gravity(gravity: Any, points: MaterialPoints) -> Any:
     if gravity is None or isinstance(gravity, Expr):
         if gravity is not None and gravity.ufl_shape != (points.gdim,):
@@ -348,47 +334,13 @@ def _modulus(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
     return own_constant(points.grid, lmbda + 2 * mu)
 
 
-def _size(points: MaterialPoints) -> Any:
-    size = cell_size(points.grid)
-    return (
-        size
-        if not isinstance(size, fem.Function)
-        else own_constant(points.grid, float(size.x.array.mean()))
-    )
-
-
-def _projected(projection: Any, u, p, M, K, points: MaterialPoints) -> Any:
-    """τ of the pressure projection for UFL (1/Pa), or None."""
-    order = [w._dolfinmpm_space.basis for w in (u, p)]
-    equal = order[0].degree <= order[1].degree
-    if isinstance(projection, str):
-        projection = choice("projection", projection, PROJECTIONS)
-        if projection == "none":
-            if equal:
-                warn(
-                    points.comm,
-                    f"displacement and pressure are of equal order ({order[0].degree} and "
-                    f"{order[1].degree}) without projection: pressures oscillate where little "
-                    'drains. Leave projection="auto", or take "bspline2" for the displacement',
-                    UnstablePairWarning,
-                )
-            return None
-        factor = _LUMPED
-    else:
-        factor = number("projection", projection, 0.0, closed=True)
-    h, dt = _size(points), points.dt
-    # spent where the step is long enough for the flow itself to smooth
-    spent = 4 * _largest(K) * M * dt / h**2
-    return own_constant(points.grid, factor) / M * ufl.max_value(1 - spent, 0.0)
-
-
-def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints) -> Expr:
+def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints, p) -> Expr:
     """γ of the pressure's ghost penalty, in its literal scaling: by what is stored and flows."""
     stored = 1 / M
     if fluid.compressible:
         stored = stored + _plain(n0, 1.0) / own_constant(points.grid, fluid.bulk_modulus)
-    flows = points.dt * _plain(_largest(K), 0.0)
-    return 3 * (_STORAGE * stored + _FLOW * flows / _size(points) ** 2)
+    flows = points.dt * _plain(largest(K), 0.0)
+    return 3 * (_STORAGE * stored + _FLOW * flows / size_of(p) ** 2)
 
 
 def _plain(factor: Any, otherwise: float) -> Any:
@@ -420,16 +372,16 @@ def _surfaces(what: str, given: Any, points: MaterialPoints) -> list[tuple[Surfa
     return found
 
 
-def _stiff(M, K, points: MaterialPoints) -> Expr:
+def _stiff(M, K, points: MaterialPoints, p) -> Expr:
     """Penalty of a pressure that is held, per area and step (m/Pa)."""
-    h = _size(points)
-    return _DRAINED * (points.dt * _largest(K) / h + h / M)
+    h = size_of(p)
+    return _DRAINED * (points.dt * largest(K) / h + h / M)
 
 
 def _held(surface: Surface, value, u, p, q, at: _Kinematics, M, K, b, water, points) -> ufl.Form:
     """Nitsche's condition without its adjoint: what flows through the face, and a penalty."""
     gap = surface.at(p) - value
-    form = surface.density * _stiff(M, K, points) * gap * surface.at(q) * points.dX
+    form = surface.density * _stiff(M, K, points, p) * gap * surface.at(q) * points.dX
     drive = at.grad(p) if b is None else at.grad(p) - water * b
     area = surface.area
     if at.inverse is not None:

@@ -23,6 +23,7 @@ from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import Activation, ActiveField, region_on, regions_of
+from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
@@ -272,7 +273,8 @@ class Operator:
         self.form, self.here = form, here
         for field in form.parts.carried:
             if isinstance(field, CellOffset):
-                field.renew()
+                (of,) = (f for f in here.fields if f.space is field.space)
+                form.points[field.name] = cell_offsets(here.where, of)
         # a second form on an activation that was made for another has its own parts of the body
         self._main = form is here.terms
         parts, of_boundaries = here.regions, here.of_boundaries

@@ -335,10 +335,65 @@ def test_what_is_no_pair_of_fields_is_refused():
 def test_a_pair_of_equal_order_without_projection_is_told():
     with pytest.warns(UnstablePairWarning, match='projection="auto"'):
         block("gimp", projection="none")
+    with pytest.warns(UnstablePairWarning, match=r"shape=\(\), coarsen=2"):
+        block("gimp", projection=0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         block("bspline2", projection="none")
         block("gimp")
+        nested(projection="none")
+    with pytest.warns(UnstablePairWarning, match="coarsen=2, or twice that"):
+        nested(1, coarse="u")
+
+
+def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, remedy="none", **options):
+    """A column that ends within a cell, one field having cells of twice the size; its problem."""
+    height = (5 + cut) * h
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, 0), (h, 7 * h)], (2, 14), mesh.CellType.quadrilateral
+    )
+    points = mpm.fill(grid, mpm.Box((0, 0), (h, height)), 2, 1.0, exact=True)
+    V = mpm.Space(grid, basis, coarsen=2 if coarse == "u" else 1)
+    Q = mpm.Space(grid, basis, shape=(), coarsen=2 if coarse == "p" else 1)
+    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1))
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(E=1e6, nu=0.0), points, (V.increment, Q.increment),
+        (V.test, Q.test), permeability=1e-3, porosity=0.4, fluid=WATER, drained=top, **options,
+    )  # fmt: skip
+    F -= top.traction(fem.Constant(grid, (0.0, -1e3)), V.test)
+    return problem_of(F, points, V, Q, remedy=remedy), h**2 * WATER.unit_weight / 1e3
+
+
+@pytest.mark.parametrize(
+    ("basis", "remedy", "theta"),
+    [
+        ("gimp", "ghost", 1.0),
+        ("gimp", "aggregation", 0.5),
+        ("bspline2", "aggregation", 1.0),
+        pytest.param("gimp", "none", 0.5, marks=pytest.mark.long),
+        pytest.param("linear", "aggregation", 1.0, marks=pytest.mark.long),
+    ],
+)
+def test_a_first_step_on_nested_grids_does_not_overshoot(basis, remedy, theta):
+    """Nor where nodes are tied: an ill-filled cell and its root have one mean."""
+    for cut, share in ((1e-6, 0.25), (0.3, 1e-8), (0.49, 0.1), (0.49, 0.5), (0.9, 0.25)):
+        problem, time = nested(cut, basis, remedy=remedy, theta=theta)
+        problem.step(share * time / 1e6)
+        assert problem.points["pressure"].max() < 1.005e3
+
+
+def test_cells_that_are_one_to_means():
+    """Offsets from the middle of the root and the ill-filled cell beside it together."""
+    problem, time = nested(0.4, remedy="aggregation")
+    problem.step(1e-6 * time)
+    points, h = problem.points, 0.125
+    *offset, size = points["cell_offset"].T
+    y = points["x0"][:, 1]
+    above = y > 4 * h
+    np.testing.assert_allclose(size, np.where(above, 1.4, 1.0), rtol=1e-3)
+    middle = np.where(above, (4 + 0.7) * h, (np.floor(y / h) + 0.5) * h)
+    np.testing.assert_allclose(offset[1], y - middle, atol=1e-3 * h)
+    np.testing.assert_allclose(offset[0], points["x0"][:, 0] - 0.5 * h, atol=1e-3 * h)
 
 
 def test_a_field_is_carried_under_a_name_once():

@@ -83,6 +83,7 @@ CASES = {
         explicit.explicit_steps,
         explicit.explicit_restart,
         porous.consolidation,
+        porous.nested,
         boundaries.boundaries,
         boundaries.boundaries_triangles,
         boundaries.boundary_3d,

@@ -43,3 +43,33 @@ def consolidation():
         "carried": list(carried.values()),
         **sums(points, "x", "stress"),
     }
+
+
+def nested():
+    """A body beside cells of several ranks that drains, its pressure on cells of twice the size."""
+    figures = {}
+    scenes = ("gimp", "ghost"), ("gimp", "aggregation"), ("bspline2", "aggregation")
+    for basis, remedy in scenes:
+        grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (22, 14), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((0, 0), (1.3, 0.9)), 2, 2000.0, exact=True)
+        V, Q = mpm.Space(grid, basis), mpm.Space(grid, basis, shape=(), coarsen=2)
+        top = mpm.Surface(points, lambda x: x[1] > 0.9 - 1e-9, (0, 1))
+        F = mpm.poromechanics(
+            mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment),
+            (V.test, Q.test), permeability=1e-3, porosity=0.4, drained=top,
+        )  # fmt: skip
+        F -= top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
+        bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+        problem = mpm.Transient(
+            F, [V.increment, Q.increment], points, bcs, stabilisation=[remedy] * 2
+        )
+        for t in (1e-6, 1.0, 20.0):
+            problem.step(t)
+        weight = np.sin(1.0 + points["id"])
+        figures[f"{basis} {remedy}"] = {
+            "unknowns": [record.unknowns for record in problem.history],
+            "cells": [problem.here.active_cells, problem.here.ghost_facets],
+            "pressure": COMM.allreduce(float(weight @ points["pressure"])),
+            **sums(points, "x", "stress", "cell_offset"),
+        }
+    return figures
