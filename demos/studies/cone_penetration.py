@@ -9,8 +9,8 @@
 #
 # for smooth cones and shafts, in clay whose stresses at rest do not differ. In sand of the relative
 # density RD the stress at rest is that of a deposit, with $K_0 = 1 - \sin\varphi$ and a stiffness
-# that rises with depth; the parameters are Brinkgreve's (`mpm.materials.sand`), the scene is that of
-# the fourth tutorial of AMPSSIE.
+# that rises with depth; the parameters are Brinkgreve's (`mpm.materials.sand`), the scene is the
+# penetrometer of AMPSSIE's tutorials.
 #
 # The cone is wished in place at first, with its tip `--start` deep: what is beside it is filled,
 # and gaps of half a point close within the first steps. Domains of points shrink with their
@@ -66,8 +66,8 @@ def arguments(words=None):
         "--domains", choices=("volume", "stretch", "fixed"), default="volume", help="their growth"
     )
     options.add_argument("--corners", choices=("domains", "material"), default="domains")
-    options.add_argument("--penalty", type=float, default=50.0, help="κ R/E")
-    options.add_argument("--fillet", type=float, default=0.1, help="of the cone's edges, by R")
+    options.add_argument("--penalty", type=float, default=5.0, help="κ h/E")
+    options.add_argument("--fillet", type=float, default=1.0, help="of tip and shoulder, by h")
     options.add_argument(
         "--stabilisation", choices=("none", "ghost", "aggregation"), help="by the law"
     )
@@ -151,7 +151,7 @@ class Scene:
             mpm.set_stress(points, law, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         F += mpm.contact(
-            self.tool, points, u, v, penalty=args.penalty / R, friction=args.friction,
+            self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
             corners=args.corners,
         )  # fmt: skip
         if self.flat:
@@ -168,7 +168,7 @@ class Scene:
         """Cone and shaft in one, with its tip where it starts."""
         args, R = self.args, self.args.radius
         tip, long = -args.start, args.depth + 4 * self.height
-        motion = {"fillet": args.fillet * R, "name": "cone"}
+        motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
             shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
             return mpm.RigidBody(shape, velocity=(0.0, 0.0, -self.way), **motion)

@@ -92,5 +92,6 @@ CASES = {
         contact.contact_quasistatic,
         contact.contact_restart,
         contact.contact_in_time,
+        contact.contact_of_revolution,
     )
 }
