@@ -71,6 +71,7 @@ def arguments(words=None):
     options.add_argument(
         "--stabilisation", choices=("none", "ghost", "aggregation"), help="by the law"
     )
+    options.add_argument("--ghost", type=float, default=0.1, help="factor of the ghost penalty")
     options.add_argument("--tolerance", type=float, default=1e-6)
     given = options.parse_args(words)
     for name, value in DEFAULTS[given.law].items():
@@ -158,8 +159,11 @@ class Scene:
             bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
         else:
             bcs = mpm.rollers(V, "left", "right", "front", "back")
+        remedy = args.stabilisation
+        if remedy == "ghost":
+            remedy = mpm.Stabilisation("ghost", gamma=args.ghost)
         self.problem = mpm.QuasiStatic(
-            F, u, points, bcs + mpm.fixed(V, "bottom"), stabilisation=args.stabilisation,
+            F, u, points, bcs + mpm.fixed(V, "bottom"), stabilisation=remedy,
             tolerance=args.tolerance,
         )  # fmt: skip
         self.history, self.reason = mpm.History(), ""
