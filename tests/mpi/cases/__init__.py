@@ -93,5 +93,6 @@ CASES = {
         contact.contact_quasistatic,
         contact.contact_restart,
         contact.contact_in_time,
+        contact.contact_of_revolution,
     )
 }

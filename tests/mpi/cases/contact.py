@@ -55,6 +55,40 @@ def contact_restart():
     return goes_on(lambda: ploughed(petsc_options=REPEATABLE, tolerance=1e-12), 7, moves=False)
 
 
+def _penetrated(**options):
+    """A cone on a shaft goes on into clay that its rings flow past, on a zoned grid."""
+    out, up = np.r_[0:1.6:4j, 2.4, 4.0, 8.0], np.r_[-9, -6, -4.5:0.5:11j, 1.0]
+    grid = mpm.create_lattice(COMM, [out, up])
+    meridian = [(0, -2.7), (1, -1), (1, 9), (-1, 9), (-1, -1)]
+    cone = mpm.RigidBody(mpm.Polygon(meridian), velocity=(0, -0.1), fillet=0.5, name="cone")
+
+    def beside(x):
+        return (cone.surface.probe(np.ascontiguousarray(x))[0] > 0.15) & (x[:, 1] < 0)
+
+    ground = mpm.Shape(beside, np.array([0.0, -9.0]), np.array([8.0, 0.0]))
+    points = mpm.fill(grid, ground, 2, 1000.0, axisymmetric=True)
+    V = mpm.Space(grid, "gimp", domains="volume")
+    clay = mpm.materials.Tresca(E=3e6, nu=0.45, cohesion=1e4)
+    F = mpm.momentum(clay, points, V.increment, V.test, fbar=True)
+    F += mpm.contact(cone, points, V.increment, V.test, friction=0.1, penalty=10.0)
+    bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0) + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost", **options)
+    return problem, problem.step
+
+
+def contact_of_revolution():
+    """A cone in mid-penetration that goes on from there, on each number of ranks."""
+    options = {"petsc_options": REPEATABLE, "tolerance": 1e-11}
+    found = goes_on(lambda: _penetrated(**options), 6, moves=False)
+    problem, step = _penetrated(tolerance=1e-11)
+    for _ in range(6):
+        step()
+    force = problem.bodies.all[0].force
+    assert force[1] > 5e4 * np.pi
+    assert force[0] == 0.0
+    return {"going_on": found, **figures(problem)}
+
+
 def _thrown(kind, free=True, **options):
     """A ball falls on a block, turning: it is free, or it goes on as it came."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (6, 3)], (12, 6), mesh.CellType.quadrilateral)

@@ -1,0 +1,338 @@
+# %% [markdown]
+# # A cone penetrates the ground: clay against Teh & Houlsby's factor, sand under its weight
+#
+# A penetrometer of 60° and the radius R is pressed down. In weightless clay that flows under the
+# shear stress $c_u$ (Tresca, rigidity index $I_r = G/c_u$) its resistance is steady once nothing
+# flows to the surface any more. Teh & Houlsby (1991, doi 10.1680/geot.1991.41.1.17) found
+#
+# $$ N_c = \frac{q_c}{c_u} = \frac43 (1 + \ln I_r)\left(1.25 + \frac{I_r}{2000}\right) $$
+#
+# for smooth cones and shafts, in clay whose stresses at rest do not differ. In sand of the relative
+# density RD the stress at rest is that of a deposit, with $K_0 = 1 - \sin\varphi$ and a stiffness
+# that rises with depth; the parameters are Brinkgreve's (`mpm.materials.sand`), the scene is the
+# penetrometer of AMPSSIE's tutorials.
+#
+# The cone is wished in place at first, with its tip `--start` deep: what is beside it is filled,
+# and gaps of half a point close within the first steps. Domains of points shrink with their
+# volume and keep their axes: under the tip the ground is stretched along the cone's face without
+# end, and domains that are stretched as it is would touch the cone from far away, as if it were a
+# third larger.
+
+# %%
+import math
+import time
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from scene import draw_points, finish, parser, say, solver_figures
+
+import dolfinmpm as mpm
+
+COHESION, GRAVITY = 10e3, 10.0  # Pa of the clay, m/s²
+DEFAULTS = {  # by the law, lengths by the radius
+    "tresca": {
+        "radius": 1.0, "start": 6.0, "depth": 18.0, "h": 0.25, "step": 0.05, "poisson": 0.45,
+        "fbar": "on", "friction": 0.0, "width": 40.0, "stabilisation": "ghost",
+    },
+    "sand": {
+        "radius": 0.4, "start": 0.0, "depth": 4.0, "h": 0.1, "step": 4 / 300, "poisson": 0.25,
+        "fbar": "off", "friction": 0.3, "width": 12.8, "stabilisation": "ghost",
+    },
+}  # fmt: skip
+
+
+def arguments(words=None):
+    """The command line; what is not given takes the law's value in DEFAULTS."""
+    options = parser("A cone penetrates clay or sand.")
+    options.add_argument("--dimension", choices=("axisymmetric", "3"), default="axisymmetric")
+    options.add_argument("--law", choices=tuple(DEFAULTS), default="tresca")
+    options.add_argument("--radius", type=float, help="R (m); by the law")
+    options.add_argument("--start", type=float, help="depth of the tip at first (m); by the law")
+    options.add_argument("--depth", type=float, help="of the tip at the end (m); by the law")
+    options.add_argument("--h", type=float, help="size of the cells around it (m); by the law")
+    options.add_argument("--step", type=float, help="way of the cone in a step (m); by the law")
+    options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
+    options.add_argument("--relative-density", type=float, default=0.32, help="of sand")
+    options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
+    options.add_argument("--friction", type=float, help="coefficient at the cone; by the law")
+    options.add_argument("--width", type=float, help="radius of the ground (m); by the law")
+    options.add_argument("--zone", type=float, default=2.5, help="width of equal cells, by R")
+    options.add_argument("--growth", type=float, default=1.3, help="of cells outside of it")
+    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
+    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
+    options.add_argument("--fbar", choices=("on", "off"), help="against locking; by the law")
+    options.add_argument(
+        "--domains", choices=("volume", "stretch", "fixed"), default="volume", help="their growth"
+    )
+    options.add_argument("--corners", choices=("domains", "material"), default="domains")
+    options.add_argument("--penalty", type=float, default=5.0, help="κ h/E")
+    options.add_argument("--fillet", type=float, default=1.0, help="of tip and shoulder, by h")
+    options.add_argument(
+        "--stabilisation", choices=("none", "ghost", "aggregation"), help="by the law"
+    )
+    options.add_argument("--ghost", type=float, default=0.1, help="factor of the ghost penalty")
+    options.add_argument("--tolerance", type=float, default=1e-6)
+    given = options.parse_args(words)
+    for name, value in DEFAULTS[given.law].items():
+        if getattr(given, name) is None:
+            setattr(given, name, value)
+    sizes = given.radius, given.h, given.step, given.penalty, given.rigidity_index, given.width
+    if not min(sizes) > 0 or given.friction < 0 or not given.start >= 0:
+        options.error("sizes must be positive, start and friction not negative")
+    if not given.depth >= given.start + given.step or given.growth <= 1:
+        options.error("the depth must be more than the start by a step, and growth above 1")
+    if not given.h <= given.radius or given.zone < 1.5 or given.points_per_cell < 1:
+        options.error("h may be R, zone 1.5 and points-per-cell 1 at the least")
+    if given.width < 2 * given.zone * given.radius:
+        options.error("the ground must be twice as wide as the zone")
+    return given
+
+
+def teh_houlsby(index):
+    """The cone's factor in clay of that rigidity index."""
+    return 4 / 3 * (1 + math.log(index)) * (1.25 + index / 2000)
+
+
+# %% [markdown]
+# ## Grid and ground
+# Cells are of the size h around the cone and along its way, and grow from there.
+
+
+# %%
+def growing(h, length, growth):
+    """Ends of cells on a length, each larger than the one before, the first more than h (m)."""
+    if length < 0.5 * h:
+        return np.empty(0)
+    sizes = [h * growth]
+    while sum(sizes) < length - 1e-9:
+        sizes.append(sizes[-1] * growth)
+    return np.cumsum(sizes) * (length / sum(sizes))
+
+
+class Scene:
+    """The ground and the cone, step by step."""
+
+    def __init__(self, args):
+        self.args = args
+        R, h = args.radius, args.h
+        self.height = R * math.sqrt(3.0)
+        self.flat = args.dimension == "axisymmetric"
+        self.steps = max(1, round((args.depth - args.start) / args.step))
+        self.way = (args.depth - args.start) / self.steps
+        self.tool = self.penetrometer()
+        self.grid, low, high = self.background()
+        touched = 0.5 * h / args.points_per_cell
+
+        def beside(x):
+            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x, float))
+            # no corner of a domain within the cone
+            return (x[:, -1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
+
+        ground = mpm.Shape(beside, low, np.append(high[:-1], 0.0))
+        deposit = None
+        if args.law == "sand":
+            sand = mpm.materials.sand(args.relative_density, nu=args.poisson)
+            deposit = mpm.Deposit(0.0, [mpm.Layer.of(sand)])
+            E = deposit.modulus(sand.E_ref, sand.exponent, sand.p_ref)
+            law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
+            density, self.unit = sand.density, 1e3
+        else:
+            E = 2 * args.rigidity_index * COHESION * (1 + args.poisson)
+            law = mpm.materials.Tresca(E, args.poisson, COHESION)
+            density, self.unit = 1000.0, COHESION
+        self.points = points = mpm.fill(
+            self.grid, ground, args.points_per_cell, density, axisymmetric=self.flat
+        )
+        averaged = {} if args.basis == "linear" else {"domains": args.domains}
+        V = mpm.Space(self.grid, args.basis, **averaged)
+        u, v = V.increment, V.test
+        F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
+        if deposit is not None:
+            mpm.set_stress(points, law, lambda x: deposit.stress(x))
+            F -= ufl.inner(deposit.body_force(points), v) * points.dX
+        F += mpm.contact(
+            self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
+            corners=args.corners,
+        )  # fmt: skip
+        if self.flat:
+            bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
+        else:
+            bcs = mpm.rollers(V, "left", "right", "front", "back")
+        remedy = args.stabilisation
+        if remedy == "ghost":
+            remedy = mpm.Stabilisation("ghost", gamma=args.ghost)
+        self.problem = mpm.QuasiStatic(
+            F, u, points, bcs + mpm.fixed(V, "bottom"), stabilisation=remedy,
+            tolerance=args.tolerance,
+        )  # fmt: skip
+        self.history, self.reason = mpm.History(), ""
+
+    def penetrometer(self):
+        """Cone and shaft in one, with its tip where it starts."""
+        args, R = self.args, self.args.radius
+        tip, long = -args.start, args.depth + 4 * self.height
+        motion = {"fillet": args.fillet * args.h, "name": "cone"}
+        if not self.flat:
+            shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
+            return mpm.RigidBody(shape, velocity=(0.0, 0.0, -self.way), **motion)
+        side = [(R, tip + self.height), (R, tip + long)]
+        meridian = [(0.0, tip), *side, *((-r, z) for r, z in side[::-1])]
+        return mpm.RigidBody(mpm.Polygon(meridian), velocity=(0.0, -self.way), **motion)
+
+    def background(self):
+        """The grid, and its lower and upper corner."""
+        args, R, h = self.args, self.args.radius, self.args.h
+        fine = h * np.arange(math.ceil(args.zone * R / h - 1e-9) + 1)
+        across = np.append(fine, fine[-1] + growing(h, args.width - fine[-1], args.growth))
+        last = -args.depth - 2 * R
+        first = min(0.0, -args.start + self.height + R)
+        zone = first - h * np.arange(math.ceil((first - last) / h - 1e-9) + 1)[::-1]
+        under = zone[0] - growing(h, args.width, args.growth)[::-1]
+        above = growing(h, -first, args.growth) + first
+        up = np.concatenate([under, zone, above])
+        # room for ground that heaves
+        up = np.append(
+            up, (up[-1] - up[-2]) * np.arange(1, 1 + (4 if first == 0.0 else 1)) + up[-1]
+        )
+        lines = [across, up] if self.flat else [across, across, up]
+        low, high = (np.array([line[k] for line in lines]) for k in (0, -1))
+        return mpm.create_lattice(MPI.COMM_WORLD, lines), low, high
+
+    def at_tip(self):
+        """Force on the cone below its shoulder (N). Collective."""
+        points, tool = self.points, self.tool
+        d = points.gdim
+        signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * d, indexing="ij")).reshape(d, -1).T
+        at = points["x"][:, None] + signs * points["l"][:, None]
+        touches = points["contact1_pressure"] > 0.0
+        normal = tool.surface.probe(tool.pose.back(at[touches]))[1]
+        up = points["contact1_pressure"][touches] * normal[:, -1]
+        up += points["contact1_traction"][touches][:, -1]
+        under = at[touches][:, -1] < -self.depth + self.height
+        return points.comm.allreduce(-float(up[under].sum())) * (1 if self.flat else 4)
+
+    @property
+    def depth(self):
+        """Depth of the tip (m)."""
+        return self.args.start + len(self.problem.history) * self.way
+
+    def step(self):
+        """One step; keeps depth and forces. Collective."""
+        record, area = self.problem.step(), math.pi * self.args.radius**2
+        whole = record.bodies["cone"]["force"][-1] * (1 if self.flat else 4)
+        # a smooth shaft carries nothing
+        tip = whole if self.args.friction == 0.0 else self.at_tip()
+        self.history.record(
+            depth=self.depth, force=whole, factor=tip / area / self.unit,
+            iterations=record.iterations, halvings=record.halvings,
+        )  # fmt: skip
+
+    def run(self):
+        """Press the cone down as far as it goes. Collective."""
+        for _ in mpm.steps(self.steps, label="cone"):
+            try:
+                self.step()
+            except mpm.errors.ConvergenceError as error:
+                self.reason = str(error)
+                return
+
+
+# %% [markdown]
+# ## What comes out
+# The mean factor of the last four diameters, or the latter half of the way if that is less, its
+# scatter and how much it still grows over them: points that pass by the tip and shoulder one by one
+# make waves.
+
+
+# %%
+def results(args, scene):
+    """The figures of a run."""
+    depth, factor = scene.history["depth"], scene.history["factor"]
+    figures = {"reached": float(depth[-1]) if len(depth) else args.start, "reason": scene.reason}
+    if not len(depth):
+        return figures
+    span = min(8 * args.radius, 0.5 * (depth[-1] - args.start))
+    late = depth > depth[-1] - span - 1e-9
+    mean = float(factor[late].mean())
+    slope = float(np.polyfit(depth[late], factor[late], 1)[0]) if late.sum() > 1 else 0.0
+    quarters = [float(part.mean()) for part in np.array_split(factor[late], 4) if part.size]
+    figures |= {
+        "factor": mean, "scatter": float(factor[late].std()), "drift": slope * span / mean,
+        "quarters": quarters, "depths": depth.tolist(), "factors": factor.tolist(),
+        "forces": scene.history["force"].tolist(), "tip_resistance": mean * scene.unit,
+    }  # fmt: skip
+    if args.law == "tresca":
+        exact = teh_houlsby(args.rigidity_index)
+        figures |= {"factor_exact": exact, "error": mean / exact - 1}
+    return figures
+
+
+def draw(args, scene, figures):
+    """Force against depth, and the ground beside the cone; rank 0 writes."""
+    points, R = scene.points, args.radius
+    found = points.gather("x", "F", "l0", "plastic_strain")
+    if found is None:
+        return
+    x, F, l0, plastic = found
+    if not scene.flat:
+        # points beside the plane of symmetry
+        near = x[:, 1] < 0.5 * args.h
+        x, F, l0, plastic = (
+            x[near][:, [0, 2]],
+            F[near][:, [0, 2]][:, :, [0, 2]],
+            l0[near],
+            plastic[near],
+        )
+        l0 = l0[:, [0, 2]]
+    path = args.output / f"cone_penetration_{args.law}_{args.dimension}.png"
+    with mpm.figure(path, 7.0, 3.6, ncols=2, width_ratios=(1, 1.2)) as (fig, (left, right)):
+        depth = scene.history["depth"]
+        left.plot(scene.history["factor"], depth, lw=1, color="C1")
+        if "factor_exact" in figures:
+            left.axvline(figures["factor_exact"], color="C0", lw=1, label="Teh & Houlsby")
+            left.legend()
+        name = "$q_c/c_u$" if args.law == "tresca" else "$q_c$ (kPa)"
+        left.set(xlabel=name, ylabel="depth of the tip (m)", xlim=(0, None))
+        left.set_ylim(depth[-1], args.start)
+        drawn = draw_points(right, x, F[:, :2, :2], l0, np.log10(plastic + 1e-3), cmap="magma")
+        tip = -scene.depth
+        meridian = np.array([(0, tip), (R, tip + scene.height), (R, tip + 9 * R), (0, tip + 9 * R)])
+        right.fill(*meridian.T, color="0.6", zorder=3)
+        right.set(xlim=(0, 4 * R), ylim=(tip - 2 * R, tip + 5 * R))
+        right.set(xlabel="radius (m)", ylabel="height (m)")
+        fig.colorbar(drawn, label=r"$\log_{10}$ plastic strain")
+
+
+def main(words=None):
+    """Run, print, and return the figures."""
+    args = arguments(words)
+    started = time.perf_counter()
+    scene = Scene(args)
+    ready = time.perf_counter()
+    scene.run()
+    figures = results(args, scene) | solver_figures(scene.problem)
+    figures |= {
+        "seconds_setup": ready - started,
+        "seconds_solve": sum(record.seconds for record in scene.problem.history),
+    }
+    text = f"{args.law}, {args.dimension}, h = {args.h:g} m: "
+    if "factor" in figures:
+        unit = "" if args.law == "tresca" else " kPa"
+        text += f"{figures['factor']:.2f}{unit} ± {figures['scatter']:.2f}, drift "
+        text += f"{100 * figures['drift']:+.1f} %"
+    if "error" in figures:
+        text += f", {100 * figures['error']:+.1f} % from {figures['factor_exact']:.2f}"
+    say(
+        f"{text}; {figures['reached']:.3f} m deep, {figures['newton_iterations']} iterations, "
+        f"{figures['halvings']} halvings, {figures['seconds_solve']:.0f} s"
+        + (f"; ended: {scene.reason[:300]}" if scene.reason else "")
+    )
+    if not args.no_plot and "factor" in figures:
+        draw(args, scene, figures)
+    finish(args, figures)
+    return figures
+
+
+if __name__ == "__main__":
+    main()
