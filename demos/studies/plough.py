@@ -20,11 +20,12 @@ from __future__ import annotations
 
 import math
 import time
+from itertools import pairwise
 
 import numpy as np
 import ufl
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from scene import draw_points, finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -150,14 +151,14 @@ class Scene:
     def fill(self, grid):
         """The sand's points: rows along x, cut where the share is."""
         n, share = self.args.points_per_cell, self.share
-        y, z = (np.concatenate([np.linspace(a, b, n + 1)[:-1] for a, b in zip(line, line[1:])])
+        y, z = (np.concatenate([np.linspace(a, b, n + 1)[:-1] for a, b in pairwise(line)])
                 for line in self.across)  # fmt: skip
         y, z = np.append(y, self.across[0][-1]), np.append(z, self.across[1][-1])
         z = z[z < 1e-9 * self.h]
         z[-1] = 0.0
         size, x, half = self.h / n, [], []
-        for y0, y1 in zip(y, y[1:]):
-            for z0, z1 in zip(z, z[1:]):
+        for y0, y1 in pairwise(y):
+            for z0, z1 in pairwise(z):
                 rows = [(0.0, self.bed[0])]
                 if y0 < share.w * (1 - 1e-9) and z1 > -share.d * (1 - 1e-9):
                     rows = [(0.0, self.start + share.back),
@@ -234,6 +235,52 @@ class Scene:
             self.step()
 
 
+def draw(args, scene):
+    """Pull, a section along the way, and heights seen from above; rank 0 writes. Collective."""
+    points, h = scene.points, args.h / args.points_per_cell
+    names = "x", "x0", "F", "l0", "plastic_strain"
+    found = points.gather(*names)
+    if found is None:
+        return
+    x, x0, F, l0, strain = found
+    history, share = scene.history, scene.share
+    nose = scene.start + history["distance"][-1]
+    height = 0.28 * (1 + scene.bed[1] / scene.bed[0] * 7)
+    with mpm.figure(
+        args.output / "plough.png", 7.0, 1.8 + 2 * height, nrows=3,
+        height_ratios=(1.6, 1.2 * scene.bed[2] / 3, scene.bed[1] / 3),
+    ) as (figure, (top, middle, bottom)):  # fmt: skip
+        top.plot(history["distance"], history["pull"] / 1e3, "o-", ms=2)
+        top.set(xlabel="distance (m)", ylabel="pull (kN)", ylim=(0, None))
+        cut = x0[:, 1] < 0.51 * h
+        plane = np.ix_([0, 2], [0, 2])
+        drawn = draw_points(
+            middle, x[cut][:, [0, 2]], np.array([G[plane] for G in F[cut]]), l0[cut][:, [0, 2]],
+            np.log10(strain[cut] + 1e-4), cmap="magma", clim=(-3, 0.5),
+        )  # fmt: skip
+        low, up = -share.d, share.top
+        middle.fill(
+            nose + np.array([share.back, share.front(0, low), share.front(0, up), share.back]),
+            [low, low, up, up], color="0.5", zorder=3,
+        )  # fmt: skip
+        window = max(0.0, nose - 6 * args.depth), min(scene.bed[0], nose + 4 * args.depth)
+        middle.set(xlim=window, ylim=(-2 * args.depth, 1.2 * args.depth), ylabel="$z$ (m)")
+        figure.colorbar(drawn, ax=middle, label=r"$\log_{10}$ plastic strain")
+        surface = x0[:, 2] > -0.51 * h
+        limit = max(0.2 * args.depth, float(np.abs(x[surface, 2]).max()))
+        drawn = draw_points(
+            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], x[surface, 2],
+            cmap="RdBu_r", clim=(-limit, limit),
+        )  # fmt: skip
+        w = args.half_width
+        bottom.fill(
+            nose + np.array([share.back, share.front(0, 0), share.front(w, 0), share.back]),
+            [0, 0, w, w], color="0.5", zorder=3,
+        )  # fmt: skip
+        bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3 * args.depth)))
+        figure.colorbar(drawn, ax=bottom, label="height (m)")
+
+
 def main(words=None):
     """Run, print, and return the figures."""
     args = arguments(words)
@@ -259,6 +306,8 @@ def main(words=None):
         f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
         f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
     )
+    if not args.no_plot:
+        draw(args, scene)
     finish(args, figures)
     return figures
 
