@@ -245,10 +245,8 @@ def draw(args, scene):
     x, x0, F, l0, strain = found
     history, share = scene.history, scene.share
     nose = scene.start + history["distance"][-1]
-    height = 0.28 * (1 + scene.bed[1] / scene.bed[0] * 7)
     with mpm.figure(
-        args.output / "plough.png", 7.0, 1.8 + 2 * height, nrows=3,
-        height_ratios=(1.6, 1.2 * scene.bed[2] / 3, scene.bed[1] / 3),
+        args.output / "plough.png", 6.0, 6.2, nrows=3, height_ratios=(1.1, 1.5, 1.4),
     ) as (figure, (top, middle, bottom)):  # fmt: skip
         top.plot(history["distance"], history["pull"] / 1e3, "o-", ms=2)
         top.set(xlabel="distance (m)", ylabel="pull (kN)", ylim=(0, None))
