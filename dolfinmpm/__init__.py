@@ -18,6 +18,7 @@ from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.dynamics import (
+    Collision,
     Explicit,
     GeneralisedAlpha,
     Mapping,
@@ -53,6 +54,7 @@ __all__ = [
     "Ball",
     "Boundary",
     "Box",
+    "Collision",
     "Cone",
     "Deposit",
     "Disc",

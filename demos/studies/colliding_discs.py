@@ -2,10 +2,11 @@
 # # Two elastic discs collide and part again
 #
 # Two discs of radius $R$ fly at each other along the diagonal of a square, are pressed
-# flat, and fly apart (Sulsky, Chen & Schreyer 1994, doi 10.1016/0045-7825(94)90112-0). No
-# contact is modelled: both move in one field of velocities, which cannot let one into the
-# other. They come to feel each other as soon as they share a node of the grid, a cell or two
-# before they touch, and do not slide.
+# flat, and fly apart (Sulsky, Chen & Schreyer 1994, doi 10.1016/0045-7825(94)90112-0). Without
+# contact (`--contact none`) both move in one field of velocities, which cannot let one into the
+# other: they come to feel each other as soon as they share a node of the grid, a cell or two
+# before they touch, and do not slide. With it (`grid`, Bardenhagen et al. 2001) each has
+# velocities of its own at the nodes; a gap test (`gap`) lets them touch where they do.
 #
 # By symmetry each disc meets a plane. Conforming elements on a disc that meets a frictionless
 # one (default parameters, neo-Hookean) say: contact lasts 1.097 s; 0.518 s after the touch the
@@ -36,9 +37,13 @@ def arguments():
     add_options(options, h=0.05, courant=0.5)
     options.set_defaults(mass="lumped", mapping="flip")
     options.add_argument("--duration", type=float, default=3.2, help="s")
+    options.add_argument("--contact", choices=("none", "grid", "gap"), default="none")
+    options.add_argument("--friction", type=float, default=0.0, help="with contact")
     given = options.parse_args()
     if not given.distance > 2 * given.radius:
         options.error("the discs must be apart at first")
+    if given.contact != "none" and (given.integrator, given.mass) != ("explicit", "lumped"):
+        options.error("contact is of explicit steps with a lumped mass")
     return given
 
 
@@ -71,7 +76,10 @@ V = mpm.Space(grid, args.basis)
 F = mpm.momentum(mpm.materials.NeoHookean(E=E, nu=nu), points, V.increment, V.test)
 points.add_field("velocity", (2,), "m/s")
 points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along
-problem = problem_of(args, F, V.increment, points)
+explicit = {}
+if args.contact != "none":
+    explicit["contact"] = mpm.Collision((1, 2), args.friction, gap_test=args.contact == "gap")
+problem = problem_of(args, F, V.increment, points, **explicit)
 
 
 def approach():

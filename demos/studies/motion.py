@@ -49,8 +49,10 @@ def add_options(
     )
 
 
-def problem_of(args: argparse.Namespace, form: Any, u: Any, points: Any, bcs: Any = ()) -> Any:
-    """The problem that the command line asks for. Collective."""
+def problem_of(
+    args: argparse.Namespace, form: Any, u: Any, points: Any, bcs: Any = (), **explicit: Any
+) -> Any:
+    """The problem that the command line asks for, with further options of explicit steps."""
     usual = {"lumped": "none", "consistent": "ghost", "aggregated": "aggregation"}
     mapping = None if args.mapping is None else mpm.Mapping(args.mapping, order=args.order)
     options: dict[str, Any] = {
@@ -63,7 +65,7 @@ def problem_of(args: argparse.Namespace, form: Any, u: Any, points: Any, bcs: An
         return mpm.Newmark(form, u, points, bcs, **options)
     if args.integrator == "generalised-alpha":
         return mpm.GeneralisedAlpha(form, u, points, bcs, rho_inf=args.rho_inf, **options)
-    return mpm.Explicit(form, u, points, bcs, courant=args.courant, **options)
+    return mpm.Explicit(form, u, points, bcs, courant=args.courant, **options, **explicit)
 
 
 def times_of(args: argparse.Namespace, end: float, speed: float, label: str = "") -> Iterator[Any]:

@@ -68,7 +68,8 @@ class ActiveContact:
         self._pressed = points[pressure][c.rows, c.which]
         if contact.penetration is not None:
             self._multiplier = self._pressed
-        normal = body.start.directions(body.surface.probe(self._start)[1])
+        self._first, inner, _ = body.surface.probe(self._start)
+        normal = body.start.directions(inner)
         self.areas = self._sites.areas(c, normal)
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
@@ -145,19 +146,34 @@ class ActiveContact:
         contact, pose = self.contact, self.contact.body.pose
         self.x = self.corners.x + self.corners.displacement(u)
         at = pose.back(self.x)
-        g, n, H = contact.body.surface.probe(at)
-        slip = contact.slip_share * self._stiffness
-        force = np.empty_like(self.x)
         holds = self._pressed > 0.0
         if not self.clings or u.any():
             holds[:] = False
+        # a corner comes no nearer than it goes
+        far = self._first > np.linalg.norm(at - self._start, axis=1)
+        c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
+        self._gap[:], self.states[:] = np.inf, FREE
+        for values in (self.forces, self.pressures, self._traction, self._slope):
+            values[:] = 0.0
+        if not c.size:
+            return
+        g, n, H = contact.body.surface.probe(at[c])
+        k = self._stiffness[c]
+        found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
+        state = np.empty(c.size, np.int8)
         forces_on_corners(
-            g, n, H, at, self._start, self._before, self._multiplier, self._stiffness, slip,
-            contact.friction, holds, force, self._traction, self.pressures, self._slope,
-            self.states,
+            g, n, H, at[c], self._start[c], self._before[c], self._multiplier[c], k,
+            contact.slip_share * k, contact.friction, holds[c], *found, state,
         )  # fmt: skip
-        self._gap = g
-        self.forces = pose.directions(force)
+        for own, values in zip(self._written, found):
+            own[c] = values
+        self._gap[c], self.states[c] = g, state
+        self.forces[c] = pose.directions(found[0])
+
+    @property
+    def _written(self) -> tuple[Array, ...]:
+        """What the law of contact gives of each corner; forces in the frame of the body."""
+        return self.forces, self._traction, self.pressures, self._slope
 
     def add_internal(self, out: Array) -> None:
         """Add the nodal forces, as internal forces count, which resist: −f (N)."""

@@ -1,6 +1,7 @@
 """Motion in time: mass, velocity mappings, implicit and explicit steps."""
 
 from dolfinmpm.dynamics.clock import times
+from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.explicit import Explicit
 from dolfinmpm.dynamics.faces import absorbing, frictional
 from dolfinmpm.dynamics.mappings import Mapping
@@ -8,6 +9,7 @@ from dolfinmpm.dynamics.newmark import GeneralisedAlpha, Newmark
 from dolfinmpm.dynamics.transient import Transient
 
 __all__ = [
+    "Collision",
     "Explicit",
     "GeneralisedAlpha",
     "Mapping",

@@ -18,13 +18,15 @@ from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform import garbage, stages
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.checks import check_kind, choice, number
 from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, Time
+from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
+from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
 from dolfinmpm.dynamics.energies import Balance, Energies, angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
@@ -82,6 +84,8 @@ class Explicit(Problem):
         fused: Whether one loop may do a step of a form that it knows: laws of one measure of
             strain and loads, lumped mass, a rectangular grid in two or three dimensions, "flip",
             "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused` says why it does not.
+        contact: Bodies that touch each other at the nodes, see `Collision`; without, all points
+            move in one field of velocities, which cannot slide nor part.
 
     Attributes:
         history: One record a call of `step`.
@@ -114,6 +118,7 @@ class Explicit(Problem):
         redistribution: float = 0.0,
         time: fem.Constant | None = None,
         fused: bool = True,
+        contact: Collision | None = None,
         **options: Any,
     ):
         mass = choice("mass", mass, KINDS)
@@ -148,8 +153,13 @@ class Explicit(Problem):
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         self._kept_state = Snapshot(points)
         sides = Sides(faces, points)
+        self._loop: Colliding | Fused | General
+        if contact is not None:
+            check_kind("contact", contact, Collision, "give mpm.Collision(tags=(1, 2))")
+            raise_together(points.comm, why_it_does_not_collide(self, mass, settings))
+            self._loop = Colliding(self, self._held, self._updates, settings, sides, contact)
+            return
         found = self._fused(sides, options) if fused else "it was not to be"
-        self._loop: Fused | General
         if isinstance(found, str):
             self._loop = General(self, self._held, self._updates, settings, sides, found)
         else:

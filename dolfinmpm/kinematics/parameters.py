@@ -65,8 +65,9 @@ class PointParameters:
         values = call_together(
             points.comm, lambda: self.law.parameter_array(points["x0"][rows]) if asked else None
         )
-        points.add_field(self.field, (len(self.law.parameters),), "", np.nan)
         if values is not None:
+            # a kernel may take numbers that follow from the parameters, besides these
+            points.add_field(self.field, values.shape[1:], "", np.nan)
             points[self.field][rows] = values
 
     def at(self, rows) -> Array:

@@ -6,10 +6,12 @@ import itertools
 
 import numpy as np
 import pytest
+from conftest import unit_grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import central_differences, check_finite, states
 
+import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials import DruckerPrager
 
@@ -242,3 +244,22 @@ def test_errors():
         with pytest.raises(StateError, match="DruckerPrager finds no stress at point 1"):
             LAWS[0].respond([[0.0, 0.0, 0.0], [0.0, bad, 0.0]])
     assert "fit='inner'" in repr(LAWS[3])
+
+
+def test_a_cone_of_sand_whose_stiffness_varies():
+    """Drucker–Prager's kernel takes numbers that follow from the parameters, point by point."""
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    sand = mpm.materials.sand(0.44)
+    parts = []
+    for E in (1e6, lambda x: np.full(x.shape[1], 1e6)):
+        law = mpm.materials.DruckerPrager(E=E, **sand.parameters)
+        F = mpm.momentum(law, points, V.increment, V.test)
+        bcs = mpm.fixed(V, "bottom")
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+        operator = problem.operator()
+        x = np.linspace(-1e-3, 1e-3, operator.here.unknowns.owned)
+        parts.append(operator.residual(x).values)
+    assert np.abs(parts[0]).max() > 0
+    np.testing.assert_allclose(parts[1], parts[0], rtol=1e-12)

@@ -1,0 +1,314 @@
+# %% [markdown]
+# # A plough is dragged through sand
+#
+# A steel share is dragged through a bed of sand, in which it stands from the start (after the last
+# example of Coombs's lectures on implicit material point methods, ALERT 2024: a plough 1.85 m deep
+# in sand of the relative density 44 %, friction 0.3, cells of 0.15 m, dragged 20 m). One half is
+# solved, symmetric about y = 0. The defaults are a small plough, 1 m deep and wide, in cells of a
+# quarter of that, dragged by 1 m; `--distance 20` goes on to where the heap of spoil no longer
+# grows.
+#
+# - The share is a prism with a wedge in front, a closed surface of triangles; its edges are rounded
+#   by a quarter of a point's domain and more.
+# - The sand is at rest at first, $K_0 = 1 - \sin\varphi$, and as stiff as its stress makes it.
+#   Points fill it row by row from the share's faces on.
+# - Cells are fine in a zone around the plough, which goes with it cell by cell; beyond they grow.
+# - The sides that the plough comes from and goes to are Signorini plates: sand may leave them.
+
+# %%
+from __future__ import annotations
+
+import math
+import time
+from itertools import pairwise
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from scene import draw_points, finish, parser, say, solver_figures
+
+import dolfinmpm as mpm
+
+COMM = MPI.COMM_WORLD
+LAWS = {"mohr-coulomb": mpm.materials.MohrCoulomb, "drucker-prager": mpm.materials.DruckerPrager}
+
+
+def arguments(words=None):
+    """The command line."""
+    options = parser("A plough is dragged through sand.")
+    add = options.add_argument
+    add("--distance", type=float, default=1.0, help="of the drag (m)")
+    add("--h", type=float, default=0.25, help="size of the cells around the plough (m)")
+    add("--step", type=float, default=0.2, help="that the plough goes at once, in cells")
+    add("--depth", type=float, default=1.0, help="of the share in the sand (m)")
+    add("--half-width", type=float, default=0.5, help="of the share (m)")
+    add("--plan-angle", type=float, default=45.0, help="between face and way, seen from above (°)")
+    add("--rake", type=float, default=90.0, help="between the nose and the ground (°)")
+    add("--relative-density", type=float, default=0.44)
+    add("--friction", type=float, default=0.3, help="of steel on sand")
+    add("--law", choices=tuple(LAWS), default="mohr-coulomb")
+    add("--points-per-cell", type=int, default=2)
+    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
+    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
+    add("--penalty", type=float, default=50.0, help="κ/E (1/m)")
+    add("--growth", type=float, default=1.5, help="of cells beyond the fine ones")
+    add("--solver", choices=("auto", "direct", "iterative"), default="auto")
+    add("--tolerance", type=float, default=1e-6)
+    given = options.parse_args(words)
+    sizes = given.distance, given.h, given.step, given.depth, given.half_width, given.penalty
+    if not min(sizes) > 0 or given.step > 1 or given.growth < 1:
+        options.error("sizes must be positive, the step at most a cell, growth at least 1")
+    if not (20 <= given.plan_angle <= 80 and 30 <= given.rake <= 90):
+        options.error("plan-angle must be in [20, 80], rake in [30, 90] degrees")
+    return given
+
+
+# %%
+class Share:
+    """The plough's share, with its nose's foot at the origin's x.
+
+    Attributes:
+        back, top: Where it ends behind (m), and above the ground.
+    """
+
+    def __init__(self, args):
+        self.d, self.w, h = args.depth, args.half_width, args.h
+        self.slope = 1 / math.tan(math.radians(args.plan_angle))
+        self.lean = 1 / math.tan(math.radians(args.rake)) if args.rake < 90 else 0.0
+        self.top = 1.0 * args.depth
+        self.back = -(self.w * self.slope + (self.d + self.top) * self.lean + 2 * h)
+
+    def front(self, y, z):
+        """Where its face is at heights z and distances y from the middle (m)."""
+        return -y * self.slope - (z + self.d) * self.lean
+
+    def mesh(self):
+        """Its whole surface, as triangles."""
+        import meshio
+        from scipy.spatial import ConvexHull
+
+        ends = [(z, y) for z in (-self.d, self.top) for y in (-self.w, 0.0, self.w)]
+        x = [(self.front(abs(y), z), y, z) for z, y in ends]
+        x += [(self.back, y, z) for z, y in ends if y]
+        x = np.array(x)
+        hull = ConvexHull(x)
+        a, b, c = (x[hull.simplices[:, k]] for k in range(3))
+        inward = np.sum(np.cross(b - a, c - a) * (a - x.mean(axis=0)), axis=1) < 0
+        triangles = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        return meshio.Mesh(x, [("triangle", triangles)])
+
+
+def graded(first, size, end, growth):
+    """Lines beyond `first` (m), in cells that grow from a size up to an end, exactly."""
+    length, sizes = abs(end - first), []
+    while sum(sizes) < length * (1 - 1e-9):
+        size *= growth
+        sizes.append(size)
+    return first + math.copysign(1.0, end - first) * np.cumsum(sizes) * (length / sum(sizes))
+
+
+class Scene:
+    """Half of the bed, and the plough."""
+
+    def __init__(self, args):
+        self.args, self.h, d, w = args, args.h, args.depth, args.half_width
+        self.share, h = Share(args), args.h
+        ahead, behind = 2 * d, d - self.share.back
+        self.start = behind + 1.5 * d
+        length = self.start + args.distance + ahead + 1.5 * d
+        self.bed = np.array([length, 4 * d + w, 3 * d])
+        # the fine zone, in cells from the nose
+        self.zone = math.ceil(behind / h), math.ceil(ahead / h)
+        self.outer = (max(2, self._cells(self.start - behind)), 0)
+        rest = length - self.start - self.zone[1] * h
+        self.outer = (max(3, self._cells(rest)),) * 2
+        fine = math.ceil((w + d) / h)
+        y = np.r_[h * np.arange(fine + 1), graded(fine * h, h, self.bed[1], args.growth)]
+        low, up = math.ceil(1.5 * d / h), math.ceil(0.75 * d / h)
+        z = np.r_[
+            graded(-low * h, h, -self.bed[2], args.growth)[::-1], h * np.arange(-low, up + 1),
+            graded(up * h, h, up * h + 2 * h, 1.0),
+        ]  # fmt: skip
+        self.across = y, z
+        self.laid = 0
+        grid = mpm.create_lattice(COMM, self.lines())
+        self.points = points = self.fill(grid)
+        self.problem, self.plough = self.equations(grid, points)
+        self.first, self.history = float(self.plough.position[0]), mpm.History()
+
+    def _cells(self, length):
+        """How many growing cells cover a length (m)."""
+        return math.ceil(math.log1p(length / self.h * (1 - 1 / self.args.growth)) / math.log(
+            self.args.growth))  # fmt: skip
+
+    def lines(self):
+        """Lines of the grid with the zone around where the nose is, to whole cells."""
+        nose, (back, ahead), h = self.start + self.laid * self.h, self.zone, self.h
+        cells = self.outer[0], back + ahead, self.outer[1]
+        x = mpm.zoned_line(0.0, self.bed[0], (nose - back * h, nose + ahead * h), cells)
+        return [x, *self.across]
+
+    def fill(self, grid):
+        """The sand's points: rows along x, cut where the share is."""
+        n, share = self.args.points_per_cell, self.share
+        y, z = (np.concatenate([np.linspace(a, b, n + 1)[:-1] for a, b in pairwise(line)])
+                for line in self.across)  # fmt: skip
+        y, z = np.append(y, self.across[0][-1]), np.append(z, self.across[1][-1])
+        z = z[z < 1e-9 * self.h]
+        z[-1] = 0.0
+        size, x, half = self.h / n, [], []
+        for y0, y1 in pairwise(y):
+            for z0, z1 in pairwise(z):
+                rows = [(0.0, self.bed[0])]
+                if y0 < share.w * (1 - 1e-9) and z1 > -share.d * (1 - 1e-9):
+                    rows = [(0.0, self.start + share.back),
+                            (self.start + share.front(y0, z0), self.bed[0])]  # fmt: skip
+                for a, b in rows:
+                    count = max(1, round((b - a) / size))
+                    at = a + (b - a) * (np.arange(count) + 0.5) / count
+                    middle = np.full(count, 0.5 * (y0 + y1)), np.full(count, 0.5 * (z0 + z1))
+                    x.append(np.column_stack([at, *middle]))
+                    lengths = 0.5 * np.array([(b - a) / count, y1 - y0, z1 - z0])
+                    half.append(np.tile(lengths, (count, 1)))
+        x, half = np.concatenate(x), np.concatenate(half)
+        sand = mpm.materials.sand(self.args.relative_density)
+        return mpm.MaterialPoints.from_arrays(
+            grid, x, np.prod(2 * half, axis=1), sand.density, half_length=half
+        )
+
+    def equations(self, grid, points):
+        """The problem and the plough."""
+        args, h = self.args, self.h
+        sand = mpm.materials.sand(args.relative_density)
+        ground = mpm.Deposit(0.0, mpm.Layer.of(sand))
+        law = LAWS[args.law](E=ground.modulus(sand.E_ref, sand.exponent), **sand.parameters)
+        mpm.set_stress(points, law, ground.stress)
+        V = mpm.Space(grid, args.basis)
+        u, v = V.increment, V.test
+        self.speed = 0.0
+        share = self.share.mesh()
+        share.points += (self.start, 0.0, 0.0)
+        plough = mpm.RigidBody(share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0))
+        F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
+        F += mpm.contact(plough, points, u, v, friction=args.friction, penalty=args.penalty)
+        # the plates give way by a hundredth of a cell of sand at half the depth of the bed
+        deep = np.array([[0.0], [0.0], [-0.5 * self.bed[2]]])
+        stiffness = 100 * float(ground.modulus(sand.E_ref, sand.exponent)(deep)[0]) / h
+        for side in ("left", "right"):
+            plate = mpm.Boundary.from_side(points, side)
+            F += mpm.signorini(None, plate, u, v, stiffness=stiffness)
+        bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
+        options = {
+            "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},
+            "iterative": {"ksp_type": "gmres", "pc_type": "gamg"},
+        }[args.solver]  # fmt: skip
+        problem = mpm.QuasiStatic(
+            F, u, points, bcs, stabilisation=args.stabilisation, tolerance=args.tolerance,
+            petsc_options=options,
+        )  # fmt: skip
+        return problem, plough
+
+    def step(self):
+        """One step; keeps what it took. Collective."""
+        way = float(self.plough.position[0] - self.first) / self.h
+        if math.floor(way + 1e-6) > self.laid:
+            self.laid = math.floor(way + 1e-6)
+            mpm.regrade(self.problem, self.lines())
+        started = time.perf_counter()
+        record = self.problem.step()
+        top = (self.points["x"] + self.points["l"])[:, 2].max(initial=0.0)
+        self.history.record(
+            distance=float(self.plough.position[0] - self.first),
+            pull=-2 * float(self.plough.force[0]), lift=2 * float(self.plough.force[2]),
+            heap=COMM.allreduce(float(top), op=MPI.MAX), iterations=record.iterations,
+            halvings=record.halvings, seconds=time.perf_counter() - started,
+            linear=float(np.mean(record.linear_iterations or [0])),
+        )  # fmt: skip
+
+    def run(self):
+        """Let the sand come to rest at the share, and drag. Collective."""
+        args = self.args
+        self.step()
+        count = math.ceil(args.distance / (args.step * args.h) - 1e-9)
+        self.speed = args.distance / count
+        for _ in mpm.steps(count, label="plough"):
+            self.step()
+
+
+def draw(args, scene):
+    """Pull, a section along the way, and heights seen from above; rank 0 writes. Collective."""
+    points, h = scene.points, args.h / args.points_per_cell
+    names = "x", "x0", "F", "l0", "plastic_strain"
+    found = points.gather(*names)
+    if found is None:
+        return
+    x, x0, F, l0, strain = found
+    history, share = scene.history, scene.share
+    nose = scene.start + history["distance"][-1]
+    with mpm.figure(
+        args.output / "plough.png", 6.0, 6.2, nrows=3, height_ratios=(1.1, 1.5, 1.4),
+    ) as (figure, (top, middle, bottom)):  # fmt: skip
+        top.plot(history["distance"], history["pull"] / 1e3, "o-", ms=2)
+        top.set(xlabel="distance (m)", ylabel="pull (kN)", ylim=(0, None))
+        cut = x0[:, 1] < 0.51 * h
+        plane = np.ix_([0, 2], [0, 2])
+        drawn = draw_points(
+            middle, x[cut][:, [0, 2]], np.array([G[plane] for G in F[cut]]), l0[cut][:, [0, 2]],
+            np.log10(strain[cut] + 1e-4), cmap="magma", clim=(-3, 0.5),
+        )  # fmt: skip
+        low, up = -share.d, share.top
+        middle.fill(
+            nose + np.array([share.back, share.front(0, low), share.front(0, up), share.back]),
+            [low, low, up, up], color="0.5", zorder=3,
+        )  # fmt: skip
+        window = max(0.0, nose - 6 * args.depth), min(scene.bed[0], nose + 4 * args.depth)
+        middle.set(xlim=window, ylim=(-2 * args.depth, 1.2 * args.depth), ylabel="$z$ (m)")
+        figure.colorbar(drawn, ax=middle, label=r"$\log_{10}$ plastic strain")
+        surface = x0[:, 2] > -0.51 * h
+        limit = max(0.2 * args.depth, float(np.abs(x[surface, 2]).max()))
+        drawn = draw_points(
+            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], x[surface, 2],
+            cmap="RdBu_r", clim=(-limit, limit),
+        )  # fmt: skip
+        w = args.half_width
+        bottom.fill(
+            nose + np.array([share.back, share.front(0, 0), share.front(w, 0), share.back]),
+            [0, 0, w, w], color="0.5", zorder=3,
+        )  # fmt: skip
+        bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3 * args.depth)))
+        figure.colorbar(drawn, ax=bottom, label="height (m)")
+
+
+def main(words=None):
+    """Run, print, and return the figures."""
+    args = arguments(words)
+    scene = Scene(args)
+    started = time.perf_counter()
+    scene.run()
+    history = scene.history
+    pull = history["pull"]
+    late = history["distance"] > 0.8 * history["distance"][-1]
+    linear = history["linear"]
+    figures = {
+        "pull": float(pull[late].mean()), "last_pull": float(pull[-1]), "peak": float(pull.max()),
+        "heap": float(history["heap"][-1]), "at_rest": float(pull[0]),
+        "lift": float(history["lift"][-1]), "distances": history["distance"].tolist(),
+        "pulls": pull.tolist(), "heaps": history["heap"].tolist(),
+        "linear_iterations": float(linear[linear > 0].mean()) if (linear > 0).any() else None,
+        "seconds_a_step": float(np.median(history["seconds"])),
+        "seconds": time.perf_counter() - started, **solver_figures(scene.problem),
+    }  # fmt: skip
+    say(
+        f"pull {figures['pull'] / 1e3:.2f} kN over the last fifth of {args.distance:g} m (at most "
+        f"{figures['peak'] / 1e3:.2f}), heap {figures['heap']:.3f} m; {figures['unknowns']} "
+        f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
+        f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
+    )
+    if not args.no_plot:
+        draw(args, scene)
+    finish(args, figures)
+    return figures
+
+
+if __name__ == "__main__":
+    main()

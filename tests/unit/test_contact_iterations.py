@@ -1,0 +1,82 @@
+"""Contact and what it costs: linear iterations in 3D, corners that are looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import unit_grid
+
+import dolfinmpm as mpm
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.solve import method
+
+
+def pressed(touches: bool, friction: float = 0.3):
+    """A block that a ball is pressed into aslant, or whose top is moved in its place."""
+    grid = unit_grid("hexahedron", 6)
+    points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 2 / 3)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, u, v)
+    bcs = mpm.fixed(V, "bottom")
+    body = mpm.RigidBody(mpm.Ball((0.5, 0.45, 2 / 3 + 0.5), 0.5), velocity=(0.01, 0, -0.03))
+    if touches:
+        F += mpm.contact(body, points, u, v, friction=friction)
+    else:
+        middle = lambda x: (abs(x[2] - 2 / 3) < 1e-6) & (np.hypot(x[0] - 0.5, x[1] - 0.5) < 0.2)  # noqa: E731
+        bcs += mpm.prescribed(V, middle, 2, -0.02)
+    return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost"), body
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_multigrid_takes_contact(monkeypatch, friction):
+    """Rigid modes and point smoothers serve as well where corners stick and slip."""
+    monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+    means = []
+    for touches in (False, True):
+        problem, body = pressed(touches, friction)
+        for _ in range(2):
+            record = problem.step()
+            assert record.halvings == 0
+        assert problem.newton.linear.method.pc == "gamg"
+        counts = [n for record in problem.history for n in record.linear_iterations]
+        means.append(np.mean(counts))
+    assert body.force[2] > 0
+    assert means[1] < 1.5 * means[0]
+    assert max(record.iterations for record in problem.history) <= 8
+    force = body.force.copy()
+    monkeypatch.undo()
+    problem, body = pressed(True, friction)
+    for _ in range(2):
+        problem.step()
+    assert problem.newton.linear.method.pc == ("lu" if friction else "cholesky")
+    np.testing.assert_allclose(body.force, force, rtol=1e-6, atol=1e-6 * force[2])
+
+
+def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
+    """The gap changes by no more than a corner moves, so that most of them cost nothing."""
+    problem, body = pressed(True)
+    problem.step()
+    operator = problem.operator()
+    body.begin(1.0)
+    body.put(1.0)
+    (contact,) = operator.contacts
+    asked, probe = [], body.surface.probe
+
+    def counted(x):
+        asked.append(len(x))
+        return probe(x)
+
+    monkeypatch.setattr(body.surface, "probe", counted)
+    u = np.random.default_rng(0).uniform(-3e-3, 3e-3, operator.increments[0].shape)
+    contact.move(u)
+    assert 0 < sum(asked) < 0.5 * len(contact.x)
+    kept = contact.forces.copy(), contact.pressures.copy(), contact.states.copy()
+    assert kept[1].max() > 0
+    # all of them, as if any might have come near
+    contact._first[:] = -1.0
+    contact.move(u)
+    assert asked[-1] == len(contact.x)
+    for before, now in zip(kept, (contact.forces, contact.pressures, contact.states)):
+        np.testing.assert_array_equal(before, now)
+    assert isinstance(contact, ActiveContact)
