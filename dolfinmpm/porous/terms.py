@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,16 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
-from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.surface import Surface
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, carried
 from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.terms import momentum
 from dolfinmpm.materials.base import lame
 from dolfinmpm.porous.fluid import Fluid
+from dolfinmpm.porous.kinematics import kinematics
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
+from dolfinmpm.porous.surfaces import Flow, entering, held, seeping, surfaces
 
 __all__ = ["poromechanics"]
 
@@ -48,50 +47,6 @@ __all__ = ["poromechanics"]
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
 # this 0.9 %)
 _STORAGE, _FLOW = 0.002, 1 / 90
-# Penalty of a drained surface, by what flows through a cell and what a cell stores
-_DRAINED = 100.0
-
-
-@dataclass(frozen=True)
-class _Kinematics:
-    """What a step's increment does to volumes and gradients.
-
-    Attributes:
-        points: Material points.
-        J: det F at the end of the step.
-        growth: J less that at the start of the step.
-        inverse: From gradients at the start of the step to spatial ones at its end.
-    """
-
-    points: MaterialPoints
-    J: Expr | float
-    growth: Expr
-    inverse: Expr | None
-
-    def grad(self, w: Expr) -> Expr:
-        """Spatial gradient at the end of the step; of rings with the hoop term, see `gradient`."""
-        points, inverse = self.points, self.inverse
-        if w.ufl_shape == ():
-            slope = ufl.grad(w)
-            inverse = inverse if inverse is None else in_section(points, inverse)
-        else:
-            slope = gradient(points, w)
-        return slope if inverse is None else ufl.dot(slope, inverse)
-
-
-def _kinematics(points: MaterialPoints, u: Expr, strain: str) -> _Kinematics:
-    slope = gradient(points, u)
-    if strain == "small":
-        return _Kinematics(points, 1.0, ufl.tr(slope), None)
-    dF = ufl.Identity(points.strain_dim) + slope
-    before = ufl.det(points.F)
-    # by invariants, for the difference of two determinants would lose small strains
-    growth = ufl.tr(slope)
-    if points.strain_dim == 2:
-        growth += ufl.det(slope)
-    elif points.strain_dim == 3:
-        growth += 0.5 * (growth**2 - ufl.tr(slope * slope)) + ufl.det(slope)
-    return _Kinematics(points, (1 + growth) * before, growth * before, ufl.inv(dF))
 
 
 def poromechanics(
@@ -110,6 +65,8 @@ def poromechanics(
     modulus: float | None = None,
     drained: Any = (),
     seepage: Any = (),
+    inflow: Any = (),
+    ponded: Any = (),
     strain: str = "large",
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
@@ -154,6 +111,11 @@ def poromechanics(
             is Nitsche's.
         seepage: Surfaces at which water leaves but does not enter, and the pressure is 0 where
             it leaves.
+        inflow: Pairs of a surface and the volume of water that enters through its first area
+            (m/s, for UFL; negative where it leaves).
+        ponded: Pairs of a surface and the level, along the last axis, of still water that stands on
+            it (m, for UFL): its weight acts as a pressure that follows the surface, and is the pore
+            pressure there, 0 above the level.
         strain, fbar, tag: See `momentum`.
 
     Returns:
@@ -176,7 +138,7 @@ def poromechanics(
     if theta < 0.5:
         raise ParameterError(f"theta = {theta:g} must be at least 0.5: less is not stable")
     form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
-    at = _kinematics(points, u, strain)
+    at = kinematics(points, u, strain)
     grid, dt, gdim = points.grid, points.dt, points.gdim
     n0 = _porosity(porosity, points)
     n = 1 - (1 - n0) / at.J
@@ -223,11 +185,17 @@ def poromechanics(
         PENALTY: {p: scale * _penalty(M, n0, fluid, K0, points, p)},
     }
     form += terms * dX(metadata=marked)
-    for surface, value in _surfaces("drained", drained, points):
-        form += _held(surface, value, u, p, q, at, M, K, b, water, points)
-    for surface, value in _surfaces("seepage", seepage, points):
-        out = ufl.max_value(surface.at(p) - value, 0.0)
-        form += surface.density * _stiff(M, K, points, p) * out * surface.at(q) * points.dX
+    through = Flow(points, u, p, q, at, M, K, drive)
+    for surface, value in surfaces("drained", drained, points, "Pa", 0.0):
+        form += held(through, surface, value)
+    for surface, value in surfaces("seepage", seepage, points, "Pa", 0.0):
+        form += seeping(through, surface, value)
+    for surface, rate in surfaces("inflow", inflow, points, "m/s"):
+        form += entering(through, surface, rate)
+    for surface, level in surfaces("ponded", ponded, points, "m"):
+        depth = ufl.max_value(level - surface.position(u)[gdim - 1], 0.0)
+        form += held(through, surface, weight * depth)
+        form -= surface.pressure(weight * depth, u, v)
     return form
 
 
@@ -348,47 +316,3 @@ def _plain(factor: Any, otherwise: float) -> Any:
     from ufl.algorithms import extract_coefficients
 
     return factor if not extract_coefficients(factor) else otherwise
-
-
-def _surfaces(what: str, given: Any, points: MaterialPoints) -> list[tuple[Surface, Any]]:
-    """Surfaces with their pressures (Pa)."""
-    if isinstance(given, Surface):
-        given = [given]
-    elif isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], Surface):
-        given = [given] if not isinstance(given[1], (Surface, tuple, list)) else given
-    elif not isinstance(given, (tuple, list)):
-        given = [given]
-    found = []
-    for one in given:
-        surface, value = one if isinstance(one, (tuple, list)) else (one, 0.0)
-        if not isinstance(surface, Surface) or surface.points is not points:
-            raise ParameterError(
-                f"{what} has {shown(surface)} where a dolfinmpm.Surface of these points must be, "
-                "or a pair of one and a pressure (Pa)"
-            )
-        if not isinstance(value, Expr):
-            value = own_constant(points.grid, number(f"pressure of {what}", value, unit="Pa"))
-        found.append((surface, value))
-    return found
-
-
-def _stiff(M, K, points: MaterialPoints, p) -> Expr:
-    """Penalty of a pressure that is held, per area and step (m/Pa)."""
-    h = size_of(p)
-    return _DRAINED * (points.dt * largest(K) / h + h / M)
-
-
-def _held(surface: Surface, value, u, p, q, at: _Kinematics, M, K, b, water, points) -> ufl.Form:
-    """Nitsche's condition without its adjoint: what flows through the face, and a penalty."""
-    gap = surface.at(p) - value
-    form = surface.density * _stiff(M, K, points, p) * gap * surface.at(q) * points.dX
-    drive = at.grad(p) if b is None else at.grad(p) - water * b
-    area = surface.area
-    if at.inverse is not None:
-        # Nanson's formula, as it is at the end of the step
-        F = ufl.dot(ufl.inv(in_section(points, at.inverse)), in_section(points, points.F))
-        area = ufl.det(F) * ufl.dot(area, ufl.inv(F))
-        if points.axisymmetric:
-            area *= surface.position(u)[0] / (points.x0 + surface.offset)[0]
-    through = ufl.dot(_times(K, drive), area) / points.V0
-    return form - points.dt * through * surface.at(q) * points.dX

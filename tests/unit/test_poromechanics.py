@@ -448,3 +448,41 @@ def fail_first_part(problem):
         return "so that the step is halved" if len(attempts) == 1 else advance(*given)
 
     problem._advance = first_not
+
+
+def test_water_that_enters_swells_the_body_by_its_volume():
+    F, points, V, Q, top = block(height=1.0, drained=False, permeability=1e-2)
+    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0), "side")
+    given = {"permeability": 1e-2, "porosity": 0.4, "fluid": WATER, "inflow": [(side, 2e-2)]}
+    fields, tests = (V.increment, Q.increment), (V.test, Q.test)
+    F = mpm.poromechanics(LAW, points, fields, tests, **given)
+    problem = problem_of(F, points, V, Q)
+    before = points["V"].sum()
+    for t in (0.1, 0.5):
+        problem.step(t)
+        # the first area of the side is 1
+        assert points["V"].sum() - before == pytest.approx(2e-2 * t, rel=1e-9)
+    assert top.mean_displacement()[1] == pytest.approx(1e-2, rel=0.01)
+
+    for wrong in (side, (side, "fast"), [(side, 1.0), 3]):
+        with pytest.raises(ParameterError, match="inflow"):
+            mpm.poromechanics(LAW, points, fields, tests, **{**given, "inflow": wrong})
+
+
+@pytest.mark.parametrize("level", [0.4, 1.0, 6.0])
+def test_ponded_water_leaves_effective_stresses_alone(level):
+    """Under water a block carries its weight less that of the water, however deep that is."""
+    stiff = mpm.materials.Hencky(E=1e8, nu=0.0)
+    _, points, V, Q, top = block(law=stiff, height=1.0, drained=False, density=1.6e3)
+    fields, tests = (V.increment, Q.increment), (V.test, Q.test)
+    options = {"permeability": 1e-3, "porosity": 0.4, "fluid": WATER, "gravity": (0.0, -10.0)}
+    F = mpm.poromechanics(stiff, points, fields, tests, ponded=[(top, level)], **options)
+    problem = problem_of(F, points, V, Q)
+    for t in (1e2, 1e4):
+        problem.step(t)
+    y = points["x0"][:, 1]
+    table = max(level, 1.0)
+    # where the water stands below the top, suction holds what is above it
+    np.testing.assert_allclose(points["pressure"], 1e4 * (table - y), atol=30)
+    middle = (np.floor(5 * y) + 0.5) / 5
+    np.testing.assert_allclose(points["stress"][:, 1, 1], -(1.6e4 - 1e4) * (1 - middle), atol=30)
