@@ -199,18 +199,14 @@ class Scene:
         low, high = (np.array([line[k] for line in lines]) for k in (0, -1))
         return mpm.create_lattice(MPI.COMM_WORLD, lines), low, high
 
-    def at_tip(self):
-        """Force on the cone below its shoulder (N). Collective."""
-        points, tool = self.points, self.tool
-        d = points.gdim
+    def on_shaft(self):
+        """What friction on the shaft, above the shoulder, takes of the force (N). Collective."""
+        points, d = self.points, self.points.gdim
         signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * d, indexing="ij")).reshape(d, -1).T
-        at = points["x"][:, None] + signs * points["l"][:, None]
-        touches = points["contact1_pressure"] > 0.0
-        normal = tool.surface.probe(tool.pose.back(at[touches]))[1]
-        up = points["contact1_pressure"][touches] * normal[:, -1]
-        up += points["contact1_traction"][touches][:, -1]
-        under = at[touches][:, -1] < -self.depth + self.height
-        return points.comm.allreduce(-float(up[under].sum())) * (1 if self.flat else 4)
+        height = points["x"][:, None, -1] + signs[:, -1] * points["l"][:, None, -1]
+        above = height > self.height - self.depth
+        friction = -float(points["contact1_traction"][above][:, -1].sum())
+        return points.comm.allreduce(friction) * (1 if self.flat else 4)
 
     @property
     def depth(self):
@@ -221,10 +217,10 @@ class Scene:
         """One step; keeps depth and forces. Collective."""
         record, area = self.problem.step(), math.pi * self.args.radius**2
         whole = record.bodies["cone"]["force"][-1] * (1 if self.flat else 4)
-        # a smooth shaft carries nothing
-        tip = whole if self.args.friction == 0.0 else self.at_tip()
+        shaft = self.on_shaft() if self.args.friction else 0.0
         self.history.record(
-            depth=self.depth, force=whole, factor=tip / area / self.unit,
+            depth=self.depth, force=whole, shaft=shaft,
+            factor=(whole - shaft) / area / self.unit,
             iterations=record.iterations, halvings=record.halvings,
         )  # fmt: skip
 
@@ -260,7 +256,8 @@ def results(args, scene):
     figures |= {
         "factor": mean, "scatter": float(factor[late].std()), "drift": slope * span / mean,
         "quarters": quarters, "depths": depth.tolist(), "factors": factor.tolist(),
-        "forces": scene.history["force"].tolist(), "tip_resistance": mean * scene.unit,
+        "forces": scene.history["force"].tolist(), "shaft": scene.history["shaft"].tolist(),
+        "tip_resistance": mean * scene.unit,
     }  # fmt: skip
     if args.law == "tresca":
         exact = teh_houlsby(args.rigidity_index)

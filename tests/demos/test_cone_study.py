@@ -1,0 +1,34 @@
+"""The study of a cone that penetrates the ground, at small sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_studies import run
+
+
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_cone_in_clay(tmp_path, ranks):
+    options = "--h", "0.5", "--step", "0.1", "--depth", "8.5", "--width", "15"
+    found = run("cone_penetration", *options, "--output", str(tmp_path), ranks=ranks)
+    assert not found["reason"]
+    assert found["reached"] == pytest.approx(8.5)
+    # cells of half the radius are coarse
+    assert abs(found["error"]) < 0.15
+    assert found["scatter"] < 0.1 * found["factor"]
+    assert found["halvings"] <= 2
+    assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("remedy", ["ghost", "aggregation"])
+def test_a_cone_in_sand(tmp_path, remedy):
+    """It is harder the deeper it goes, and the shaft carries what friction it has."""
+    options = "--law", "sand", "--h", "0.2", "--step", "0.04", "--depth", "0.96", "--width", "4"
+    found = run("cone_penetration", *options, "--stabilisation", remedy, "--output", str(tmp_path))
+    assert not found["reason"]
+    depth, force, shaft = (np.array(found[name]) for name in ("depths", "forces", "shaft"))
+    shoulder = depth - 0.4 * 3**0.5
+    assert force[-1] > 2 * force[np.searchsorted(depth, 0.5)] > 0
+    assert not shaft[shoulder < -0.1].any()
+    assert 0 < shaft[-1] < 0.3 * force[-1]
+    assert (tmp_path / "cone_penetration_sand_axisymmetric.png").stat().st_size > 0
