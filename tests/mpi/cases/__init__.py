@@ -6,6 +6,7 @@ from . import (
     arguments,
     bodies,
     boundaries,
+    collision,
     contact,
     dynamics,
     explicit,
@@ -92,5 +93,6 @@ CASES = {
         contact.contact_quasistatic,
         contact.contact_restart,
         contact.contact_in_time,
+        collision.colliding_bodies,
     )
 }
