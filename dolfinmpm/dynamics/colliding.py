@@ -141,7 +141,6 @@ class Colliding:
             strains = [
                 self._velocity(s, b, here, held, new["velocity"]) for s, b in zip(stencils, bodies)
             ]
-            collide(bodies, strains, room, self._collision.friction)
             self._hold(strains, here, held)
         operator = problem.form.on(here)
         self._place(operator, rows, [dt * V for V in strains])

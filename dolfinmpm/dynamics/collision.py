@@ -42,7 +42,7 @@ class Collision:
         tags: Tags of the points of each body, at least two; a tuple where a body has several.
         friction: Coefficient μ of Coulomb's friction.
         gap_test: Whether bodies touch only where they leave no room between them at a node; if
-            not, as soon as they share one.
+            not, as soon as they share one, where energy may grow on coarse grids.
 
     Raises:
         ParameterError: An argument is not what it may be.

@@ -171,6 +171,13 @@ class Explicit(Problem):
         return self._loop.instead
 
     @property
+    def collision_force(self) -> Array:
+        """What other bodies did to the first of a `Collision` in the last step (N), shape (d,)."""
+        if not isinstance(self._loop, Colliding):
+            return np.zeros(self.points.gdim)
+        return self._loop.force
+
+    @property
     def terms(self) -> MassTerms:
         """What the mass is made of."""
         assert isinstance(self.form.inertia, MassTerms)

@@ -6,6 +6,7 @@ from . import (
     arguments,
     bodies,
     boundaries,
+    collision,
     contact,
     dynamics,
     explicit,
@@ -94,5 +95,6 @@ CASES = {
         contact.contact_restart,
         contact.contact_in_time,
         contact.contact_of_revolution,
+        collision.colliding_bodies,
     )
 }

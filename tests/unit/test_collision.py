@@ -1,0 +1,103 @@
+"""Bodies that collide at the nodes: what they exchange there, and what they are asked in vain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import unit_grid
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm.dynamics.collision import BodyAtNodes, collide
+
+
+def at_nodes(n=200, d=3):
+    """Two bodies with anything at their nodes, some of which only one of them has."""
+    rng = np.random.default_rng(0)
+    bodies = []
+    for k in range(2):
+        mass = rng.uniform(0.1, 2.0, n)
+        mass[k * 20 : (k + 1) * 20] = 0.0
+        bodies.append(BodyAtNodes(mass, rng.uniform(0.2, 0.9, n), rng.normal(size=(n, d))))
+    return bodies, [rng.normal(size=(n, d)) for _ in bodies]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 10.0])
+@pytest.mark.parametrize("room", [None, 1.0])
+def test_momentum_is_kept_and_bodies_come_no_nearer(friction, room):
+    bodies, v = at_nodes()
+    before = [one.copy() for one in v]
+    room = None if room is None else np.full(len(v[0]), room)
+    got = collide(bodies, v, room, friction)
+    m = [b.mass[:, None] for b in bodies]
+    total = m[0] * v[0] + m[1] * v[1]
+    np.testing.assert_allclose(total, m[0] * before[0] + m[1] * before[1], atol=1e-13)
+    np.testing.assert_allclose(got, m[0] * (v[0] - before[0]), atol=1e-13)
+    units = [b.slope / np.linalg.norm(b.slope, axis=1)[:, None] for b in bodies]
+    n = units[0] - units[1]
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    both = (bodies[0].mass > 0) & (bodies[1].mass > 0)
+    if room is not None:
+        both &= bodies[0].volume + bodies[1].volume >= 0.98
+        assert 20 < both.sum() < 140
+    nearing = np.sum((before[0] - before[1]) * n, axis=1)
+    touch = both & (nearing > 0)
+    w = v[0] - v[1]
+    np.testing.assert_allclose(np.sum(w * n, axis=1)[touch], 0.0, atol=1e-12)
+    for one, first in zip(v, before):
+        np.testing.assert_array_equal(one[~touch], first[~touch])
+    # friction takes of the slip what the normal impulse allows, and no more than all of it
+    slip = before[0] - before[1]
+    slip -= np.sum(slip * n, axis=1)[:, None] * n
+    size = np.linalg.norm(slip, axis=1)
+    left = np.maximum(size - friction * np.maximum(nearing, 0), 0)
+    np.testing.assert_allclose(np.linalg.norm(w, axis=1)[touch], left[touch], atol=1e-12)
+
+
+def blocks(kind="quadrilateral", basis="gimp", fbar=False, extra=None, tags=(1, 2), **options):
+    grid = unit_grid(kind, 8)
+    points = mpm.fill(grid, mpm.Box((0.1, 0.1), (0.5, 0.6)), 2, 1000.0, tag=1)
+    points += mpm.fill(grid, mpm.Box((0.5, 0.1), (0.9, 0.6)), 2, 1000.0, tag=2)
+    V = mpm.Space(grid, basis)
+    law = mpm.materials.Hencky(E=1e5, nu=0.2)
+    F = mpm.momentum(law, points, V.increment, V.test, fbar=fbar)
+    if extra is not None:
+        F += extra(points, V.increment, V.test)
+    return mpm.Explicit(F, V.increment, points, contact=mpm.Collision(tags), **options)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "text"),
+    [
+        (lambda: mpm.Collision((1,)), ParameterError, "two bodies"),
+        (lambda: mpm.Collision((1, 1)), ParameterError, "two of them"),
+        (lambda: mpm.Collision((1, "two")), ParameterError, "must be the tags"),
+        (lambda: mpm.Collision(2), ParameterError, "must be the tags"),
+        (lambda: mpm.Collision(friction=-0.1), ParameterError, "friction"),
+        (lambda: blocks(mapping="apic"), ParameterError, "flip"),
+        (lambda: blocks(mass="consistent"), ParameterError, "lumped"),
+        (lambda: blocks(scheme="usf"), ParameterError, "musl"),
+        (lambda: blocks(bulk_viscosity=(0.06, 1.2)), ParameterError, "viscosity"),
+        (lambda: blocks(stabilisation="aggregation"), ParameterError, "tie nodes"),
+        (lambda: blocks(fbar=True), FormError, "F-bar"),
+        (lambda: blocks("triangle", "linear"), ParameterError, "rectangular"),
+        (lambda: blocks(tags=(1, 3)).step(1e-3), ParameterError, "belong to no body"),
+        (lambda: blocks(tags=(1, 2)).step(-1.0), ParameterError, "later"),
+    ],
+)
+def test_what_does_not_collide(make, error, text):
+    with pytest.raises(error, match=text):
+        make()
+
+
+def test_neither_a_rigid_body_nor_anything_else_is_a_collision():
+    body = mpm.RigidBody(mpm.Plane((0, 0.05), (0, 1)))
+    with pytest.raises(FormError, match="rigid bodies"):
+        blocks(extra=lambda points, u, v: mpm.contact(body, points, u, v))
+    grid = unit_grid("quadrilateral", 4)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.2), points, V.increment, V.test)
+    with pytest.raises(ParameterError, match="Collision"):
+        mpm.Explicit(F, V.increment, points, contact=(1, 2))
+    np.testing.assert_array_equal(mpm.Explicit(F, V.increment, points).collision_force, 0.0)
