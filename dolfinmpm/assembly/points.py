@@ -201,15 +201,28 @@ def add_stiffness(
 
 @numba.njit(cache=True, error_model="numpy")
 def _add_blocks(rows, columns, blocks, row_of, column_of, indptr, indices, data, prescribed, lift):
+    nc = blocks.shape[1]
+    # where the last search in a row ended: the next column is mostly the next one there
+    last, after = np.full(nc, -1, np.int64), np.zeros(nc, np.int64)
     for e in range(rows.size):
-        for i in range(blocks.shape[1]):
+        for i in range(nc):
             row = row_of[rows[e], i]
             if row < 0:
                 continue
+            begin, end = indptr[row], indptr[row + 1]
+            if last[i] != row:
+                last[i], after[i] = row, begin
             for k in range(blocks.shape[2]):
+                # masses and penalties do not couple components
+                if blocks[e, i, k] == 0.0:
+                    continue
                 column = column_of[columns[e], k]
                 if column >= 0:
-                    low, high = indptr[row], indptr[row + 1]
+                    low, high = after[i], end
+                    if low > begin and indices[low - 1] >= column:
+                        low, high = begin, low
+                    elif low < end and indices[low] == column:
+                        high = low
                     while low < high:
                         middle = (low + high) // 2
                         if indices[middle] < column:
@@ -217,6 +230,7 @@ def _add_blocks(rows, columns, blocks, row_of, column_of, indptr, indices, data,
                         else:
                             high = middle
                     data[low] += blocks[e, i, k]
+                    after[i] = low + 1
                 else:
                     lift[rows[e], i] += blocks[e, i, k] * prescribed[columns[e], k]
 

@@ -29,6 +29,7 @@ from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.cut.unknowns import Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.grid.halo import Numbering
+from dolfinmpm.solve.method import iterative
 from dolfinmpm.solve.operator import WeakForm
 
 __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
@@ -58,10 +59,13 @@ class MassTerms:
             of all active nodes, get back no more energy than they gave: N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m
             has no eigenvalue above 1, and keeps rigid velocities.
         ghost: Ghost penalty of the mass, γ_M J, or None.
+        factorised: Whether it is factorised where tangents are, too.
     """
 
-    def __init__(self, points: MaterialPoints, kind: str, ghost: WeakForm | None):
-        self.points, self.kind, self.ghost = points, kind, ghost
+    def __init__(
+        self, points: MaterialPoints, kind: str, ghost: WeakForm | None, factorised: bool = False
+    ):
+        self.points, self.kind, self.ghost, self.factorised = points, kind, ghost, factorised
         self._matrix: Matrix | None = None
         #: Whether it has been told that the mass is next to singular.
         self.warned = False
@@ -96,7 +100,13 @@ class MassTerms:
         return self._matrix
 
 
-def mass_terms(form: WeakForm, field: Field, mass: str, ghost_mass: float | None) -> MassTerms:
+def mass_terms(
+    form: WeakForm,
+    field: Field,
+    mass: str,
+    ghost_mass: float | None,
+    factorised: bool = False,
+) -> MassTerms:
     """What the mass of a problem is made of. Collective.
 
     Args:
@@ -104,6 +114,8 @@ def mass_terms(form: WeakForm, field: Field, mass: str, ghost_mass: float | None
         field: The field that moves the points.
         mass: "consistent" or "lumped".
         ghost_mass: γ_M in units of the largest density, see `Newmark`; None for what is usual.
+        factorised: Whether steps factorise tangents anyway. The penalty that splines need makes
+            iterations by the diagonal slow, hundreds of them, and the mass is factorised then.
 
     Raises:
         ParameterError: A ghost penalty is asked for of a lumped mass, or is negative.
@@ -124,7 +136,8 @@ def mass_terms(form: WeakForm, field: Field, mass: str, ghost_mass: float | None
         return MassTerms(points, mass, None)
     density = points.comm.allreduce(points["density"].max(initial=0.0), op=MPI.MAX)
     J = ghost(points, space.increment, space.test, factor * density, scaling="literal")
-    return MassTerms(points, mass, WeakForm(J, form.spaces, points))
+    factorised = factorised and space.basis.degree > 1
+    return MassTerms(points, mass, WeakForm(J, form.spaces, points), factorised)
 
 
 class Mass:
@@ -287,7 +300,7 @@ class Mass:
         return self._own
 
     def _cg(self, right: Array, guess: Array) -> Array:
-        """Conjugate gradients with the diagonal of the matrix. Collective."""
+        """Conjugate gradients with the diagonal of the matrix, or with its factors. Collective."""
         unknowns = self._unknowns
         if unknowns.total == 0:
             return guess
@@ -334,7 +347,12 @@ class Mass:
         self.add_to(matrix, unknowns)
         ksp = PETSc.KSP().create(unknowns.comm)
         ksp.setType("cg")
-        ksp.getPC().setType("jacobi")
+        pc = ksp.getPC()
+        pc.setType("jacobi")
+        if self._terms.factorised and not iterative(unknowns.total, self._terms.points.gdim):
+            matrix.petsc.setOption(PETSc.Mat.Option.SPD, True)
+            pc.setType("cholesky")
+            pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
         ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(matrix.petsc)

@@ -148,7 +148,7 @@ class TimeStepping(QuasiStatic):
                 "of its length before the end: take Newmark, for damping with beta=0.3025, "
                 "gamma=0.6, or GeneralisedAlpha with rho_inf=0"
             )
-        terms = mass_terms(self.form, self.fields[0], mass, ghost_mass)
+        terms = mass_terms(self.form, self.fields[0], mass, ghost_mass, factorised=True)
         sides = Sides(faces, points)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
         check_masses(self.bodies)
