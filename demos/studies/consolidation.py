@@ -42,6 +42,9 @@ PAIRS = (
 )  # fmt: skip
 # those of nested grids: the displacement has cells of half the size
 NESTED = {"nested": "gimp", "nested-linear": "linear", "nested-bspline2": "bspline2"}
+# Ghost penalties of splines for u: the usual ones, 100 and 10⁴, stiffen the layer that drains
+# first, and a first step overshoots by 3 %
+GAMMA = {"bspline2": 10.0, "bspline3": 100.0}
 CUTS = (1e-6, 1e-4, 1e-2, 0.1, 0.3, 0.49, 0.51, 0.7, 0.9, 1.0)
 SHARES = (1e-8, 1e-6, 1e-4, 1e-2, 0.1, 0.25, 1.0)
 WATER = mpm.Fluid()
@@ -191,9 +194,10 @@ def column(height=H):
     F -= top.traction(load, V.test)
     if weight:
         F -= fem.Constant(grid, -submerged) * V.test[1] * points.dX
+    of_u = mpm.Stabilisation(args.stabilisation, gamma=GAMMA.get(bases[0]))
     problem = mpm.Transient(
         F, [V.increment, Q.increment], points, mpm.rollers(V, "left", "right", "bottom"),
-        stabilisation=[args.stabilisation] * 2,
+        stabilisation=[of_u, args.stabilisation],
     )  # fmt: skip
     return problem, top
 
@@ -281,6 +285,11 @@ for row in zip(args.times, U, exact_U, np.array(base) / total, exact_base / tota
 # T = 0.05 on, at loads of 0.001 and 0.3 M, and the pressure is smooth. With linear functions for
 # the pressure (`--pair gimp-linear`) it wavers by some percent where points cross cells.
 # `--projection none` lets the first step overshoot by half the load.
+#
+# On nested grids (`--pair nested`) the displacement has cells of half the size, and the pair is
+# stable by itself: `inf_sup.py`. The first step overshoots by less than a percent, whatever its
+# length and wherever the top is (`--sweep`), of every pair, with ghost penalties or without; where
+# nodes are tied it does not at all.
 
 # %%
 if not args.no_plot:

@@ -45,8 +45,9 @@ __all__ = ["poromechanics"]
 
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.9 %)
-_STORAGE, _FLOW = 0.002, 1 / 90
+# this 0.9 %). Of splines the remedy's factor of 100 or 10⁴ would do that too, and is taken back
+_STORAGE = {1: 2e-3, 2: 1e-5, 3: 1e-7}
+_FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
 
 def poromechanics(
@@ -307,8 +308,9 @@ def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints, p) -> Expr:
     stored = 1 / M
     if fluid.compressible:
         stored = stored + _plain(n0, 1.0) / own_constant(points.grid, fluid.bulk_modulus)
+    degree = p._dolfinmpm_space.basis.degree
     flows = points.dt * _plain(largest(K), 0.0)
-    return 3 * (_STORAGE * stored + _FLOW * flows / size_of(p) ** 2)
+    return 3 * (_STORAGE[degree] * stored + _FLOW[degree] * flows / size_of(p) ** 2)
 
 
 def _plain(factor: Any, otherwise: float) -> Any:
