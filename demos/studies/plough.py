@@ -265,9 +265,10 @@ def draw(args, scene):
         middle.set(xlim=window, ylim=(-2 * args.depth, 1.2 * args.depth), ylabel="$z$ (m)")
         figure.colorbar(drawn, ax=middle, label=r"$\log_{10}$ plastic strain")
         surface = x0[:, 2] > -0.51 * h
-        limit = max(0.2 * args.depth, float(np.abs(x[surface, 2]).max()))
+        rise = (x - x0)[surface, 2]
+        limit = max(0.05 * args.depth, float(np.abs(rise).max()))
         drawn = draw_points(
-            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], x[surface, 2],
+            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], rise,
             cmap="RdBu_r", clim=(-limit, limit),
         )  # fmt: skip
         w = args.half_width
@@ -276,7 +277,7 @@ def draw(args, scene):
             [0, 0, w, w], color="0.5", zorder=3,
         )  # fmt: skip
         bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3 * args.depth)))
-        figure.colorbar(drawn, ax=bottom, label="height (m)")
+        figure.colorbar(drawn, ax=bottom, label="rise of the surface (m)")
 
 
 def main(words=None):
