@@ -9,7 +9,7 @@
 # grows.
 #
 # - The share is a prism with a wedge in front, a closed surface of triangles; its edges are rounded
-#   by a quarter of a point's domain and more.
+#   by a quarter of a point's domain.
 # - The sand is at rest at first, $K_0 = 1 - \sin\varphi$, and as stiff as its stress makes it.
 #   Points fill it row by row from the share's faces on.
 # - Cells are fine in a zone around the plough, which goes with it cell by cell; beyond they grow.
@@ -188,7 +188,10 @@ class Scene:
         self.speed = 0.0
         share = self.share.mesh()
         share.points += (self.start, 0.0, 0.0)
-        plough = mpm.RigidBody(share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0))
+        plough = mpm.RigidBody(
+            share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0),
+            fillet=0.25 * h / args.points_per_cell,
+        )  # fmt: skip
         F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
         F += mpm.contact(plough, points, u, v, friction=args.friction, penalty=args.penalty)
         # the plates give way by a hundredth of a cell of sand at half the depth of the bed
