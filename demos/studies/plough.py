@@ -9,7 +9,7 @@
 # grows.
 #
 # - The share is a prism with a wedge in front, a closed surface of triangles; its edges are rounded
-#   by a quarter of a point's domain and more.
+#   by a quarter of a point's domain.
 # - The sand is at rest at first, $K_0 = 1 - \sin\varphi$, and as stiff as its stress makes it.
 #   Points fill it row by row from the share's faces on.
 # - Cells are fine in a zone around the plough, which goes with it cell by cell; beyond they grow.
@@ -188,7 +188,10 @@ class Scene:
         self.speed = 0.0
         share = self.share.mesh()
         share.points += (self.start, 0.0, 0.0)
-        plough = mpm.RigidBody(share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0))
+        plough = mpm.RigidBody(
+            share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0),
+            fillet=0.25 * h / args.points_per_cell,
+        )  # fmt: skip
         F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
         F += mpm.contact(plough, points, u, v, friction=args.friction, penalty=args.penalty)
         # the plates give way by a hundredth of a cell of sand at half the depth of the bed
@@ -265,9 +268,10 @@ def draw(args, scene):
         middle.set(xlim=window, ylim=(-2 * args.depth, 1.2 * args.depth), ylabel="$z$ (m)")
         figure.colorbar(drawn, ax=middle, label=r"$\log_{10}$ plastic strain")
         surface = x0[:, 2] > -0.51 * h
-        limit = max(0.2 * args.depth, float(np.abs(x[surface, 2]).max()))
+        rise = (x - x0)[surface, 2]
+        limit = max(0.05 * args.depth, float(np.abs(rise).max()))
         drawn = draw_points(
-            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], x[surface, 2],
+            bottom, x[surface][:, :2], F[surface][:, :2, :2], l0[surface][:, :2], rise,
             cmap="RdBu_r", clim=(-limit, limit),
         )  # fmt: skip
         w = args.half_width
@@ -276,7 +280,7 @@ def draw(args, scene):
             [0, 0, w, w], color="0.5", zorder=3,
         )  # fmt: skip
         bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3 * args.depth)))
-        figure.colorbar(drawn, ax=bottom, label="height (m)")
+        figure.colorbar(drawn, ax=bottom, label="rise of the surface (m)")
 
 
 def main(words=None):

@@ -11,6 +11,7 @@ from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.shapes import Ball, Box, Polygon, TurnedBox
 from dolfinmpm.contact.facets import Facets
+from dolfinmpm.contact.fillets import filleted
 from dolfinmpm.contact.meshes import is_mesh, mesh_surface
 from dolfinmpm.contact.revolution import Revolved
 from dolfinmpm.contact.surfaces import HalfSpace, Round, Rounded, Surface
@@ -53,11 +54,8 @@ def surface_of(shape: Any, fillet: float) -> Surface:
     if isinstance(shape, Cone):
         return Revolved(_polygon(shape.profile, fillet), shape.tip, shape.axis)
     if is_mesh(shape):
-        if fillet:
-            raise ParameterError(
-                f"fillet = {fillet:g} m: edges of meshes are rounded in the mesh; give 0 here"
-            )
-        return mesh_surface(shape)
+        surface = mesh_surface(shape)
+        return filleted(surface, fillet) if fillet else surface
     raise ParameterError(
         f"shape = {shown(shape)} is none of a rigid body: give Plane, Disc, Ball, Box, TurnedBox, "
         "Polygon, Wedge, Cone, or a closed surface mesh of triangles"
