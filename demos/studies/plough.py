@@ -249,7 +249,7 @@ def draw(args, scene):
     history, share = scene.history, scene.share
     nose = scene.start + history["distance"][-1]
     with mpm.figure(
-        args.output / "plough.png", 6.0, 6.2, nrows=3, height_ratios=(1.1, 1.5, 1.4),
+        args.output / "plough.png", 6.0, 6.2, nrows=3, height_ratios=(1, 1.5, 1.5),
     ) as (figure, (top, middle, bottom)):  # fmt: skip
         top.plot(history["distance"], history["pull"] / 1e3, "o-", ms=2)
         top.set(xlabel="distance (m)", ylabel="pull (kN)", ylim=(0, None))
@@ -279,7 +279,7 @@ def draw(args, scene):
             nose + np.array([share.back, share.front(0, 0), share.front(w, 0), share.back]),
             [0, 0, w, w], color="0.5", zorder=3,
         )  # fmt: skip
-        bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3 * args.depth)))
+        bottom.set(xlim=window, ylim=(0, min(scene.bed[1], 3.2 * args.depth)))
         figure.colorbar(drawn, ax=bottom, label="rise of the surface (m)")
 
 
