@@ -19,13 +19,13 @@
 # wider by a fifth of R.
 #
 # A ghost penalty resists the increment where cells are cut, and so what flows past the cone:
-# with its usual factor the resistance is too large by a third in cells of R/2 and by an eighth in
+# with its usual factor the resistance is too large by a third in cells of R/2 and by a seventh in
 # cells of R/4. A tenth of that (`--ghost`) keeps such cells as well. Tip and shoulder are rounded
 # with the radius h, and the penalty is soft enough for Newton's method to find which corners touch;
 # the force has waves, for each row of points sticks to the tip before it goes past.
 #
 # What comes out in clay: 13.6 % too much with h = R/2, 6.8 % with R/4 (I_r = 100); with h = R/2
-# 10.1 % and 8.3 % too much for I_r = 50 and 200. In sand the tip carries 2.4 MPa 4 m deep, with
+# 10.1 % and 8.3 % too much for I_r = 50 and 200. Sand 4 m deep: 2.4 and 2.5 MPa with
 # ghost penalties in cells of R/4 and R/2; aggregation comes as far with R/3, not with R/2, where
 # ground that was pushed up beside the cone turns inside out; without a remedy the first steps fail.
 # A quarter of the cone in three dimensions is 8 to 10 % below the bodies of revolution with the

@@ -32,3 +32,17 @@ def test_a_cone_in_sand(tmp_path, remedy):
     assert not shaft[shoulder < -0.1].any()
     assert 0 < shaft[-1] < 0.3 * force[-1]
     assert (tmp_path / "cone_penetration_sand_axisymmetric.png").stat().st_size > 0
+
+
+@pytest.mark.long
+def test_a_quarter_of_a_cone_in_three_dimensions(tmp_path):
+    """As soon as the gaps beside it are closed it carries what the body of revolution does."""
+    options = "--h", "0.5", "--step", "0.1", "--depth", "7.2", "--zone", "1.5"
+    options = *options, "--width", "8", "--growth", "2"
+    flat = run("cone_penetration", *options, "--no-plot")
+    whole = run("cone_penetration", *options, "--dimension", "3", "--output", str(tmp_path))
+    assert not whole["reason"]
+    last = slice(-3, None)
+    ratio = np.mean(whole["factors"][last]) / np.mean(flat["factors"][last])
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert (tmp_path / "cone_penetration_tresca_3.png").stat().st_size > 0
