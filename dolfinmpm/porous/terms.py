@@ -45,8 +45,8 @@ __all__ = ["poromechanics"]
 
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.9 %). Of splines the remedy's factor of 100 or 10⁴ would do that too, and is taken back
-_STORAGE = {1: 2e-3, 2: 1e-5, 3: 1e-7}
+# this 0.8 %). Of splines the remedy's factor of 100 or 10⁴ would do that too, and is taken back
+_STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
 
