@@ -6,6 +6,7 @@ from benchmark_rows import Answer, Row, each, keys
 
 RINGS, STEEL, WATER = "Bodies of revolution", "Soil and steel", "Soil and water"
 EXACT = "exact: 0"
+SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
 
 
 def percent(*names: str):
@@ -48,6 +49,14 @@ ROWS = (
     Row("wedge", STEEL, "wedge into clay, semi-angle 30°, 45°, 60°: error of the slope of the "
         "force (%)", each("wedge", "--semi-angle 30", "--semi-angle 45", "--semi-angle 60"),
         percent("slope_error"), "{:+.1f}, {:+.1f}, {:+.1f}", "Hill, Lee & Tupper 1947: 0"),
+    Row("cone", STEEL, "smooth cone in Tresca clay, I_r = 100: error of its factor, cells of R/2, "
+        "R/4 (%)",
+        each("cone_penetration", "--h 0.5 --depth 17 --step 0.1", "--h 0.25 --depth 14 --step 0.1"),
+        percent("error"), "{:+.1f}, {:+.1f}", "Teh & Houlsby 1991: 0"),
+    Row("cone-sand", STEEL, "cone of 0.8 m in sand, relative density 32 %, cells of 0.2 m: depth "
+        "reached (m), mean resistance of the last 2 m (MPa)",
+        each("cone_penetration", "--law sand --h 0.2 --step 0.04"),
+        lambda a: [a["reached"], 1e-6 * a["tip_resistance"]], "{:.1f}, {:.2f}"),
     Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "
         "displacement with ghost penalty, with aggregation",
         each("nitsche_ring", "--cells 4,8,16 --positions 0",
@@ -63,6 +72,15 @@ ROWS = (
         each("consolidation", "--scene self-weight --load 0.3 --permeability kozeny-carman"),
         percent("U_error", "base_pressure_error"), "{:.2f}, {:.2f}", "finite differences: 0",
         quick=True),
+    Row("inf-sup", WATER, "inf-sup constant, displacement on cells of half the size: bodies of 4, "
+        "8, 12 whole cells; least of 24 cut ones with ghost penalties",
+        each("inf_sup", "--pairs nested --remedies ghost"),
+        lambda a: [*(w["beta"] for w in a["whole"]["nested"]), a["rows"][0]["beta_least"]],
+        "{:.3f}, {:.3f}, {:.3f}; {:.3f}", "0.411, 0.407, 0.406"),
+    Row("first-steps", WATER, "overshoot of first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 of "
+        "a cell, ghost penalties: nested, equal order (%)",
+        each("consolidation", f"{SWEEP} --pair nested", f"{SWEEP} --pair gimp-gimp"),
+        percent("overshoot"), "{:.2f}, {:.2f}", "at most 1"),
     Row("overshoot", WATER, "overshoot of a first step of 1e-6 h²/c_v, with and without the "
         "pressure projection",
         each("consolidation", "--load 1e-3 --stabilisation none",
