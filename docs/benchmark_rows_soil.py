@@ -77,8 +77,8 @@ ROWS = (
         each("inf_sup", "--pairs nested --remedies ghost"),
         lambda a: [*(w["beta"] for w in a["whole"]["nested"]), a["rows"][0]["beta_least"]],
         "{:.3f}, {:.3f}, {:.3f}; {:.3f}", "0.411, 0.407, 0.406"),
-    Row("first-steps", WATER, "overshoot of first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 of "
-        "a cell, ghost penalties: nested, equal order (%)",
+    Row("first-steps", WATER, "overshoot of first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 "
+        "of a cell, ghost penalties: nested, equal order (%)",
         each("consolidation", f"{SWEEP} --pair nested", f"{SWEEP} --pair gimp-gimp"),
         percent("overshoot"), "{:.2f}, {:.2f}", "at most 1"),
     Row("overshoot", WATER, "overshoot of a first step of 1e-6 h²/c_v, with and without the "
