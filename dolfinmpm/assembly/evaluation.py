@@ -14,9 +14,9 @@ from dolfinmpm.assembly.functions import function_values
 from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
+from dolfinmpm.cut.participants import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, Kept, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms

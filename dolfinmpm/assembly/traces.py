@@ -25,7 +25,7 @@ from dolfinmpm.assembly.facetpairs import isotropic
 from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 
 __all__ = ["trace_constants"]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import math
 
 import numba
 import numpy as np
@@ -18,145 +17,15 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.basis.bspline import averaged_spline_weights, functions_of, greville, weights_at
+from dolfinmpm.basis.bspline import functions_of, greville
 from dolfinmpm.basis.gimp import domain_weights
+from dolfinmpm.basis.lineweights import SNAP, line_weights, overlapped, ring_slopes, snapped
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["SNAP", "LatticeBasis", "first_parts", "line_shares", "line_weights", "overlapped"]
-
-# What is below this share of a cell is rounding: an overlap of a domain with a cell, or the
-# distance of a point without one from where a function begins. It must make nothing active.
-SNAP = 1e-10
-
-
-@numba.njit(cache=True, inline="always")
-def _cell_of(line, uniform, x):
-    n = line.size - 1
-    if uniform:
-        cell = int(np.floor((x - line[0]) / (line[n] - line[0]) * n))
-    else:
-        # by halves; np.searchsorted would take three times as long to compile
-        cell, end = -1, n + 1
-        while end - cell > 1:
-            middle = (cell + end) // 2
-            if line[middle] <= x:
-                cell = middle
-            else:
-                end = middle
-    return min(max(cell, 0), n - 1)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def overlapped(line, uniform, x, half):
-    """First cell that a domain overlaps, and number of them, in one direction.
-
-    A point without a domain is in one cell, on a grid line in the upper one.
-    """
-    first = _cell_of(line, uniform, x - half)
-    last = first
-    rounding = SNAP * (line[first + 1] - line[first])
-    if half == 0.0 and first < line.size - 2 and line[first + 1] - x < rounding:
-        return first + 1, 1
-    if half > 0.0:
-        last = _cell_of(line, uniform, x + half)
-        left, right = max(x - half, line[0]), min(x + half, line[line.size - 1])
-        if last > first and line[first + 1] - left < SNAP * (line[first + 1] - line[first]):
-            first += 1
-        if last > first and right - line[last] < SNAP * (line[last + 1] - line[last]):
-            last -= 1
-    return first, last - first + 1
-
-
-@numba.njit(cache=True, inline="always")
-def _snapped(line, first, x, half):
-    """A point without a domain that only rounding keeps off the edge of its cell is on it."""
-    if half == 0.0:
-        if x - line[first] < SNAP * (line[first + 1] - line[first]):
-            x = line[first]
-        elif line[first + 1] - x < SNAP * (line[first + 1] - line[first]):
-            x = line[first + 1]
-    return x
-
-
-@numba.njit(cache=True, error_model="numpy")
-def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slope):
-    """The count + degree functions that a point sees in one direction, and their slopes (1/m).
-
-    The one place where weights come from: stencils and explicit steps both ask here.
-
-    Args:
-        line: Coordinates of the lattice in this direction (m).
-        uniform: Whether its cells are of one size.
-        degree: Degree of the functions.
-        first, count: The cells that the point's domain overlaps, see `overlapped`.
-        x, half: Position and half-length (m); a half-length of 0 is a point without a domain.
-        S, dS: Written.
-        part, slope: Room for degree + 1 numbers each.
-    """
-    x = _snapped(line, first, x, half)
-    if degree == 1:
-        domain_weights(line, first, count, x, half, S, dS)
-    elif half > 0.0:
-        averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS, part, slope)
-    else:
-        weights_at(line, uniform, first, degree, x, S, dS)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
-    """Averages of the slopes along the radius over a domain that is a ring, r dN/dr by mean r.
-
-    Beside S/r around the ring they are what is left of an integral of (r N)', so that an even
-    pressure is in balance for all functions, wherever their slopes vary within domains.
-
-    Args:
-        line, uniform, degree, first, count, x, half, part, slope: See `line_weights`; the
-            half-length is positive.
-        dS: Written (1/m), count + degree.
-    """
-    for i in range(count + degree):
-        dS[i] = 0.0
-    left = max(x - half, line[first])
-    right = min(x + half, line[first + count])
-    mean = 0.5 * (left + right)
-    for c in range(count):
-        a, b = max(left, line[first + c]), min(right, line[first + c + 1])
-        share, middle = 0.5 * (b - a) / (right - left) / mean, 0.5 * (a + b)
-        reach = 0.5 * (b - a) / math.sqrt(3.0)
-        for side in range(2):
-            at = middle - reach if side == 0 else middle + reach
-            if degree == 1:
-                slope[1] = 1.0 / (line[first + c + 1] - line[first + c])
-                slope[0] = -slope[1]
-            else:
-                weights_at(line, uniform, first + c, degree, at, part, slope)
-            for i in range(degree + 1):
-                dS[c + i] += share * at * slope[i]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def line_shares(line, uniform, degree, first, count, x, half, dS, shares, room, part, slope):
-    """Splines one degree lower that a point sees in one direction, or its shares in cells.
-
-    They are what means at the points are taken over, see `dolfinmpm.cut.cellmeans`.
-
-    Args:
-        line, uniform, degree, first, count, x, half: See `line_weights`.
-        dS: Slopes of the functions (1/m), count + degree.
-        shares: Written, count + degree - 1.
-        room, part, slope: Room for as many numbers, and for degree numbers each.
-    """
-    if degree > 1:
-        line_weights(line, uniform, degree - 1, first, count, x, half, shares, room, part, slope)
-        return
-    # slopes of linear functions are differences of shares
-    carried = 0.0
-    for c in range(count):
-        carried -= dS[c]
-        shares[c] = carried * (line[first + c + 1] - line[first + c])
+__all__ = ["LatticeBasis", "first_parts"]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -236,7 +105,7 @@ def _fill(linear: bool, rings: bool):
                     line = lines[line_start[d] : line_start[d + 1]]
                     first = origin[d] + low[p, d]
                     if linear:
-                        at_x = _snapped(line, first, x[p, d], half[p, d])
+                        at_x = snapped(line, first, x[p, d], half[p, d])
                         domain_weights(line, first, count[p, d], at_x, half[p, d], S[d], dS[d])
                     else:
                         line_weights(

@@ -10,7 +10,7 @@ import numba
 
 from dolfinmpm.basis.bspline import uniform_averages, uniform_weights
 from dolfinmpm.basis.gimp import uniform_domain_weights
-from dolfinmpm.basis.lattice import SNAP
+from dolfinmpm.basis.lineweights import SNAP
 
 __all__ = ["middle_count", "middle_weights"]
 

@@ -17,7 +17,7 @@ from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
 from dolfinmpm.contact.terms import Contact
-from dolfinmpm.cut.activation import Participants
+from dolfinmpm.cut.participants import Participants
 
 __all__ = ["ActiveContact"]
 

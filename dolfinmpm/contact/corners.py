@@ -27,7 +27,7 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.cut.activation import ActiveField
+from dolfinmpm.cut.participants import ActiveField
 
 __all__ = ["Corners", "Sites", "corner_count"]
 

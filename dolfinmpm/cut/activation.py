@@ -7,282 +7,47 @@ means need, so that no numbering changes behind what was computed in it.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
-from dolfinmpm.basis.space import Space, extraction
+from dolfinmpm.basis import LatticeBasis, Placement, Stencils
+from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import joined, pushed_forward, selected, together
 from dolfinmpm.body.axisymmetry import in_section
-from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans, layers_needed, sharing
+from dolfinmpm.cut.cellmeans import CellMeans, layers_needed, sharing
 from dolfinmpm.cut.couplings import Kept, lists_of, pairs_of
 from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.participants import (
+    Activation,
+    ActiveField,
+    ActiveRegion,
+    Basis,
+    BoundaryOf,
+    Entities,
+    Field,
+    Later,
+    Participants,
+    Region,
+    Terms,
+)
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
-from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.partition import Partition
 
 if TYPE_CHECKING:
-    from scipy import sparse
+    pass
 
-__all__ = [
-    "Activation",
-    "ActiveField",
-    "ActiveRegion",
-    "Field",
-    "activate",
-    "active_on_grid",
-    "regions_of",
-]
-
-Basis = LatticeBasis | LinearBasis
-Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
-Entities = dict[int, npt.NDArray[np.int32]]
-
-
-class Region(Protocol):
-    """Points that are treated alike by a form."""
-
-    @property
-    def averages(self) -> bool:
-        """Whether a law takes means over cells."""
-
-    @property
-    def by_centres(self) -> bool:
-        """Whether the means count each point in the cell of its centre alone."""
-
-    def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
-        """Which points belong to it, or None if all do."""
-
-
-class BoundaryOf(Protocol):
-    """Terms over a boundary that does not fit the grid."""
-
-    @property
-    def boundary(self) -> Boundary:
-        """The boundary."""
-
-    @property
-    def regions(self) -> Sequence[Region]:
-        """Parts of it with terms of their own."""
-
-
-class Terms(Protocol):
-    """What an activation must know of a weak form."""
-
-    @property
-    def regions(self) -> Sequence[Region]:
-        """Parts of the body with terms of their own."""
-
-    @property
-    def moving(self) -> set[int]:
-        """Subdomain ids of the facets and cells that it integrates over as they are active."""
-
-    @property
-    def boundaries(self) -> Sequence[BoundaryOf]:
-        """Boundaries that do not fit the grid, with the parts that have terms of their own."""
-
-    def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
-        """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
-
-    def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
-        """The mass, if there are inertial forces. Collective."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """A field of a problem: its space, and what is done against its small cuts.
-
-    Attributes:
-        space: The space.
-        remedy: The remedy.
-        prolongate: Function of stencils and active nodes that returns a matrix C, or None.
-    """
-
-    space: Space
-    remedy: Stabilisation
-    prolongate: Prolongate | None = None
-
-    @functools.cached_property
-    def ties_nodes(self) -> bool:
-        """Whether the remedy ties nodes to others."""
-        return self.remedy.ties_nodes
-
-
-@dataclass(frozen=True)
-class ActiveField:
-    """A field on the active cells.
-
-    Attributes:
-        space: Its space.
-        basis: Its basis, with the overlap of ranks that the step needs.
-        seen: Stencils on all active nodes.
-        active: Nodes that any rank's points see, increasing.
-        stencils: Stencils on the nodes that remain behind C.
-        nodes: These nodes, increasing.
-        C: Matrix from the nodes that remain to all nodes, or None.
-        to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
-        entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
-        penalty: Penalty of weak aggregation, or None.
-        whole: Stencils of points and markers on all active nodes.
-        of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
-        level: Share to which a cell must be filled to have no nodes tied to others, or None if
-            no remedy ties any.
-    """
-
-    space: Space
-    basis: Basis
-    seen: Stencils
-    active: npt.NDArray[np.int32]
-    stencils: Stencils
-    nodes: npt.NDArray[np.int32]
-    C: sparse.csr_matrix | None
-    to_grid: sparse.csr_matrix | None
-    entities: Entities
-    penalty: Blocks | None
-    whole: Stencils
-    of_markers: tuple[Stencils, ...] = ()
-    level: float | None = None
-
-    @functools.cached_property
-    def cells(self) -> npt.NDArray[np.bool_]:
-        """Whether each local cell is active. Collective at first."""
-        return active_cells(self.whole, self.basis.cells)
-
-
-@dataclass(frozen=True)
-class ActiveRegion:
-    """A part of the body: stencils of its points, and couplings of its cell means.
-
-    Attributes:
-        stencils: Stencils in every field, in common groups.
-        means: Means over cells, or None if no law takes any.
-        within: Numbering of the nodes and active nodes of every field.
-    """
-
-    stencils: list[Stencils]
-    means: CellMeans | None
-    within: list[tuple[Numbering, npt.NDArray[np.int32]]]
-
-    @functools.cached_property
-    def couplings(self) -> list[CellCouplings] | None:
-        """What cell means couple, in every field, or None if there are none. Collective at first.
-
-        Only a tangent asks.
-
-        Raises:
-            ParameterError: Ranks differ in what they tie.
-        """
-        if self.means is None:
-            return None
-        found = [
-            CellCouplings(self.means, s, numbering, nodes)
-            for s, (numbering, nodes) in zip(self.stencils, self.within)
-        ]
-        if not all(c.complete for c in found):
-            raise ParameterError(
-                "a prolongation ties nodes at a rank border differently on the two sides; make it "
-                "a function of the nodes' positions alone"
-            )
-        return found
-
-
-@dataclass(frozen=True)
-class Participants:
-    """Points, fields and unknowns that take part in a step.
-
-    Attributes:
-        where: The points as the stencils see them.
-        total: Whether stencils are those at first positions.
-        fields: The fields.
-        unknowns: Numbering of the unknowns.
-    """
-
-    where: Placement
-    total: bool
-    fields: tuple[ActiveField, ...]
-    unknowns: Unknowns
-
-
-class Later:
-    """The pattern of a matrix, made when it is first asked for.
-
-    Args:
-        build: What makes it.
-    """
-
-    def __init__(self, build: Callable[[], Pattern]):
-        self._build: Callable[[], Pattern] | None = build
-        self.known: Pattern | None = None
-
-    @property
-    def pattern(self) -> Pattern:
-        """The pattern."""
-        if self.known is None:
-            assert self._build is not None
-            # with it goes what it is made of
-            self.known, self._build = self._build(), None
-        return self.known
-
-
-@dataclass(frozen=True)
-class Activation(Participants):
-    """What takes part in a step.
-
-    Attributes:
-        terms: The weak form that it is made for.
-        prescribed: Values of prescribed components, (nodes, components) for each field.
-        driven: Whether any of them is not zero.
-        regions: The parts of the body.
-        grid: Tangent of terms over the grid at the start of the step, between the nodes
-            that remain behind C.
-        soft: The same of terms of the tangent only.
-        mass: The mass between these nodes (kg), if there are inertial forces.
-        later: What is made when it is first asked for.
-        of_boundaries: The parts of each boundary that does not fit the grid.
-    """
-
-    terms: Terms
-    prescribed: list[npt.NDArray[np.float64]]
-    driven: bool
-    regions: list[ActiveRegion]
-    grid: list[Blocks]
-    soft: list[Blocks]
-    mass: list[Blocks]
-    later: Later
-    of_boundaries: list[list[ActiveRegion]]
-
-    @property
-    def pattern(self) -> Pattern:
-        """Where the matrix has entries, on this rank; explicit steps never ask."""
-        return self.later.pattern
-
-    @property
-    def active_cells(self) -> int:
-        """Number of cells that are active for the first field, on all ranks. Collective."""
-        first = self.fields[0]
-        own = int(first.cells[: first.basis.cells.owned].sum())
-        return self.unknowns.comm.allreduce(own, op=MPI.SUM)
-
-    @property
-    def ghost_facets(self) -> int:
-        """Number of ghost facets on all ranks that own them, 0 if no term asks. Collective."""
-        rows = self.fields[0].entities.get(GHOST_FACETS, np.empty(0, np.int32))
-        return self.unknowns.comm.allreduce(rows.size // 4, op=MPI.SUM)
+__all__ = ["activate", "active_on_grid", "regions_of"]
 
 
 def activate(

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, Placement
-from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.fractions import fill_fractions
+from dolfinmpm.cut.participants import ActiveField
 
 __all__ = ["cell_offsets"]
 

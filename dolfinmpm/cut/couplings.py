@@ -14,7 +14,7 @@ from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Unknowns
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.activation import Activation, ActiveRegion
+    from dolfinmpm.cut.participants import Activation, ActiveRegion
 
 __all__ = ["Kept", "lists_of", "pairs_of"]
 

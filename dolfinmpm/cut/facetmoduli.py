@@ -29,7 +29,7 @@ from dolfinmpm.cut.fractions import cell_sums
 from dolfinmpm.grid.lattice import once_per_grid
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.activation import ActiveField
+    from dolfinmpm.cut.participants import ActiveField
 
 __all__ = [
     "FIELD",

@@ -14,8 +14,8 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import Stencils, gather, selected
 from dolfinmpm.body.balance import balance
-from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, collide
 from dolfinmpm.dynamics.energies import Work

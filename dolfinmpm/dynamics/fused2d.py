@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.pruned import pruned
-from dolfinmpm.basis.lattice import line_shares, line_weights, overlapped
+from dolfinmpm.basis.lineweights import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.lanes import (
     add_at,

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.pruned import pruned
-from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
 from dolfinmpm.dynamics.lanes import (

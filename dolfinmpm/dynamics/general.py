@@ -19,8 +19,8 @@ from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance
-from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import Work

@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation, ActiveField, Field
+from dolfinmpm.cut.participants import Activation, ActiveField, Field
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.energies import Work
 from dolfinmpm.dynamics.faces import Sides

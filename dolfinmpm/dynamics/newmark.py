@@ -26,7 +26,7 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
 from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of

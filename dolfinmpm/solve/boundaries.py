@@ -17,7 +17,7 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
 from dolfinmpm.kinematics.weakly import TRACE

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.assembly.points import Matrix
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator

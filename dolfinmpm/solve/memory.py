@@ -12,8 +12,8 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.splinefacets import FacetBlock
-from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.couplings import Kept
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.cellvalues import set_values, values_of_cells
 from dolfinmpm.solve.linear import WORKSPACE
 from dolfinmpm.solve.loads import Loads

@@ -22,9 +22,10 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.cut.activation import Activation, ActiveField, region_on, regions_of
+from dolfinmpm.cut.activation import region_on, regions_of
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
+from dolfinmpm.cut.participants import Activation, ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.forms.carriedfields import CellOffset

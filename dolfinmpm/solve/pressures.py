@@ -10,7 +10,8 @@ from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError, r
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, idle
 from dolfinmpm.body.points import PointField
-from dolfinmpm.cut.activation import Activation, active_on_grid
+from dolfinmpm.cut.activation import active_on_grid
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.solve.operator import Operator
 

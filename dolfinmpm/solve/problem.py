@@ -22,15 +22,10 @@ from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.cut.activation import (
-    Activation,
-    Field,
-    Prolongate,
-    activate,
-    active_on_grid,
-)
+from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.participants import Activation, Field, Prolongate
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
 from dolfinmpm.io import checkpoint

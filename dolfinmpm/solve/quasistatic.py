@@ -21,7 +21,8 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Prolongate, active_on_grid
+from dolfinmpm.cut.activation import active_on_grid
+from dolfinmpm.cut.participants import Prolongate
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance, commit
 from dolfinmpm.solve.arguments import (

@@ -12,7 +12,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Field
+from dolfinmpm.cut.participants import Field
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
 __all__ = ["condition_number", "critical_step", "near_kernel", "near_kernel_within", "rigid_modes"]

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import cell_size

@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis.bspline import extension_weights, greville, spline_weights
-from dolfinmpm.basis.lattice import line_weights, overlapped
+from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.basis.space import extraction
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.basis.uniform import middle_count, middle_weights
