@@ -55,7 +55,7 @@ def test_hertz(tmp_path):
 
 @pytest.mark.long
 def test_hertz_of_a_sphere(tmp_path):
-    options = "--shape", "sphere", "--resolution", "6", "--steps", "1", "--no-plot"
+    options = "--shape", "sphere", "--resolution", "4", "--steps", "1", "--no-plot"
     found = figures(tmp_path, "hertz", *options)
     assert abs(found["force_error"]) < 0.05
     assert abs(found["half_width_error"]) < 0.05
