@@ -7,7 +7,8 @@ import pytest
 from test_studies import run
 
 
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_a_cone_in_clay(tmp_path, ranks):
     options = "--h", "0.5", "--step", "0.1", "--depth", "8.5", "--width", "15"
     found = run("cone_penetration", *options, "--output", str(tmp_path), ranks=ranks)

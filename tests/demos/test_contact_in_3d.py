@@ -6,6 +6,8 @@ import pytest
 from conftest import figures_of
 
 PLOUGH = "--h", "0.5", "--distance", "0.05", "--step", "0.05"
+# figures of one rank, once a test has had them
+PLOUGHED: dict = {}
 
 
 def figures(tmp_path, study, *options, ranks=1):
@@ -13,9 +15,11 @@ def figures(tmp_path, study, *options, ranks=1):
     return figures_of(f"demos/studies/{study}.py", *options, *where, ranks=ranks)
 
 
+@pytest.mark.long
 def test_plough(tmp_path):
     """Sand is heaped up before the share, which needs more and more force."""
     found = figures(tmp_path, "plough", *PLOUGH)
+    PLOUGHED.update(found)
     pull = found["pulls"]
     assert len(pull) == 3
     # at rest as much sand presses from behind as from the front
@@ -29,7 +33,7 @@ def test_plough(tmp_path):
 
 @pytest.mark.long
 def test_plough_on_two_ranks(tmp_path):
-    one = figures(tmp_path, "plough", *PLOUGH, "--no-plot")
+    one = PLOUGHED or figures(tmp_path, "plough", *PLOUGH, "--no-plot")
     two = figures(tmp_path, "plough", *PLOUGH, "--no-plot", ranks=2)
     assert two["pulls"] == pytest.approx(one["pulls"], rel=1e-4, abs=10.0)
     assert two["heaps"] == pytest.approx(one["heaps"], rel=1e-4, abs=1e-6)

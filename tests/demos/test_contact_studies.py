@@ -85,9 +85,3 @@ def test_wedge(tmp_path):
     assert abs(found["slope_error"]) < 0.25
     assert found["lip"] == pytest.approx(found["exact_lip"], rel=0.25)
     assert (tmp_path / "wedge_45.png").stat().st_size > 0
-
-
-@pytest.mark.long
-def test_wedge_on_finer_cells(tmp_path):
-    found = figures(tmp_path, "wedge", "--semi-angle", "30", "--no-plot")
-    assert abs(found["slope_error"]) < 0.05

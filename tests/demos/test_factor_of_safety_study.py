@@ -8,7 +8,7 @@ import pytest
 from conftest import figures_of
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_factor_of_safety(tmp_path, ranks):
     options = ["--h", "2", "--low", "1.35", "--high", "1.55", "--tolerance", "0.1"]
     study, folder = "demos/studies/factor_of_safety.py", ("--output", str(tmp_path))

@@ -37,6 +37,7 @@ def test_a_layer_on_nested_grids_consolidates():
     assert figures["overshoot"] < 0.01
 
 
+@pytest.mark.long
 def test_first_steps_of_all_lengths():
     options = "--sweep", "--cuts", "1e-6,0.3,0.49", "--shares", "1e-8,0.1,0.25"
     for more in (("--pair", "nested"), ("--stabilisation", "aggregation", "--theta", "1")):

@@ -179,7 +179,7 @@ def test_elastoplastic_collapse(tmp_path):
     assert (tmp_path / "elastoplastic_collapse.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_slope_failure(tmp_path, ranks):
     options = "--h", "1", "--ghost", "on", "--output", str(tmp_path)
     figures = run("slope_failure", *options, ranks=ranks)
@@ -222,7 +222,7 @@ def test_slope_failure_table(tmp_path):
     assert (tmp_path / "slope_failure_table.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_footing(tmp_path, ranks):
     options = "--h 1 --points-per-cell 2 --steps 10 --basis bspline2"
     figures = run("footing", *options.split(), "--output", str(tmp_path), ranks=ranks)
@@ -368,7 +368,7 @@ def test_vibrating_bar_otherwise(options, kept):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_bar_that_moves(ranks):
     options = "--moving --length 10 --h 0.5 --duration 4"
     figures = run("vibrating_bar", "--no-plot", *options.split(), ranks=ranks)
@@ -441,7 +441,7 @@ def test_expansion_of_any_matrix(matrix):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_rotating_disc(tmp_path, ranks):
     options = "--compare", "--revolutions", "0.1", "--output", str(tmp_path)
     runs = {row["name"]: row for row in run("rotating_disc", *options, ranks=ranks)["runs"]}
@@ -486,7 +486,7 @@ def test_column_collapse(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_column_collapse_implicit(ranks):
     options = (
         "--integrator implicit --basis bspline2 --h 0.02 --dt 2e-3 --times 0.1 --duration 0.15"

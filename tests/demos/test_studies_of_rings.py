@@ -111,6 +111,7 @@ def test_clay_further_on(options, p):
     assert error(figures) < 0.01
 
 
+@pytest.mark.long
 def test_a_cavity_on_two_ranks():
     options = "--shape sphere --h 0.25 --steps 2"
     one, two = cavity(options), cavity(options, ranks=2)

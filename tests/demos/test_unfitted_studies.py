@@ -6,7 +6,7 @@ import pytest
 from test_studies import run
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_nitsche_ring(ranks):
     options = ["--cells", "4,8,16", "--positions", "2", "--no-plot"]
     figures = run("nitsche_ring", *options, ranks=ranks)

@@ -17,6 +17,8 @@ TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 VARIANTS = {
     "boundaries_triangles",
     "facets_of_few_ranks",
+    "adaptive_penalties",
+    "fbar_3d",
     "fbar_bases",
     "remedies_triangles",
     "restart_splines",

@@ -58,6 +58,7 @@ def test_other_ranks_go_on_to_the_same_figures(chain, tmp_path):
     assert sum(record["migrated"] for record in history) > 0
 
 
+@pytest.mark.long
 def test_going_from_rank_to_rank_changes_no_bit(chain, tmp_path):
     before, records, _ = content(chain[1])
     source = chain[1]

@@ -362,9 +362,7 @@ def test_with_another_remedy(kind, monkeypatch):
     check(monkeypatch, lambda: problem_of(grid, "bspline2", ghost, stabilisation=remedy))
 
 
-@pytest.mark.parametrize(
-    "basis", ["linear", "bspline2", pytest.param("bspline3", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("basis", ["linear", "bspline2"])
 def test_steps(basis, monkeypatch):
     """A column under its weight with a ghost penalty comes to the same state."""
 

@@ -62,6 +62,7 @@ def test_the_published_factor():
     assert "times that in proportion to the load" in safety.criterion
 
 
+@pytest.mark.long
 def test_coarse_grids_and_locking_make_it_seem_safer():
     assert found(1.0, True).factor < found(2.0, True).factor < found(2.0, False).factor
     assert found(2.0, True).factor == pytest.approx(1.4, rel=0.08)

@@ -39,7 +39,7 @@ def test_the_disc_grows_to_its_exact_shape():
 @pytest.mark.parametrize(
     "options",
     [
-        ("--law", "gent"),
+        pytest.param(("--law", "gent"), marks=pytest.mark.long),
         pytest.param(("--growth", "0.4"), marks=pytest.mark.long),
         ("--growth=-0.3",),
         pytest.param(

@@ -50,7 +50,10 @@ def compressed(ratio, axisymmetric, fbar=False, strain=0.11, steps=11):
 
 
 @pytest.mark.parametrize("ratio", [1.0, 4.0])
-@pytest.mark.parametrize(("axisymmetric", "fbar"), [(True, False), (True, True), (False, True)])
+@pytest.mark.parametrize(
+    ("axisymmetric", "fbar"),
+    [(True, True), pytest.param(True, False, marks=pytest.mark.long), (False, True)],
+)
 def test_undrained_strength(ratio, axisymmetric, fbar):
     stress, points = compressed(ratio, axisymmetric, fbar)
     p = P0 * (ratio / 2) ** (1 - SWELLING / COMPRESSION)
