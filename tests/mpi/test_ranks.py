@@ -15,15 +15,19 @@ from conftest import start
 TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 # variants of other cases, which run with --long only, on three ranks
 VARIANTS = {
-    "boundaries_triangles",
-    "facets_of_few_ranks",
     "adaptive_penalties",
+    "boundaries_triangles",
+    "boundary_3d",
+    "facets_of_few_ranks",
     "fbar_3d",
     "fbar_bases",
+    "fbar_triangles",
     "remedies_triangles",
+    "restart_arch",
     "restart_splines",
     "restart_triangles",
     "rings_bases",
+    "rings_remedies",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7
