@@ -11,6 +11,7 @@ def study(name: str, *options: str, ranks: int = 1) -> dict:
     return figures_of(f"demos/studies/{name}.py", "--json", "-", "--no-plot", *options, ranks=ranks)
 
 
+@pytest.mark.long
 def test_constants_of_nested_grids():
     pairs, remedies = "nested,linear-linear", "none,ghost,ghost on u,aggregation"
     options = "--places", "4", "--cells", "3", "--uncut", "4,8"

@@ -109,7 +109,11 @@ def test_the_estimate_behind_ties_is_below_the_step_of_any_cut(basis, averaged, 
 
 @pytest.mark.parametrize(
     "kind",
-    [mpm.Explicit, mpm.Newmark, pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long)],
+    [
+        mpm.Explicit,
+        pytest.param(mpm.Newmark, marks=pytest.mark.long),
+        pytest.param(mpm.GeneralisedAlpha, marks=pytest.mark.long),
+    ],
 )
 def test_absorbing_faces_let_a_pulse_out(kind):
     def faces(V):

@@ -41,7 +41,7 @@ def test_the_disc_grows_to_its_exact_shape():
     [
         pytest.param(("--law", "gent"), marks=pytest.mark.long),
         pytest.param(("--growth", "0.4"), marks=pytest.mark.long),
-        ("--growth=-0.3",),
+        pytest.param(("--growth=-0.3",), marks=pytest.mark.long),
         pytest.param(
             ("--poisson", "0", "--modulus", "7e5", "--radius", "3"), marks=pytest.mark.long
         ),
