@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,9 @@ def _run_here(script, options):
     sys.argv = [str(script), *options]
     sys.path.insert(0, str(script.parent))
     try:
-        with contextlib.redirect_stdout(printed):
+        with contextlib.redirect_stdout(printed), warnings.catch_warnings():
+            # how a library rounds is no error of the script, as in an interpreter of its own
+            warnings.simplefilter("default", RuntimeWarning)
             runpy.run_path(str(script), run_name="__main__")
     except SystemExit as end:
         if end.code:

@@ -149,10 +149,14 @@ def layer(times, count=400):
 
     t = np.array(times) * H**2 / c_v
     tridiagonal = diags_array([1.0, 1.0, 1.0], offsets=[-1, 0, 1], shape=(count, count))
-    found = solve_ivp(
-        rate, (0, t[-1]), np.ones(count), "BDF", t_eval=t, rtol=1e-7, atol=1e-10,
-        jac_sparsity=tridiagonal,
-    ).y.T  # fmt: skip
+    # the search for its steps divides by errors that may be none
+    with np.errstate(all="ignore"):
+        done = solve_ivp(
+            rate, (0, t[-1]), np.ones(count), "BDF", t_eval=t, rtol=1e-7, atol=1e-10,
+            jac_sparsity=tridiagonal,
+        )  # fmt: skip
+    assert done.success, done.message
+    found = done.y.T
     base = 1.5 * found[:, 0] - 0.5 * found[:, 1]
     return np.sum(1 - found, axis=1) * dZ, q + submerged * H + cauchy(base)
 
