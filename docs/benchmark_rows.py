@@ -319,10 +319,10 @@ ROWS = (
         "conforming elements: 1.586, 0.053, 0.908"),
     Row("time-small", SPEED, "column, 64 elements, 256 points, 40 steps, GIMP (s)", TIMES,
         cases("seconds", "gimp 1x64"), "{:.2f}",
-        "Kratos MPM 10.4, neo-Hookean, in the same minutes at 4550077: 0.39"),
+        "Kratos MPM 10.4, neo-Hookean, in the same minutes at f42d26b: 0.395"),
     Row("time-large", SPEED, "column, 16 × 256 elements, 16 384 points, 40 steps: GIMP, standard "
         "MPM (s)", TIMES, cases("seconds", "gimp 16x256", "linear 16x256"), "{:.1f}, {:.1f}",
-        "Kratos, likewise: 31.3"),
+        "Kratos, likewise: 31.0"),
     Row("time-point", SPEED, "of that, a point and Newton iteration: GIMP, standard MPM (µs)",
         TIMES,
         cases("microseconds_per_point_and_iteration", "gimp 16x256", "linear 16x256"),

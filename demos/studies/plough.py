@@ -18,8 +18,7 @@
 # With `--tolerance 1e-5` the pull rises to 0.19 MN over a third of a metre and stays
 # about 0.16 MN, 5.5 times Rankine's passive thrust on the share's width; the heap is 0.6 m high
 # after a metre. After 0.2 m cells twice as large give 3 % more. Newton's method needs 16 iterations
-# a step, most of them where the drag begins, 8 to 9 in steps half as long. Contact takes 2 % of
-# the time.
+# a step, most of them where the drag begins, 8 to 9 in steps half as long.
 
 # %%
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -12,20 +13,21 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
-from dolfinmpm.basis.stencils import Stencils, gather, selected
+from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.balance import balance
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, collide
-from dolfinmpm.dynamics.energies import Work
+from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Loads
 from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.settings import Settings
-from dolfinmpm.dynamics.transfer import scatter, scatter_stress, scatter_tensor
-from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import advance, commit
+from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
+from dolfinmpm.solve.advance import commit
+from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
@@ -55,12 +57,19 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
         )
     if parts.contacts or any(d.fbar for d in parts.declarations):
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
-    if not Loads(problem.form).known:
-        return FormError("Collision needs loads by the points' fields and constants alone")
+    if not only_momentum(problem.form):
+        return FormError(
+            "Collision goes with no internal forces but those of mpm.momentum; leave others out"
+        )
+    if not Loads(problem.form).known or any(one is not None for one in parts.grid.external):
+        return FormError(
+            "Collision needs loads on the points, of their fields and constants alone, such as "
+            "-rho * mpm.inner(g, v) * points.dX"
+        )
     return None
 
 
-class Colliding:
+class Colliding(OneByOne):
     """Explicit steps of a problem whose bodies collide, one after the other.
 
     Args:
@@ -72,12 +81,8 @@ class Colliding:
         collision: Which bodies touch, and how.
 
     Attributes:
-        at_once: Steps that one call may take.
-        instead: Why steps are not fused.
         force: What the others did to the first body in the last step (N), shape (d,).
     """
-
-    at_once, instead = 1, "bodies collide"
 
     def __init__(
         self,
@@ -88,31 +93,9 @@ class Colliding:
         sides: Sides,
         collision: Collision,
     ):
-        self._problem, self._held, self._updates = problem, held, updates
-        self._settings, self._sides, self._collision = settings, sides, collision
-        self._loads = Loads(problem.form)
-        self._work = Work()
+        super().__init__(problem, held, updates, settings, sides, "bodies collide")
+        self._collision, self._loads = collision, Loads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
-
-    def work(self) -> tuple[float, float]:
-        """Work (J) of the stresses, and of loads, since last asked."""
-        done, self._work = self._work, Work()
-        return done.internal, done.external
-
-    def start(self, rate: float) -> None:
-        """Begin a call; the points are taken as they are in every step."""
-
-    def run(
-        self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
-    ) -> tuple[int, int, str | None]:
-        """Take equal steps; see `General.run`. Collective."""
-        migrated = 0
-        for k in range(count):
-            found = self._take(begin(k))
-            if isinstance(found, str):
-                return k, migrated, found
-            migrated += found
-        return count, migrated, None
 
     @stages.commit
     def _take(self, step: Step) -> int | str:
@@ -129,35 +112,26 @@ class Colliding:
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         bodies = [self._at_nodes(s, here) for s in stencils]
         room = self._room(here) if self._collision.gap_test else None
-        before = [
-            self._velocity(s, b, here, held, points["velocity"]) for s, b in zip(stencils, bodies)
-        ]
-        after = [self._driven(s, b, V, here, held, dt) for s, b, V in zip(stencils, bodies, before)]
+        before = self._velocities(stencils, bodies, here, held, points["velocity"])
+        after = [self._driven(s, b, V, here, dt) for s, b, V in zip(stencils, bodies, before)]
+        self._absorb(bodies, after, here, dt)
+        external = self._hold(bodies, after, here, held)
         got = collide(bodies, after, room, self._collision.friction)
-        self._hold(after, here, held)
+        external += self._hold(bodies, after, here, held)
         new, moved = self._points(stencils, rows, before, after, dt)
         strains = after
         if settings.scheme == "musl":
-            strains = [
-                self._velocity(s, b, here, held, new["velocity"]) for s, b in zip(stencils, bodies)
-            ]
-            self._hold(strains, here, held)
-        operator = problem.form.on(here)
+            strains = self._velocities(stencils, bodies, here, held, new["velocity"])
+        operator = Operator(problem.form, here)
         self._place(operator, rows, [dt * V for V in strains])
-        state = advance(
-            operator,
-            self._updates,
-            True,
-            largest_cell(points.grid),
-            len(problem.history) + 1,
-            moved,
-        )
+        state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        self._work.add(points, state.fields, operator, self._external(moved))
+        external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
+        self._work.add(points, state.fields, operator, external)
         state.fields.update(new)
-        owned = here.unknowns.fields[0].owned_nodes
-        self.force = points.comm.allreduce(got[owned].sum(axis=0), op=MPI.SUM) / dt
+        got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
+        self.force = points.comm.allreduce(got, op=MPI.SUM) / dt
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
@@ -199,35 +173,73 @@ class Colliding:
             room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
         return room
 
-    def _hold(self, velocities: Sequence[Array], here: Activation, held: Array) -> None:
-        """Give held components their velocities, and let sides of the grid rub."""
-        faces, fixed = self._sides.on(here.fields[0].basis), here.unknowns.fields[0].fixed
-        for V in velocities:
+    def _hold(
+        self,
+        bodies: Sequence[BodyAtNodes],
+        velocities: Sequence[Array],
+        here: Activation,
+        held: Array,
+    ) -> float:
+        """Give held components their velocities, and let sides of the grid rub.
+
+        Returns:
+            Work that it takes to move held nodes of this rank (J).
+        """  # fmt: skip
+        faces, unknowns = self._sides.on(here.fields[0].basis), here.unknowns.fields[0]
+        fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
+        if here.driven:
+            own = unknowns.owned_nodes
+            moving[own] = fixed[own] & (held[own] != 0.0)
+        work = 0.0
+        for body, V in zip(bodies, velocities):
             if faces is not None:
                 faces.rub(V)
+            m = np.broadcast_to(body.mass[:, None], V.shape)[moving]
+            work += float(np.sum(m * (held[moving] - V[moving]) * held[moving]))
             V[fixed] = held[fixed]
+        return work
+
+    def _absorb(
+        self,
+        bodies: Sequence[BodyAtNodes],
+        velocities: Sequence[Array],
+        here: Activation,
+        dt: float,
+    ) -> None:
+        """Slow nodes at dashpots, which bodies at one node share by their mass."""
+        faces = self._sides.on(here.fields[0].basis)
+        if faces is None or faces.dashpots is None:
+            return
+        m = sum(body.mass for body in bodies)
+        slower = 1.0 + dt * faces.dashpots / np.where(m > 0.0, m, np.inf)[:, None]
+        for V in velocities:
+            V /= slower
 
     @stages.assemble
-    def _velocity(
-        self, s: Stencils, body: BodyAtNodes, here: Activation, held: Array, v: Array
-    ) -> Array:
-        """Velocities of a body's nodes from those of its points (m/s). Collective."""
+    def _velocities(
+        self,
+        stencils: Sequence[Stencils],
+        bodies: Sequence[BodyAtNodes],
+        here: Activation,
+        held: Array,
+        v: Array,
+    ) -> list[Array]:
+        """Velocities of each body's nodes from those of its points (m/s). Collective."""
         m = self._settings.scaling * point_masses(self._problem.points)
-        p = self._summed(here, v.shape[1], lambda out: scatter(s, m, v, out))
-        V = p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
-        self._hold([V], here, held)
-        return V
+        found = []
+        for s, body in zip(stencils, bodies):
+            p = self._summed(here, v.shape[1], partial(scatter, s, m, v))
+            found.append(p / np.where(body.mass > 0.0, body.mass, np.inf)[:, None])
+        self._hold(bodies, found, here, held)
+        return found
 
     @stages.assemble
     def _driven(
-        self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, held: Array, dt: float
+        self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, dt: float
     ) -> Array:
-        """Velocities of a body's nodes after a step in which no other acts on it. Collective."""
+        """Velocities of a body's nodes after a step in which nothing holds it. Collective."""
         points, loads = self._problem.points, self._loads
-        weight = points["V"].copy()
-        for declaration in self._problem.form.parts.declarations:
-            if declaration.strain == "small":
-                weight[declaration.rows] = points["V0"][declaration.rows]
+        weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
 
         def add(out: Array) -> None:
             scatter_tensor(points, s, -weight[:, None, None] * points["stress"], out)
@@ -241,9 +253,7 @@ class Colliding:
         damping = self._settings.damping
         if damping:
             f -= damping * np.abs(f) * np.sign(V)
-        after = V + dt * f / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
-        self._hold([after], here, held)
-        return after
+        return V + dt * f / np.where(body.mass > 0.0, body.mass, np.inf)[:, None]
 
     def _points(
         self,
@@ -258,9 +268,7 @@ class Colliding:
         share = mapping.share if mapping.kind == "flip" else 0.0
         v, a, x = points["velocity"].copy(), np.zeros_like(points["x"]), points["x"].copy()
         for s, own, V, V_end in zip(stencils, rows, before, after):
-            change, there = (
-                _at_points(s, values, len(points))[own] for values in (V_end - V, V_end)
-            )
+            change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
             v[own] = share * (v[own] + change) + (1.0 - share) * there
             a[own] = change / dt
             x[own] += dt * there
@@ -276,7 +284,7 @@ class Colliding:
             found[0][own], found[1][own] = value[own], gradient[own]
         value[:], gradient[:] = found
 
-    def _external(self, moved: Array) -> float:
+    def _load_work(self, moved: Array) -> float:
         """Work of the loads in a step (J). Collective."""
         points, loads = self._problem.points, self._loads
         way = moved - points["x"]
@@ -284,11 +292,3 @@ class Colliding:
         if loads.uniform:
             f = point_masses(points)[:, None] * loads.gravity
         return points.comm.allreduce(float(np.sum(f * way)), op=MPI.SUM)
-
-
-def _at_points(s: Stencils, values: Array, count: int) -> Array:
-    """Nodal values at the points of a body among so many, shape (count, d); 0 at others."""
-    d = s.dN.shape[1]
-    found, slope = np.zeros((count, values.shape[1])), np.empty((count, values.shape[1], d))
-    gather(s, values, found, slope)
-    return found

@@ -19,7 +19,8 @@ from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import spectra
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["critical_step", "exact_step", "factor", "wave_speed"]
 
@@ -107,7 +108,7 @@ def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: floa
     """
     # explicit steps take no tangent, and so no penalties on the increment
     fields = tuple(replace(field, penalty=None) for field in here.fields)
-    operator = form.on(replace(here, grid=[], soft=[], fields=fields))
+    operator = Operator(form, replace(here, grid=[], soft=[], fields=fields))
     operator.rest()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
     operator.tangent(K)

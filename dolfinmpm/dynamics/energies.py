@@ -15,7 +15,7 @@ from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["Balance", "Energies", "Work", "angular_momentum", "momentum_of"]
+__all__ = ["Balance", "Energies", "Work", "angular_momentum", "momentum_of", "stress_volumes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -42,6 +42,21 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
         own += np.stack([B[:, k, j] - B[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
     total = points.comm.allreduce(m @ own, op=MPI.SUM)
     return total[2:] if points.gdim == 2 else total
+
+
+def stress_volumes(points: MaterialPoints, declarations: Sequence, V: Array) -> Array:
+    """Volumes on which stresses act (m^d), shape (points,): in the linear theory the first ones.
+
+    Args:
+        points: Material points.
+        declarations: Laws in the form.
+        V: Volumes (m^d), shape (points,); not changed.
+    """
+    found = V.copy()
+    for declaration in declarations:
+        if declaration.strain == "small":
+            found[declaration.rows] = points["V0"][declaration.rows]
+    return found
 
 
 @dataclass
@@ -77,13 +92,13 @@ class Work:
         H = full_gradient(points, at.value[0], at.gradient[0])
         # rate of deformation at the middle of the step
         rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
-        before, after = points["V"].copy(), new["V"].copy()
-        for declaration in operator.form.parts.declarations:
+        declarations = operator.form.parts.declarations
+        before = stress_volumes(points, declarations, points["V"])
+        after = stress_volumes(points, declarations, new["V"])
+        for declaration in declarations:
             if declaration.strain == "small":
-                # in the linear theory no volume changes, and nothing turns
-                rows = declaration.rows
-                before[rows] = after[rows] = points["V0"][rows]
-                rate[rows] = H[rows]
+                # in the linear theory nothing turns
+                rate[declaration.rows] = H[declaration.rows]
         sigma = new["stress"] if "stress" in new else points["stress"]
         old = before[:, None, None] * points["stress"][:, :d, :d]
         later = after[:, None, None] * sigma[:, :d, :d]

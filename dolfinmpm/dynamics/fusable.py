@@ -19,7 +19,7 @@ from dolfinmpm.forms.terms import depends_on, summands
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Laws", "Loads", "why_not"]
 

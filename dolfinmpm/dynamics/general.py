@@ -7,7 +7,7 @@ velocity gradient from the new nodal velocities, "usf" from those before the for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,22 +19,19 @@ from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance
-from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
-from dolfinmpm.dynamics.energies import Work
-from dolfinmpm.dynamics.faces import Sides, set_velocities
+from dolfinmpm.dynamics.energies import stress_volumes
+from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
-from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import advance, commit
+from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
 
 __all__ = ["General"]
@@ -42,67 +39,13 @@ __all__ = ["General"]
 Array = npt.NDArray[np.float64]
 
 
-class General:
-    """Explicit steps of a problem, one after the other.
+class General(OneByOne):
+    """Explicit steps of a problem of any form, one after the other."""
 
-    Args:
-        problem: The problem.
-        held: Its essential conditions.
-        updates: Fields of the points that a step sets to UFL expressions.
-        settings: How steps are taken.
-        sides: Faces of the grid that act on the body.
-        instead: Why these steps are taken and not fused ones.
-
-    Attributes:
-        at_once: Steps that one call may take.
-        instead: The argument.
-    """
-
-    at_once = 1
-
-    def __init__(
-        self,
-        problem: Problem,
-        held: Held,
-        updates: Sequence,
-        settings: Settings,
-        sides: Sides,
-        instead: str,
-    ):
-        self._problem, self._held, self._updates = problem, held, updates
-        self._settings, self._sides, self.instead = settings, sides, instead
-        self._by_stress = only_momentum(problem.form)
-        self._work = Work()
-
-    def work(self) -> tuple[float, float]:
-        """Work (J) of the stresses, and of loads and prescribed motions, since last asked."""
-        done, self._work = self._work, Work()
-        return done.internal, done.external
-
-    def start(self, rate: float) -> None:
-        """Begin a call; the points are taken as they are in every step."""
-
-    def run(
-        self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
-    ) -> tuple[int, int, str | None]:
-        """Take equal steps. Collective.
-
-        Args:
-            count: How many.
-            dt: Their length (s).
-            more: Whether others follow without a new start.
-            begin: Gives form and conditions the time of a step by its number, and the step.
-
-        Returns:
-            Steps taken, points that changed rank, and why it ended before the last, or None.
-        """
-        migrated = 0
-        for k in range(count):
-            found = self._take(begin(k))
-            if isinstance(found, str):
-                return k, migrated, found
-            migrated += found
-        return count, migrated, None
+    @cached_property
+    def _by_stress(self) -> bool:
+        """Whether the points' stress gives the internal forces."""
+        return only_momentum(self._problem.form)
 
     @stages.commit
     def _take(self, step: Step) -> int | str:
@@ -123,7 +66,7 @@ class General:
         before = self._before(step, held, field.basis)
         fastest = float(np.abs(points["velocity"]).max(initial=0.0))
         V = mass.velocities(momenta, before, fastest).arrays[0]
-        operator = problem.form.on(here)
+        operator = Operator(problem.form, here)
         problem.bodies.put(0.0)
         forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
         if isinstance(forces, str):
@@ -144,7 +87,7 @@ class General:
             V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         operator.place([dt * V_strain])
         problem.bodies.put(1.0)
-        state = advance(operator, self._updates, True, self._cell, self._number, moved)
+        state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
         external = self._external(operator, mass, forces, V, V_end, dt)
@@ -156,15 +99,6 @@ class General:
         state.fields.update(new)
         problem.bodies.commit(operator.contacts)
         return commit(points, state)
-
-    @property
-    def _cell(self) -> float:
-        return largest_cell(self._problem.points.grid)
-
-    @property
-    def _number(self) -> int:
-        """Number of the call of `step`, for messages."""
-        return len(self._problem.history) + 1
 
     @stages.assemble
     def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
@@ -200,18 +134,16 @@ class General:
             forces.arrays[0][:] = -operator.forces()[0]
             return forces
         points = self._problem.points
-        weight, stress = points["V"].copy(), points["stress"]
+        weight, stress = points["V"], points["stress"]
         if u is not None:
             operator.place([u])
-            state = advance(operator, self._updates, False, self._cell, self._number)
+            state = self._advanced(operator, False)
             if isinstance(state, str):
                 return state
             at = operator.points
-            weight *= np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
+            weight = weight * np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
             stress = state.fields["stress"]
-        for declaration in self._problem.form.parts.declarations:
-            if declaration.strain == "small":
-                weight[declaration.rows] = points["V0"][declaration.rows]
+        weight = stress_volumes(points, self._problem.form.parts.declarations, weight)
         scatter_tensor(points, s, weight[:, None, None] * stress, forces.arrays[0])
         forces.arrays[0][:] *= -1.0
         forces.add_up()

@@ -30,7 +30,7 @@ from dolfinmpm.cut.unknowns import Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.method import iterative
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
 

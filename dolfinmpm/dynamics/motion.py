@@ -21,8 +21,9 @@ from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.solve.advance import NewState
-from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Motion", "Rule"]
 
@@ -146,7 +147,7 @@ class Motion:
         self.V = mass.velocities(momenta, rates, fastest).arrays[0]
         forces = mass.nodal()
         if self._starting:
-            plain = form.on(here)
+            plain = Operator(form, here)
             plain.rest()
             forces.arrays[0][:] = -plain.forces()[0]
         else:
@@ -227,7 +228,7 @@ class Motion:
         here = operator.here
         if not (here.driven or self.varying):
             return operator.load_work()
-        plain = operator.form.on(here)
+        plain = Operator(operator.form, here)
         if not here.driven:
             plain.move(x, scale)
             return plain.load_work()

@@ -38,9 +38,10 @@ from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial, check_masses
-from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Step
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
 

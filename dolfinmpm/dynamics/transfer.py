@@ -188,14 +188,15 @@ def scatter_tensor(points: MaterialPoints, s: Stencils, stress: Array, out: Arra
         scatter(s, np.ones(len(stress)), radial, out)
 
 
-def collect(s: Stencils, q: Array) -> Array:
+def collect(s: Stencils, q: Array, size: int | None = None) -> Array:
     """Σ_a S_ap q_a at the points, shape (points, components).
 
     Args:
         s: Stencils.
         q: Nodal values, shape (nodes, components).
+        size: How many points there are if stencils are of some of them; others have zeros.
     """
-    out = np.empty((s.order.size, q.shape[1]))
+    out = np.zeros((s.order.size if size is None else size, q.shape[1]))
     _collect(*_rows(s), q, out)
     return out
 

@@ -18,7 +18,7 @@ from dolfinmpm.grid.cellvalues import set_values, values_of_cells
 from dolfinmpm.solve.linear import WORKSPACE
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import Newton
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["memory_of", "saved_loads", "set_loads", "set_memory"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from dolfinmpm.forms.terms import contact_of, depends_on, summands
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetric"]
 

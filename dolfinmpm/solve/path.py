@@ -14,7 +14,8 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.newton import Newton
-from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["PathBorder"]
 
@@ -90,8 +91,8 @@ class PathBorder:
     def begin(self, operator: Operator) -> None:
         """See `Border`. Collective."""
         self._operator = operator
-        self._slope = self._slope_form.on(operator.here)
-        self._control = self._control_form.on(operator.here)
+        self._slope = Operator(self._slope_form, operator.here)
+        self._control = Operator(self._control_form, operator.here)
         self._start = self.load.value
 
     def _dot(self, a: Array, b: Array) -> float:

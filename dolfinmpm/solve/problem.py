@@ -42,10 +42,11 @@ from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
-from dolfinmpm.solve.operator import Operator, WeakForm
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_increments
 from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Problem"]
 
@@ -297,7 +298,7 @@ class Problem:
 
     def operator(self) -> Operator:
         """The weak form on what takes part now: residual, tangent and external. Collective."""
-        return self.form.on(self.activate())
+        return Operator(self.form, self.activate())
 
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""

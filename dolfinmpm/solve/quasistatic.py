@@ -227,7 +227,7 @@ class QuasiStatic(Problem):
     def _operator(self, step: Step) -> Operator:
         """The equations of a step. Collective."""
         self.bodies.begin(step.dt)
-        return self.form.on(self.activate(step))
+        return Operator(self.form, self.activate(step))
 
     def _attempt(self, step: Step) -> Failed | None:
         """Solve and commit a step; returns why not, the state being untouched."""

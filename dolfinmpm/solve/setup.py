@@ -17,7 +17,7 @@ from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
 from dolfinmpm.forms.penalties import penalty_of
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Remedies", "updates_of", "with_moduli", "with_remedies"]
 

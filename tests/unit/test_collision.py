@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from conftest import unit_grid
 
 import dolfinmpm as mpm
@@ -66,6 +67,14 @@ def blocks(kind="quadrilateral", basis="gimp", fbar=False, extra=None, tags=(1, 
     return mpm.Explicit(F, V.increment, points, contact=mpm.Collision(tags), **options)
 
 
+def following_pressure(points, u, v):
+    return 10.0 * ufl.det(ufl.Identity(2) + ufl.grad(u)) * ufl.div(v) * points.dX
+
+
+def load_over_cells(points, u, v):
+    return 10.0 * v[1] * ufl.dx
+
+
 @pytest.mark.parametrize(
     ("make", "error", "text"),
     [
@@ -81,6 +90,8 @@ def blocks(kind="quadrilateral", basis="gimp", fbar=False, extra=None, tags=(1, 
         (lambda: blocks(stabilisation="aggregation"), ParameterError, "tie nodes"),
         (lambda: blocks(fbar=True), FormError, "F-bar"),
         (lambda: blocks("triangle", "linear"), ParameterError, "rectangular"),
+        (lambda: blocks(extra=following_pressure), FormError, "internal forces"),
+        (lambda: blocks(extra=load_over_cells), FormError, "loads on the points"),
         (lambda: blocks(tags=(1, 3)).step(1e-3), ParameterError, "belong to no body"),
         (lambda: blocks(tags=(1, 2)).step(-1.0), ParameterError, "later"),
     ],
@@ -101,3 +112,54 @@ def test_neither_a_rigid_body_nor_anything_else_is_a_collision():
     with pytest.raises(ParameterError, match="Collision"):
         mpm.Explicit(F, V.increment, points, contact=(1, 2))
     np.testing.assert_array_equal(mpm.Explicit(F, V.increment, points).collision_force, 0.0)
+
+
+def between_walls(contact=(1, 2), sides=(), velocity=0.0, **options):
+    """Two blocks that fill the width of a grid, of which one or both sides act on them."""
+    grid = unit_grid("quadrilateral", 8)
+    points = mpm.fill(grid, mpm.Box((0, 0), (0.5, 0.5)), 2, 1000.0, tag=1)
+    points += mpm.fill(grid, mpm.Box((0.5, 0), (1, 0.5)), 2, 1000.0, tag=2)
+    V = mpm.Space(grid, "gimp")
+    law = mpm.materials.Hencky(E=1e5, nu=0.2)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    bcs = [*mpm.rollers(V, "bottom"), *sides(V)]
+    if contact:
+        options["contact"] = mpm.Collision(contact)
+    problem = mpm.Explicit(F, V.increment, points, bcs, **options)
+    points["velocity"][:, 0] = velocity
+    return problem
+
+
+@pytest.mark.parametrize("scheme", ["musl", "usl"])
+@pytest.mark.parametrize("contact", [(1, 2), None])
+def test_what_moves_a_wall_does_work(scheme, contact):
+    """A wall pushes two blocks against another: the energy that they have is its work."""
+
+    def sides(V):
+        return [*mpm.moving(V, "left", 0, 0.5), *mpm.rollers(V, "right")]
+
+    problem = between_walls(contact, sides, scheme=scheme)
+    problem.step(0.1)
+    energies = problem.energies()
+    assert energies.external > 20.0
+    assert energies.kinetic + energies.strain == pytest.approx(energies.external, rel=0.05)
+    if contact:
+        # the one that is pushed pushes back
+        assert problem.collision_force[0] < -100.0
+
+
+def test_dashpots_slow_what_collides_as_what_does_not():
+    """Both blocks are one of two bodies, and go against a side as they do without the other."""
+
+    def sides(V):
+        return mpm.absorbing(V, "right", density=1000.0, p_speed=10.0)
+
+    found = []
+    for contact in (((1, 2), 3), None):
+        problem = between_walls(contact, sides, 0.5)
+        problem.step(0.05)
+        # fused steps keep points in another order
+        order = np.lexsort(problem.points["x0"].T)
+        found.append(problem.points["velocity"][order])
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-12)
+    assert found[0][:, 0].min() < 0.2
