@@ -47,8 +47,6 @@ __all__ = ["Acting", "Surface", "acting"]
 Array = npt.NDArray[np.float64]
 Where = Callable[[Array], npt.ArrayLike]
 
-_numbers = itertools.count(1)
-
 
 @dataclass(frozen=True, repr=False)
 class Acting:
@@ -196,7 +194,9 @@ class Surface:
 
     def _set(self, points: MaterialPoints, R: Array, A: Array, name, normal) -> None:
         if name is None:
-            name = f"surface{next(_numbers)}"
+            # by number, so that the same problem built again has the same fields
+            names = (f"surface{k}" for k in itertools.count(1))
+            name = next(one for one in names if f"{one}_area" not in points.fields)
         if not isinstance(name, str) or not name.isidentifier():
             raise ParameterError(
                 f"name = {shown(name)} must be an identifier, for it names fields of the points"

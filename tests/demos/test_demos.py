@@ -30,7 +30,17 @@ NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("demo", [path.stem for path in DEMOS])
+# others have what they show too, in two dimensions
+_LONG = ("plough",)
+
+
+@pytest.mark.parametrize(
+    "demo",
+    [
+        pytest.param(path.stem, marks=[pytest.mark.long] if path.stem in _LONG else [])
+        for path in DEMOS
+    ],
+)
 def test_alone(demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # as a user runs it: Numba remembers the name of the module in which a kernel was compiled

@@ -22,11 +22,15 @@ VARIANTS = {
     "fbar_3d",
     "fbar_bases",
     "fbar_triangles",
+    "nested_bases",
+    "nested_restart",
+    "regraded_splines",
     "remedies_triangles",
     "restart_arch",
     "restart_splines",
     "restart_triangles",
     "rings_bases",
+    "rings_in_time",
     "rings_remedies",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches

@@ -8,6 +8,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 
 from .common import COMM, sums
+from .restart import REPEATABLE, goes_on
 
 
 def consolidation():
@@ -47,29 +48,48 @@ def consolidation():
 
 def nested():
     """A body beside cells of several ranks that drains, its pressure on cells of twice the size."""
-    figures = {}
-    scenes = ("gimp", "ghost"), ("gimp", "aggregation"), ("bspline2", "aggregation")
-    for basis, remedy in scenes:
-        grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (22, 14), mesh.CellType.quadrilateral)
-        points = mpm.fill(grid, mpm.Box((0, 0), (1.3, 0.9)), 2, 2000.0, exact=True)
-        V, Q = mpm.Space(grid, basis), mpm.Space(grid, basis, shape=(), coarsen=2)
-        top = mpm.Surface(points, lambda x: x[1] > 0.9 - 1e-9, (0, 1))
-        F = mpm.poromechanics(
-            mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment),
-            (V.test, Q.test), permeability=1e-3, porosity=0.4, drained=top,
-        )  # fmt: skip
-        F -= top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
-        bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
-        problem = mpm.Transient(
-            F, [V.increment, Q.increment], points, bcs, stabilisation=[remedy] * 2
-        )
-        for t in (1e-6, 1.0, 20.0):
-            problem.step(t)
-        weight = np.sin(1.0 + points["id"])
-        figures[f"{basis} {remedy}"] = {
-            "unknowns": [record.unknowns for record in problem.history],
-            "cells": [problem.here.active_cells, problem.here.ghost_facets],
-            "pressure": COMM.allreduce(float(weight @ points["pressure"])),
-            **sums(points, "x", "stress", "cell_offset"),
-        }
-    return figures
+    return _drained("gimp", "ghost")
+
+
+def nested_bases():
+    """The same with nodes that are tied twice, by cells that are joined and by the remedy."""
+    return {basis: _drained(basis, "aggregation") for basis in ("gimp", "bspline2")}
+
+
+def nested_restart():
+    """The same, broken off and gone on with."""
+    options = {"petsc_options": REPEATABLE, "tolerance": 1e-12}
+    return goes_on(lambda: _nested("gimp", "ghost", **options), 4, moves=False)
+
+
+def _nested(basis, remedy, **options):
+    """The problem, and what takes its next step."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (22, 14), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1.3, 0.9)), 2, 2000.0, exact=True)
+    V, Q = mpm.Space(grid, basis), mpm.Space(grid, basis, shape=(), coarsen=2)
+    top = mpm.Surface(points, lambda x: x[1] > 0.9 - 1e-9, (0, 1))
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment),
+        (V.test, Q.test), permeability=1e-3, porosity=0.4, drained=top,
+    )  # fmt: skip
+    F -= top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
+    bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
+    problem = mpm.Transient(
+        F, [V.increment, Q.increment], points, bcs, stabilisation=[remedy] * 2, **options
+    )
+    times = 1e-6, 1.0, 20.0, 30.0
+    return problem, lambda: problem.step(times[len(problem.history)])
+
+
+def _drained(basis, remedy):
+    problem, step = _nested(basis, remedy)
+    for _ in range(3):
+        step()
+    points = problem.points
+    weight = np.sin(1.0 + points["id"])
+    return {
+        "unknowns": [record.unknowns for record in problem.history],
+        "cells": [problem.here.active_cells, problem.here.ghost_facets],
+        "pressure": COMM.allreduce(float(weight @ points["pressure"])),
+        **sums(points, "x", "stress", "cell_offset"),
+    }
