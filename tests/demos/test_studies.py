@@ -461,6 +461,15 @@ def test_rotating_disc(tmp_path, ranks):
 
 
 @pytest.mark.long
+def test_explicit_steps_keep_the_angular_momentum_of_a_disc_to_rounding():
+    """A projection onto the grid's velocities keeps it, and so do forces where the points are."""
+    options = "--integrator", "explicit", "--mapping", "pic", "--revolutions", "0.1"
+    found = run("rotating_disc", *options)
+    assert abs(1 - found["angular_momentum"]) < 1e-11
+    assert found["energy"] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.long
 def test_colliding_discs(tmp_path):
     figures = run("colliding_discs", "--output", str(tmp_path))
     # an independent explicit code on these cells: 0.027 to 0.045 at 1.94 s, felt from 1.36 s, 0.93
