@@ -138,11 +138,11 @@ runs = [turn(*row) for row in chosen]
 # ## What to expect
 # With a consistent mass and its ghost penalty PIC is a projection onto velocities that the grid
 # can have, and a turn is one. With the midpoint rule, whose displacements are those of the mean
-# velocity, nothing is lost but a share of $3\cdot10^{-8}$, which the ghost penalty of the mass takes
-# as accelerations meet the increments that turn with the disc: with `--ghost-mass 1e-9` rounding
-# remains. Explicit steps (`--integrator explicit --mapping pic`) lose no more than rounding; the
-# trapezoidal rule (`--integrator newmark`) loses $3\cdot10^{-5}$ a revolution. With a lumped mass
-# PIC stops the disc within a revolution, FLIP takes a tenth (with twice as many cells a
+# velocity, nothing is lost but a share of $3\cdot10^{-8}$, which the ghost penalty of the mass
+# takes as accelerations meet the increments that turn with the disc: with `--ghost-mass 1e-9`
+# rounding remains. Explicit steps (`--integrator explicit --mapping pic`) lose no more than
+# rounding; the trapezoidal rule (`--integrator newmark`) loses $3\cdot10^{-5}$ a revolution. With a
+# lumped mass PIC stops the disc within a revolution, FLIP takes a tenth (with twice as many cells a
 # fiftieth), and filters of few stages are no help, for their losses are per step. Affine parts
 # are: with their moments $\sum m (B_{21} - B_{12})$ the points of APIC keep angular momentum to
 # rounding.

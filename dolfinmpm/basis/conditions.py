@@ -54,6 +54,7 @@ class Condition:
         velocity: Velocity that it is to have (m/s) at a time (s), or None; steps in time then set
             the value, a constant.
         whole: Whether the value is that of the field itself, which parts of a step have in full.
+        place: Function of positions that says where in every step anew, or None.
     """
 
     space: Space
@@ -63,6 +64,7 @@ class Condition:
     where: str
     velocity: Callable[[float], float] | None = None
     whole: bool = False
+    place: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]] | None = None
 
     @property
     def changes(self) -> bool:
@@ -74,6 +76,17 @@ class Condition:
         """The values now, shape () or (n,)."""
         value = self.value.value if isinstance(self.value, fem.Constant) else self.value
         return np.asarray(value, float)
+
+    def now(self) -> Condition:
+        """The condition at the nodes where its place is now; itself if these stay. Collective."""
+        if self.place is None:
+            return self
+        place, space = self.place, self.space
+        nodes = call_together(space.grid.comm, lambda: _chosen(space, place))
+        changed = not np.array_equal(nodes, self.nodes)
+        if not space.grid.comm.allreduce(changed, op=MPI.LOR):
+            return self
+        return replace(self, nodes=nodes)
 
 
 def _sides(gdim: int) -> dict[str, tuple[int, int]]:
@@ -114,7 +127,14 @@ def _check_space(space: Any) -> None:
         )
 
 
-def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:
+def _chosen(space: Space, where: Callable) -> npt.NDArray[np.int32]:
+    """Nodes at which a function of positions holds."""
+    chosen = choose("the function of places", where, _node_coordinates(space))
+    return np.flatnonzero(chosen).astype(np.int32)
+
+
+def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[np.int32], str]:
+    """Nodes at a place, and its name; `none` says whether there may be no node. Collective."""
     x = _node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
@@ -124,12 +144,13 @@ def _nodes(space: Space, where: Where) -> tuple[npt.NDArray[np.int32], str]:
         high = max(comm.allgather(x[:, axis].max(initial=-math.inf)))
         chosen = np.abs(x[:, axis] - (low, high)[end]) <= 1e-9 * (high - low)
         return np.flatnonzero(chosen).astype(np.int32), name
-    chosen = call_together(comm, lambda: choose("the function of places", where, x))
-    nodes = np.flatnonzero(chosen).astype(np.int32)
+    nodes = call_together(comm, lambda: _chosen(space, where))
     low = np.min(comm.allgather(x[nodes].min(axis=0, initial=math.inf)), axis=0)
     high = np.max(comm.allgather(x[nodes].max(axis=0, initial=-math.inf)), axis=0)
     name = getattr(where, "__name__", "<lambda>")
-    if not np.isfinite(low).all():
+    if none and name == "<lambda>":
+        return nodes, "a place that follows"
+    if not none and not np.isfinite(low).all():
         corners = x.min(axis=0, initial=math.inf), x.max(axis=0, initial=-math.inf)
         low = np.min(comm.allgather(corners[0]), axis=0)
         high = np.max(comm.allgather(corners[1]), axis=0)
@@ -148,6 +169,7 @@ def prescribed(
     value: float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] = 0.0,
     *,
     increment: bool = True,
+    follows: bool = False,
 ) -> list[Condition]:
     """Prescribe one component's increment in every step, or its value. Collective.
 
@@ -162,6 +184,8 @@ def prescribed(
             When a step is halved, so is it.
         increment: False for a field that is no increment, such as the pressure of `poromechanics`:
             the value is the field's own, also in parts of a step that is halved.
+        follows: Whether `where`, a function, is asked anew in every step, such as for the part of
+            a plane of symmetry that a tool has not opened yet; there may be no node then.
 
     Raises:
         ParameterError: The space, the side, the component or the value is not what it
@@ -172,9 +196,16 @@ def prescribed(
         raise ParameterError(
             f"component = {component} must be in 0 ... {space.components - 1} of this field"
         )
-    nodes, name = _nodes(space, where)
+    constant = isinstance(value, fem.Constant) or np.isscalar(value)
+    if follows and not (callable(where) and constant):
+        raise ParameterError(
+            "follows=True goes with a function of positions as where, and with a number or a "
+            "constant as value: how many nodes there are may change"
+        )
+    nodes, name = _nodes(space, where, follows)
     given = _value(space, nodes, name, value)
-    return [Condition(space, nodes, int(component), given, name, whole=not increment)]
+    place = where if follows and callable(where) else None
+    return [Condition(space, nodes, int(component), given, name, None, not increment, place)]
 
 
 def moving(
@@ -316,8 +347,9 @@ def idle(
         active: For each space its active nodes, as the conditions number them.
 
     Returns:
-        Names of the places, each once.
+        Names of the places, each once, but for those that follow something.
     """
+    conditions = [condition for condition in conditions if condition.place is None]
     if not conditions:
         return []
     holds = np.zeros(len(conditions), np.int32)

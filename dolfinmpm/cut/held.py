@@ -80,6 +80,19 @@ class Held:
         self.at([space.basis for space in spaces], 1.0)
 
     @property
+    def follows(self) -> bool:
+        """Whether some condition's nodes may change."""
+        return any(condition.place is not None for condition in self.conditions)
+
+    def follow(self) -> None:
+        """Let conditions be where their places are now. Collective."""
+        now = [condition.now() for condition in self.conditions]
+        if any(a is not b for a, b in zip(now, self.conditions)):
+            self.conditions[:] = now
+            self._fixed.clear()
+            self._still.clear()
+
+    @property
     def driven(self) -> bool:
         """Whether increments other than zero are prescribed now. Collective."""
         moved = any(np.any(condition.increment != 0.0) for condition in self.conditions)

@@ -199,6 +199,8 @@ class Explicit(Problem):
         if not settings.plain:
             return "bulk viscosity or filters of light nodes act"
         domains = self.fields[0].space.domains
+        if self._held.follows:
+            return "conditions whose place follows something"
         if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):

@@ -119,6 +119,11 @@ class Problem:
         self.here: Activation | None = None
         self._kept: Kept | None = None
         self._held = Held(bcs, spaces)
+        if self._held.follows and self.configuration == "total":
+            raise ParameterError(
+                'conditions with follows=True need Space(..., configuration="updated"), got '
+                '"total": what is active at first positions stays'
+            )
         self._updates = updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
         for condition in self.bcs:
@@ -273,6 +278,7 @@ class Problem:
         share = 1.0 if step is None else step.share
         self.form.bind()
         self.form.place_markers()
+        self._held.follow()
         first, kept, self._kept = self.here is None, self._kept, None
         self.here = activate(
             self.points, self.fields, self._held, self.form, share, self.here, kept,
