@@ -1,4 +1,4 @@
-"""Every study runs small, in a process of its own, and its figures hold."""
+"""Every study runs small, and its figures hold."""
 
 from __future__ import annotations
 

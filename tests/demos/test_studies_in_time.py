@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from test_studies import run
 
+from dolfinmpm._platform.errors import SingularMassWarning
+
 
 def test_vibrating_bar(tmp_path):
     figures = run("vibrating_bar", "--duration", "20", "--output", str(tmp_path))
