@@ -13,7 +13,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, choice, number
+from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import ring
@@ -21,7 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.rigid import RigidBody
-from dolfinmpm.forms.declarations import Declaration, as_tags
+from dolfinmpm.forms.declarations import Declaration
 
 __all__ = ["Contact", "contact"]
 

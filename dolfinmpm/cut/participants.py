@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,7 @@ __all__ = [
     "Prolongate",
     "Region",
     "Terms",
+    "movers",
 ]
 
 Basis = LatticeBasis | LinearBasis
@@ -71,6 +72,9 @@ class BoundaryOf(Protocol):
     @property
     def regions(self) -> Sequence[Region]:
         """Parts of it with terms of their own."""
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers are of the field of an increment, of those that have tags."""
 
 
 class Terms(Protocol):
@@ -208,6 +212,20 @@ class Participants:
     total: bool
     fields: tuple[ActiveField, ...]
     unknowns: Unknowns
+
+    @property
+    def movers(self) -> tuple[int, ...]:
+        """Numbers of the fields that move points."""
+        return movers([field.space for field in self.fields])
+
+
+def movers(spaces: Sequence[Space]) -> tuple[int, ...]:
+    """Numbers of the fields that move points: the first, or all displacements that have tags."""
+    if spaces[0].tags is None:
+        return (0,)
+    shape = (spaces[0].grid.geometry.dim,)
+    own = (k for k, s in enumerate(spaces) if s.tags and s.increment.ufl_shape == shape)
+    return tuple(own)
 
 
 class Later:

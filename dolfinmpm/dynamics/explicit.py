@@ -38,6 +38,7 @@ from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
@@ -136,6 +137,7 @@ class Explicit(Problem):
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
+        refuse_bodies(self.fields, "Explicit", "bodies collide with contact=mpm.Collision(tags)")
         if self.form.boundaries:
             raise FormError(
                 f"the form has terms over {self.form.boundaries[0].boundary}, and Explicit makes "

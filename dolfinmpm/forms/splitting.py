@@ -43,12 +43,18 @@ class BoundaryTerms:
         regions: Terms of its markers, as of points.
         declarations: What laws in the terms need of the markers.
         conditions: What makes numbers at the markers before each step; see `dirichlet`.
+        increments: Increments of the fields in the terms.
     """
 
     boundary: Boundary
     regions: list[PointTerms]
     declarations: list[Declaration]
     conditions: list[Any]
+    increments: list[Any]
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers are of the field of an increment, of those that have tags."""
+        return any(u is one for one in self.increments)
 
 
 @dataclass(frozen=True)
@@ -148,6 +154,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                 _regions(at_markers[number], spaces, boundary.markers, of_laws[number]),
                 of_laws[number],
                 _conditions(at_markers[number]),
+                _increments(at_markers[number], spaces),
             )
             for number, boundary in of_markers.items()
         ],
@@ -182,6 +189,20 @@ def _conditions(integrals) -> list[Any]:
         condition = integral.metadata().get("condition")
         if condition is not None and not any(condition is c for c in found):
             found.append(condition)
+    return found
+
+
+def _increments(integrals, spaces: Sequence[Space]) -> list[Any]:
+    """Increments of the fields in some terms."""
+    found = []
+    for space in spaces:
+        for integral in integrals:
+            term = integral.integrand()
+            tests = ufl.algorithms.extract_arguments(term)
+            own = any(c is space.increment for c in extract_coefficients(term))
+            if own or any(a == space.test for a in tests):
+                found.append(space.increment)
+                break
     return found
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.forms.operators import Kept
 from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, shown, truth
+from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient
@@ -23,8 +23,6 @@ from dolfinmpm.forms.declarations import (
     Declaration,
     LawConstant,
     LawField,
-    Tags,
-    as_tags,
     rows_within,
 )
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw

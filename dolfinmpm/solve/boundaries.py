@@ -122,6 +122,7 @@ def advance_markers(
     updates: Sequence[PointUpdates],
     evaluations: Sequence[Evaluation],
     step: int,
+    movers: Sequence[int] = (0,),
 ) -> list[MarkerState]:
     """The new state of markers, which nothing has been changed for. Collective.
 
@@ -130,6 +131,7 @@ def advance_markers(
         updates: Their fields that are set to UFL expressions.
         evaluations: Their terms, moved to the increments.
         step: Number of the step, for messages.
+        movers: Numbers of the fields that move what sees them.
 
     Raises:
         PointsOutsideGridError: Markers would leave the grid.
@@ -142,13 +144,14 @@ def advance_markers(
         if not of.boundary.follows:
             made.append((of.boundary, new, None))
             continue
-        dF = evaluation.gradient[0] + np.eye(d)
+        u, gradient = evaluation.motion(movers)
+        dF = gradient + np.eye(d)
         J = np.linalg.det(dF)
         # Nanson's formula
         turned = np.linalg.solve(np.swapaxes(dF, 1, 2), markers["area"][:, :, None])[:, :, 0]
         new["area"] = J[:, None] * turned
         new["V"] = np.linalg.norm(new["area"], axis=1)
-        new["x"] = markers["x"] + evaluation.value[0]
+        new["x"] = markers["x"] + u
         to = destinations(markers.grid, new["x"], markers["cell"], markers.partition)
         raise_together(markers.comm, _outside(of.boundary, new["x"], to, step))
         made.append((of.boundary, new, to))

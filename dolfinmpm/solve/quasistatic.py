@@ -292,8 +292,8 @@ class QuasiStatic(Problem):
         if len(points):
             J = np.ones(len(points))
             if self._moves:
-                at = operator.points
-                J = np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
+                motion = operator.points.motion(operator.here.movers)
+                J = np.linalg.det(deformation(points, *motion))
             failure = operator.points.failure
             p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
             place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"
