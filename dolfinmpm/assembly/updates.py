@@ -9,6 +9,7 @@ import numpy.typing as npt
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FieldShapeError, FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space

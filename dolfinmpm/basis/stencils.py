@@ -47,8 +47,9 @@ class Placement:
 
     def of(self, rows: npt.NDArray[np.integer]) -> Placement:
         """Some of the points."""
-        parts = (a[rows] for a in (self.x, self.half, self.volume, self.cell))
-        return Placement(*parts, self.rings)
+        return Placement(
+            self.x[rows], self.half[rows], self.volume[rows], self.cell[rows], self.rings
+        )
 
 
 def together(placements: Sequence[Placement]) -> Placement:
@@ -225,10 +226,7 @@ def spread(s: Stencils, rows: npt.NDArray[np.integer], count: int) -> Stencils:
     order = np.concatenate([np.asarray(rows, np.int32)[s.order], others])
     if not others.size:
         return replace(s, order=order)
-    ends = [
-        np.append(start, start[-1])
-        for start in (s.node_start, s.value_start, s.cell_start)
-    ]
+    ends = [np.append(start, start[-1]) for start in (s.node_start, s.value_start, s.cell_start)]
     return replace(
         s, order=order, groups=np.append(s.groups, np.int32(count)), node_start=ends[0],
         value_start=ends[1], cell_start=ends[2],

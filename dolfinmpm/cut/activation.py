@@ -7,6 +7,7 @@ means need, so that no numbering changes behind what was computed in it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -81,7 +82,7 @@ def activate(
     bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
     # markers activate cells as points without volume do
     where = together([bodies, *sets])
-    bases = _bases(fields, where, averages, points.partition)
+    bases = _bases(fields, where, averages, points.partition, terms.beyond)
     members: list[npt.NDArray[Any]] = [np.arange(len(p.x), dtype=np.int32) for p in sets]
     views = [_View(field.space, points["tag"], terms.boundaries) for field in fields]
     if not all(b.boundary.activates for b in terms.boundaries):
@@ -116,12 +117,20 @@ def activate(
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
     every = [*regions, *(region for parts in of_boundaries for region in parts)]
-    later = Later(lambda: Pattern.build(lists_of(every, active, unknowns), unknowns, pairs, former))
+    facing = terms.facing(here)
+    couple = functools.partial(_pattern, every, active, unknowns, facing, pairs, former)
+    later = Later(couple)
     driven = held.changing and held.driven
     return Activation(
         bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later, of_boundaries,
+        later, of_boundaries, facing,
     )  # fmt: skip
+
+
+def _pattern(every, active, unknowns: Unknowns, facing, pairs, former: Pattern | None) -> Pattern:
+    """Where the matrix has entries."""
+    lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in facing]
+    return Pattern.build(lists, unknowns, pairs, former)
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
@@ -217,9 +226,7 @@ class _View:
         boundaries: Whether it sees each boundary's markers.
     """
 
-    def __init__(
-        self, space: Space, tags: npt.NDArray[np.int32], boundaries: Sequence[BoundaryOf]
-    ):
+    def __init__(self, space: Space, tags: npt.NDArray[np.int32], boundaries: Sequence[BoundaryOf]):
         self._chosen = None if space.tags is None else np.isin(tags, space.tags)
         self.boundaries = [space.tags is None or b.sees(space.increment) for b in boundaries]
         self.key = space.tags, tuple(self.boundaries)
@@ -227,7 +234,7 @@ class _View:
     def stencils(
         self, basis: Basis, where: Placement, members: Sequence[npt.NDArray[Any]]
     ) -> Stencils:
-        """Stencils in a basis, of points and markers that it does not see without nodes. Collective.
+        """Stencils in a basis; what it does not see is there without nodes. Collective.
 
         Args:
             basis: The basis.
@@ -251,7 +258,11 @@ def _shared(keys: Sequence[Hashable], make: Callable[[int], Any]) -> list[Any]:
 
 
 def _bases(
-    fields: Sequence[Field], where: Placement, averages: bool, partition: Partition | None
+    fields: Sequence[Field],
+    where: Placement,
+    averages: bool,
+    partition: Partition | None,
+    least: int = 0,
 ) -> list[Basis]:
     """The bases with the overlap that domains, roots and cell means need. Collective."""
     keys = [id(f.space.basis) for f in fields]
@@ -261,7 +272,7 @@ def _bases(
     span = max(count for _, count in reach)
     for field, (beyond, _) in zip(fields, reach):
         basis = field.space.basis
-        need = beyond
+        need = max(beyond, least)
         if averages:
             need = max(need, layers_needed(span, basis))
         if field.ties_nodes:

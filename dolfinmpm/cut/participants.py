@@ -98,6 +98,13 @@ class Terms(Protocol):
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
 
+    @property
+    def beyond(self) -> int:
+        """Layers of cells around a rank's own that its terms look at at least."""
+
+    def facing(self, here: Participants) -> list[Any]:
+        """Places where bodies face each other, with `lists` of nodes to couple. Collective."""
+
 
 @dataclass(frozen=True)
 class Field:
@@ -264,6 +271,7 @@ class Activation(Participants):
         mass: The mass between these nodes (kg), if there are inertial forces.
         later: What is made when it is first asked for.
         of_boundaries: The parts of each boundary that does not fit the grid.
+        facing: Where bodies with fields of their own face each other.
     """
 
     terms: Terms
@@ -275,6 +283,7 @@ class Activation(Participants):
     mass: list[Blocks]
     later: Later
     of_boundaries: list[list[ActiveRegion]]
+    facing: list[Any]
 
     @property
     def pattern(self) -> Pattern:

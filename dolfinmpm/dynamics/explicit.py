@@ -150,7 +150,7 @@ class Explicit(Problem):
                 "their forces; take Newmark or Transient, or bulk_viscosity and damping"
             )
         check_masses(self.bodies)
-        self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
+        self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         self._kept_state = Snapshot(points)

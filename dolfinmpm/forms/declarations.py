@@ -34,6 +34,7 @@ __all__ = [
     "tags_in_use",
 ]
 
+
 def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:
     """Which points of this rank carry one of the tags, in rising order; None means all."""
     if tags is None:

@@ -44,6 +44,7 @@ class BoundaryTerms:
         declarations: What laws in the terms need of the markers.
         conditions: What makes numbers at the markers before each step; see `dirichlet`.
         increments: Increments of the fields in the terms.
+        stateful: Whether its terms need the state of the body at the markers.
     """
 
     boundary: Boundary
@@ -51,6 +52,7 @@ class BoundaryTerms:
     declarations: list[Declaration]
     conditions: list[Any]
     increments: list[Any]
+    stateful: bool
 
     def sees(self, u: Any) -> bool:
         """Whether its markers are of the field of an increment, of those that have tags."""
@@ -69,6 +71,7 @@ class SplitForm:
         carried: Fields that its terms carry from step to step, or renew as one begins.
         boundaries: Terms over boundaries that do not fit the grid.
         contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
+        between: Contacts of two boundaries of bodies that deform.
     """
 
     regions: list[PointTerms]
@@ -77,6 +80,7 @@ class SplitForm:
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
     contacts: list[Any] = field(default_factory=list)
+    between: list[Any] = field(default_factory=list)
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -110,10 +114,15 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     kept = carried_in(form)
     for one in kept:
         points.add_field(one.name, one.ufl_shape, one.unit, one.first)
+    between = [c for c in contacts if hasattr(c, "boundaries")]
+    touching = _touching(between, spaces)
     of_markers = {b.markers.number: b for b in _boundaries(form, points)}
+    with_terms = set(of_markers)
+    of_markers |= {number: boundary for number, (boundary, _) in touching.items()}
     of_laws = {number: declared(form, b.markers) for number, b in of_markers.items()}
     for number, boundary in of_markers.items():
-        take_state(boundary)
+        if number in with_terms:
+            take_state(boundary)
         for declaration in of_laws[number]:
             declaration.bind()
     for contact in contacts:
@@ -154,12 +163,37 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                 _regions(at_markers[number], spaces, boundary.markers, of_laws[number]),
                 of_laws[number],
                 _conditions(at_markers[number]),
-                _increments(at_markers[number], spaces),
+                _increments(at_markers[number], spaces, touching.get(number)),
+                number in with_terms,
             )
             for number, boundary in of_markers.items()
         ],
-        contacts,
+        [c for c in contacts if c not in between],
+        between,
     )
+
+
+def _touching(between, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]:
+    """Boundaries that touch others, and the increments that move them, by their markers' number.
+
+    Raises:
+        FormError: The problem does not solve for the increment, or two contacts differ in it.
+    """
+    found: dict[int, tuple[Boundary, Any]] = {}
+    for contact in between:
+        for boundary, u in zip(contact.boundaries, contact.u):
+            if not any(u is space.increment for space in spaces):
+                raise FormError(
+                    f"{contact!r} is of a field that the problem does not solve for; name its "
+                    "increment when the problem is made"
+                )
+            known = found.setdefault(boundary.markers.number, (boundary, u))
+            if known[1] is not u:
+                raise FormError(
+                    f"{boundary} is moved by one field in one contact and by another in a second; "
+                    "give the same"
+                )
+    return found
 
 
 def _boundaries(form: ufl.Form, points: MaterialPoints) -> list[Boundary]:
@@ -192,8 +226,10 @@ def _conditions(integrals) -> list[Any]:
     return found
 
 
-def _increments(integrals, spaces: Sequence[Space]) -> list[Any]:
-    """Increments of the fields in some terms."""
+def _increments(integrals, spaces: Sequence[Space], touching=None) -> list[Any]:
+    """Increments of the fields in some terms, or that of a boundary that touches another."""
+    if touching is not None:
+        return [touching[1]]
     found = []
     for space in spaces:
         for integral in integrals:

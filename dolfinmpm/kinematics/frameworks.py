@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.forms.operators import Kept

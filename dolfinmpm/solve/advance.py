@@ -104,6 +104,12 @@ def advance(
         return "a material point's state is not finite or its volume not positive"
     if any(contact.missed(new["x"]) for contact in operator.contacts if moves):
         return "material points got into a rigid body from further away than was looked at"
+    if operator.between:
+        moved = [terms.motion(operator.here.movers)[0] for terms in operator.markers]
+        for one in operator.between:
+            reason = one.missed(moved)
+            if reason is not None:
+                return reason
     if not moves or operator.here.total:
         return NewState(new, None)
     to = destinations(points.grid, new["x"], points["cell"], points.partition)
@@ -117,6 +123,8 @@ def advance(
     markers = advance_markers(
         form.boundaries, form.updates, operator.markers, step, operator.here.movers
     )  # fmt: skip
+    for one in operator.between:
+        markers[one.facing.numbers[0]][1].update(one.new_fields())
     return NewState(new, to, markers)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.cut.participants import Field, movers
-from dolfinmpm.solve.operator import WeakForm
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["check_bodies", "refuse_bodies"]
 

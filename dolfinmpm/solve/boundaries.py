@@ -50,7 +50,8 @@ def place_markers(boundaries: Sequence[BoundaryTerms]) -> None:
         if markers.partition is not points.partition:
             markers.partition = points.partition
             markers.locate()
-        take_state(of.boundary)
+        if of.stateful:
+            take_state(of.boundary)
 
 
 def set_penalties(
@@ -217,7 +218,8 @@ def set_markers(
         else:
             markers.fields["cell"] = cells_here(markers.grid, markers["x"])
             markers.recount()
-        take_state(of.boundary)
+        if of.stateful:
+            take_state(of.boundary)
 
 
 def _kept(boundary: Boundary) -> list[str]:
