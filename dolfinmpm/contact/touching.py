@@ -34,7 +34,7 @@ _NEAREST, _OPPOSED = 8, -0.2
 _LENGTH, _WIDTH = 0.65, 1.0
 # Layers of cells in which the other body may be
 LAYERS = 2
-# Overlap of bodies before the first step, by the size of a cell, that is taken for rounding
+# Gap or overlap of bodies, by the size of a cell, that is taken for rounding
 _TOUCHES = 1e-6
 
 
@@ -233,6 +233,8 @@ class ActiveBetween:
         markers = contact.boundaries[0].markers
         traction, pressure, *_ = contact.names
         self._before, self._pressed = markers[traction][rows], markers[pressure][rows]
+        # bodies that touch without pressing hold each other too as long as nothing moves
+        self._touch = (self._pressed > 0.0) | (facing.gap < _TOUCHES * facing.reach)
         self._multiplier: Array = np.zeros(m)
         if contact.penetration is not None:
             self._multiplier = self._pressed
@@ -252,13 +254,19 @@ class ActiveBetween:
         n = facing.normal
         self._gap = facing.gap + np.einsum("ci,ci->c", slip, n)
         at_rest = not (moved[0].any() or moved[1].any())
-        holds = (self._pressed > 0.0) & (self.clings and at_rest)
+        holds = self._touch & (self.clings and at_rest)
         flat = np.zeros((*n.shape, n.shape[1]))
         forces_on_corners(
             self._gap, n, flat, slip, np.zeros_like(slip), self._before, self._multiplier,
             self._stiffness, contact.slip_share * self._stiffness, contact.friction, holds,
             self.forces, self._traction, self.pressures, self._slope, self.states,
         )  # fmt: skip
+        if contact.friction and holds.any():
+            # what is about to be pressed will stick
+            sticks = np.flatnonzero(holds & (self.pressures <= 0.0))
+            along = np.eye(n.shape[1]) - n[sticks, :, None] * n[sticks, None, :]
+            slip_stiffness = contact.slip_share * self._stiffness[sticks]
+            self._slope[sticks] -= slip_stiffness[:, None, None] * along
 
     def add_internal(self, out: Sequence[Array]) -> None:
         """Add the nodal forces of all fields, as internal forces count, which resist (N)."""
