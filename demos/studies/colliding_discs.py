@@ -37,13 +37,16 @@ def arguments():
     add_options(options, h=0.05, courant=0.5)
     options.set_defaults(mass="lumped", mapping="flip")
     options.add_argument("--duration", type=float, default=3.2, help="s")
-    options.add_argument("--contact", choices=("none", "grid", "gap"), default="none")
+    options.add_argument("--contact", choices=("none", "grid", "gap", "bodies"), default="none")
     options.add_argument("--friction", type=float, default=0.0, help="with contact")
     given = options.parse_args()
     if not given.distance > 2 * given.radius:
         options.error("the discs must be apart at first")
-    if given.contact != "none" and (given.integrator, given.mass) != ("explicit", "lumped"):
-        options.error("contact is of explicit steps with a lumped mass")
+    if given.contact == "bodies" and given.integrator == "explicit":
+        options.error("bodies with fields of their own take implicit steps: --integrator newmark")
+    collides = given.contact in ("grid", "gap")
+    if collides and (given.integrator, given.mass) != ("explicit", "lumped"):
+        options.error("contact at the grid's nodes is of explicit steps with a lumped mass")
     return given
 
 
@@ -67,19 +70,29 @@ grid = mesh.create_rectangle(
     (n, n),
     mesh.CellType.quadrilateral,
 )
-points = mpm.fill(
-    grid, mpm.Ball(-0.5 * args.distance * along, R), args.points_per_cell, args.density, tag=1
-) + mpm.fill(
-    grid, mpm.Ball(0.5 * args.distance * along, R), args.points_per_cell, args.density, tag=2
-)
-V = mpm.Space(grid, args.basis)
-F = mpm.momentum(mpm.materials.NeoHookean(E=E, nu=nu), points, V.increment, V.test)
+centres = -0.5 * args.distance * along, 0.5 * args.distance * along
+own = args.contact == "bodies"
+fields = [mpm.Space(grid, args.basis, tag=1 + k if own else None) for k in range(1 + own)]
+discs = [
+    mpm.fill(grid, mpm.Ball(x, R), args.points_per_cell, args.density, tag=1 + k, exact=own)
+    for k, x in enumerate(centres)
+]
+points = discs[0] + discs[1]
+law = mpm.materials.NeoHookean(E=E, nu=nu)
+F = sum(mpm.momentum(law, points, V.increment, V.test, tag=V.tags) for V in fields)
+u, v = [V.increment for V in fields], [V.test for V in fields]
+if own:
+    # corners so dense that chords are next to the circle
+    turn = np.linspace(0.0, 2 * np.pi, int(np.ceil(16 * np.pi * R / h)), endpoint=False)
+    rim = R * np.column_stack([np.cos(turn), np.sin(turn)])
+    rims = [mpm.Boundary.from_polygon(points, x + rim) for x in centres]
+    F += mpm.contact_between(rims, u, v, friction=args.friction)
 points.add_field("velocity", (2,), "m/s")
 points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along
 explicit = {}
-if args.contact != "none":
+if args.contact in ("grid", "gap"):
     explicit["contact"] = mpm.Collision((1, 2), args.friction, gap_test=args.contact == "gap")
-problem = problem_of(args, F, V.increment, points, **explicit)
+problem = problem_of(args, F, u if own else u[0], points, **explicit)
 
 
 def approach():

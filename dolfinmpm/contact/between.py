@@ -111,7 +111,7 @@ def contact_between(
     v: Sequence[Any],
     *,
     friction: float = 0.0,
-    penalty: float = 20.0,
+    penalty: float = 5.0,
     stiffness_per_area: float | None = None,
     slip_stiffness: float = 0.5,
     penetration: float | None = None,
