@@ -85,7 +85,7 @@ if own:
     # corners so dense that chords are next to the circle
     turn = np.linspace(0.0, 2 * np.pi, int(np.ceil(16 * np.pi * R / h)), endpoint=False)
     rim = R * np.column_stack([np.cos(turn), np.sin(turn)])
-    rims = [mpm.Boundary.from_polygon(points, x + rim) for x in centres]
+    rims = [mpm.Boundary.from_polygon(points, x + rim, rule=1) for x in centres]
     F += mpm.contact_between(rims, u, v, friction=args.friction)
 points.add_field("velocity", (2,), "m/s")
 points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along

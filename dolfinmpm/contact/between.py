@@ -124,8 +124,9 @@ def contact_between(
     for surfaces that lie on each other is exact to third order in the distance of markers. Gap,
     normal and place are those of the step's start; the gap's increment is the difference of both
     fields at the two places that face each other. So forces are equal and opposite along one
-    line, and each of the bodies feels them as exactly as its functions are integrated: where the
-    first boundary's pieces end at the grid's lines, even pressure and even stress are in balance.
+    line, and each of the bodies feels them as exactly as its functions are integrated. A polygon of
+    one Gauss point a piece, `Boundary.from_polygon(..., rule=1, spacing=h/4)`, is cut anew at the
+    grid's lines in every step, so that even pressure and even stress are in balance.
 
     Where the gap is closed the bodies are pressed apart by κ |g| per area, and rubbed by what
     Coulomb's law allows, see `dolfinmpm.contact.penalty`; with a bound of the penetration by

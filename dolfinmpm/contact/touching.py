@@ -16,11 +16,12 @@ from dolfinmpm.assembly.points import Entries
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.contact.between import Between
 from dolfinmpm.contact.corners import stencil_matrix
+from dolfinmpm.contact.cutpieces import pieces_in_cells
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.cut.participants import ActiveField, Participants
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.grid.lattice import smallest_height
+from dolfinmpm.grid.lattice import lattice_of, smallest_height
 
 __all__ = ["LAYERS", "ActiveBetween", "Facing"]
 
@@ -70,7 +71,9 @@ class Facing:
         numbers: Numbers of its two boundaries among those of the form.
 
     Attributes:
-        rows: Markers of the first boundary that face the other one, shape (m,).
+        rows: Markers of the first boundary whose places face the other one, shape (m,): of
+            boundaries that tile each has as many as there are cells that its segment is in.
+        shares: Share of its marker's area that each place has, likewise.
         gap: Gaps g (m), shape (m,).
         normal: Normals out of the second body, shape (m, d).
         areas: Areas (m^(d-1)), shape (m,).
@@ -90,18 +93,23 @@ class Facing:
         ]
         x, area = first["x"], first["area"]
         X, A = (np.concatenate(first.comm.allgather(second[name])) for name in ("x", "area"))
-        which, self.gap, self.normal = self._pieces(x, area, X, A)
-        self.rows = np.flatnonzero(which >= 0)
-        which, self.gap, self.normal = which[self.rows], self.gap[self.rows], self.normal[self.rows]
-        self.areas = np.linalg.norm(area[self.rows], axis=1)
+        which, gap, normal = self._pieces(x, area, X, A)
+        rows = np.flatnonzero(which >= 0)
+        lattice = lattice_of(contact.points.grid)
+        assert lattice is not None
+        of: Rows = np.arange(rows.size)
+        at: Array = x[rows]
+        self.shares: Array = np.ones(rows.size)
+        if contact.boundaries[0].tiles:
+            of, at, self.shares = pieces_in_cells(at, area[rows], lattice)
+        self.rows = rows = rows[of]
+        self.gap, self.normal = gap[rows], normal[rows]
+        self.areas = self.shares * np.linalg.norm(area[rows], axis=1)
         raise_together(first.comm, self._overlap(x))
-        opposite = x[self.rows] - self.gap[:, None] * self.normal
-        field = here.fields[own[0]]
-        s = field.of_markers[numbers[0]]
-        N = stencil_matrix(s, s.N, (len(x), field.basis.nodes.size))
+        opposite = at - self.gap[:, None] * self.normal
         self.sides = (
-            _side(own[0], sparse.csr_matrix(N[self.rows])),
-            _side(own[1], _seen(here.fields[own[1]], opposite, X[which])),
+            _side(own[0], _seen(here.fields[own[0]], at, x[rows])),
+            _side(own[1], _seen(here.fields[own[1]], opposite, X[which[rows]])),
         )
 
     def _pieces(self, x: Array, area: Array, X: Array, A: Array):
@@ -232,7 +240,8 @@ class ActiveBetween:
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
         markers = contact.boundaries[0].markers
         traction, pressure, *_ = contact.names
-        self._before, self._pressed = markers[traction][rows], markers[pressure][rows]
+        self._before = facing.shares[:, None] * markers[traction][rows]
+        self._pressed = facing.shares * markers[pressure][rows]
         # bodies that touch without pressing hold each other too as long as nothing moves
         self._touch = (self._pressed > 0.0) | (facing.gap < _TOUCHES * facing.reach)
         self._multiplier: Array = np.zeros(m)
@@ -327,9 +336,10 @@ class ActiveBetween:
         markers, rows = self.contact.boundaries[0].markers, self.facing.rows
         traction, pressure, work, steps = self.contact.names
         new: dict[str, Array] = {name: np.zeros_like(markers[name]) for name in self.contact.names}
-        new[traction][rows], new[pressure][rows] = self._traction, self.pressures
         new[work][:] = markers[work]
-        new[work][rows] += self._dissipated()
+        parts = self._traction, self.pressures, self._dissipated()
+        for name, values in zip((traction, pressure, work), parts):
+            np.add.at(new[name], rows, values)
         new[steps][:] = markers[steps] + 1.0
         return new
 
