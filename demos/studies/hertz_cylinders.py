@@ -13,6 +13,13 @@
 # of the size h around the contact that grow away from it. The half-width is that which an elliptic
 # pressure with the found second moment has, $\langle x^2\rangle = b^2/4$; the peak that of the
 # ellipse that fits best within 0.4 of it.
+#
+# What comes out with b/R = 0.05: the half-width within 0.6, 0.9 and 1.1 % with b/h = 6, 8 and 12,
+# the peak within 1.5, 1.4 and 0.2 %; with b/R = 0.025 the half-width within 0.1 %. The planes
+# approach by 4.5 % less than the closed form says of whole cylinders: they stay plane here. The
+# pressure on single segments alternates by a tenth, for the surfaces have kinks where cells meet,
+# and the more so the stiffer the penalty: with multipliers that bound the penetration to 20 μm, a
+# third of a percent of a cell, the peak comes out 11 % too low.
 
 # %%
 import math

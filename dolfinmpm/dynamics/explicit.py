@@ -132,7 +132,7 @@ class Explicit(Problem):
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
-                "dimensions"
+                "dimensions; bodies collide in it with contact=mpm.Collision(tags)"
             )
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)

@@ -16,6 +16,7 @@ from ufl.classes import (
 )
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
@@ -45,6 +46,7 @@ class BoundaryTerms:
         conditions: What makes numbers at the markers before each step; see `dirichlet`.
         increments: Increments of the fields in the terms.
         stateful: Whether its terms need the state of the body at the markers.
+        tags: Tags of the points of the body, or None for all.
     """
 
     boundary: Boundary
@@ -53,6 +55,7 @@ class BoundaryTerms:
     conditions: list[Any]
     increments: list[Any]
     stateful: bool
+    tags: Tags
 
     def sees(self, u: Any) -> bool:
         """Whether its markers are of the field of an increment, of those that have tags."""
@@ -120,9 +123,13 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     with_terms = set(of_markers)
     of_markers |= {number: boundary for number, (boundary, _) in touching.items()}
     of_laws = {number: declared(form, b.markers) for number, b in of_markers.items()}
+    increments = {
+        number: _increments(form, number, spaces, touching.get(number)) for number in of_markers
+    }
+    tags = {number: _tags_of_fields(found) for number, found in increments.items()}
     for number, boundary in of_markers.items():
         if number in with_terms:
-            take_state(boundary)
+            take_state(boundary, tags[number])
         for declaration in of_laws[number]:
             declaration.bind()
     for contact in contacts:
@@ -163,8 +170,9 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                 _regions(at_markers[number], spaces, boundary.markers, of_laws[number]),
                 of_laws[number],
                 _conditions(at_markers[number]),
-                _increments(at_markers[number], spaces, touching.get(number)),
+                increments[number],
                 number in with_terms,
+                tags[number],
             )
             for number, boundary in of_markers.items()
         ],
@@ -226,10 +234,26 @@ def _conditions(integrals) -> list[Any]:
     return found
 
 
-def _increments(integrals, spaces: Sequence[Space], touching=None) -> list[Any]:
-    """Increments of the fields in some terms, or that of a boundary that touches another."""
+def _tags_of_fields(increments) -> Tags:
+    """Tags of the points that some fields are of, or None if any is of all points."""
+    tags = [u._dolfinmpm_space.tags for u in increments]
+    if not tags or None in tags:
+        return None
+    return tuple(sorted({tag for own in tags for tag in own}))
+
+
+def _increments(form, number: int, spaces: Sequence[Space], touching=None) -> list[Any]:
+    """Increments of the fields in terms over markers, or that of a boundary that touches another.
+
+    Args:
+        form: The form.
+        number: Number of the markers.
+        spaces: Spaces of the increments.
+        touching: The boundary and its increment, if it touches another.
+    """
     if touching is not None:
         return [touching[1]]
+    integrals = [i for i in form.integrals() if (i.metadata() or {}).get("points") == number]
     found = []
     for space in spaces:
         for integral in integrals:

@@ -51,7 +51,7 @@ def place_markers(boundaries: Sequence[BoundaryTerms]) -> None:
             markers.partition = points.partition
             markers.locate()
         if of.stateful:
-            take_state(of.boundary)
+            take_state(of.boundary, of.tags)
 
 
 def set_penalties(
@@ -219,7 +219,7 @@ def set_markers(
             markers.fields["cell"] = cells_here(markers.grid, markers["x"])
             markers.recount()
         if of.stateful:
-            take_state(of.boundary)
+            take_state(of.boundary, of.tags)
 
 
 def _kept(boundary: Boundary) -> list[str]:
