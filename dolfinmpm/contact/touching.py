@@ -123,19 +123,22 @@ class Facing:
         which = np.full(n, -1, np.int64)
         if not n:
             return which, np.empty(0), np.empty((0, d))
-        count = min(_NEAREST, len(X))
-        _, near = cKDTree(X).query(x, count)
-        near = near.reshape(n, count)
-        own = area / np.linalg.norm(area, axis=1)[:, None]
         sizes = np.linalg.norm(A, axis=1)
+        half = _LENGTH * sizes if d == 2 else _WIDTH * np.sqrt(sizes)
+        count = min(_NEAREST, len(X))
+        distance, near = cKDTree(X).query(
+            x, count, distance_upper_bound=float(np.hypot(self.reach, half.max()))
+        )
+        there = np.isfinite(distance.reshape(n, count))
+        near = np.where(there, near.reshape(n, count), 0)
+        own = area / np.linalg.norm(area, axis=1)[:, None]
         others = (A / sizes[:, None])[near]
-        opposed = np.einsum("pi,pci->pc", own, others) < _OPPOSED
+        opposed = there & (np.einsum("pi,pci->pc", own, others) < _OPPOSED)
         normal = others - own[:, None]
         normal /= np.maximum(np.linalg.norm(normal, axis=2), 1e-300)[:, :, None]
         apart = x[:, None] - X[near]
         gap = np.einsum("pci,pci->pc", apart, normal)
         along = np.linalg.norm(apart - gap[:, :, None] * normal, axis=2)
-        half = _LENGTH * sizes if d == 2 else _WIDTH * np.sqrt(sizes)
         faces = opposed & (along <= half[near]) & (np.abs(gap) < self.reach)
         # of several pieces that in the middle of which it is most
         best = np.argmin(np.where(faces, along / half[near], np.inf), axis=1)
