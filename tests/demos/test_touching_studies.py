@@ -13,7 +13,7 @@ def figures(tmp_path, study, *options, ranks=1):
 
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_two_cylinders(tmp_path, ranks):
-    found = figures(tmp_path, "hertz_cylinders", "--resolution", "6", ranks=ranks)
+    found = figures(tmp_path, "hertz_bodies", "--resolution", "6", ranks=ranks)
     assert abs(found["half_width_error"]) < 0.02
     assert abs(found["peak_error"]) < 0.04
     # diametral planes of whole cylinders do not stay plane
@@ -27,9 +27,18 @@ def test_two_cylinders(tmp_path, ranks):
     "options", [("--ratio", "5"), ("--friction", "0.4"), ("--basis", "bspline2")]
 )
 def test_two_cylinders_of_other_kinds(tmp_path, options):
-    found = figures(tmp_path, "hertz_cylinders", *options, "--no-plot")
+    found = figures(tmp_path, "hertz_bodies", *options, "--no-plot")
     assert abs(found["half_width_error"]) < 0.02
     assert abs(found["peak_error"]) < 0.05
+
+
+@pytest.mark.long
+def test_two_spheres(tmp_path):
+    options = "--shape", "sphere", "--resolution", "3", "--steps", "2"
+    found = figures(tmp_path, "hertz_bodies", *options)
+    assert abs(found["half_width_error"]) < 0.03
+    assert abs(found["approach_error"]) < 0.1
+    assert (tmp_path / "hertz_spheres.png").stat().st_size > 0
 
 
 @pytest.mark.long
