@@ -18,10 +18,10 @@
 # What comes out with b/R = 0.05: the half-width within 0.6, 0.9 and 1.1 % with b/h = 6, 8 and 12,
 # the peak within 1.5, 1.4 and 0.2 %; with b/R = 0.025 the half-width within 0.1 %. The planes
 # approach by 4.5 % less than the closed form says of whole cylinders: they stay plane here. Spheres
-# touch within 1.3 % with b/R = 0.12 and b/h = 4, and come nearer by 5 % less. The pressure on single
-# segments alternates by a tenth, on pieces of spheres by a third, for the surfaces have kinks where
-# cells meet; the more so the stiffer the penalty: with multipliers that bound the penetration to
-# 20 μm, a third of a percent of a cell, the peak comes out 11 % too low.
+# touch within 1.3 % with b/R = 0.12 and b/h = 4, and come nearer by 5 % less. The pressure on
+# single segments alternates by a tenth, on pieces of spheres by a third, for the surfaces have
+# kinks where cells meet; the more so the stiffer the penalty: with multipliers that bound the
+# penetration to 20 μm, a third of a percent of a cell, the peak comes out 11 % too low.
 
 # %%
 import math
