@@ -96,7 +96,7 @@ def two_blocks(friction=0.0, basis="gimp", upper=(0.4, 2.5), top=2.45, moduli=(1
     spaces = [mpm.Space(grid, basis, tag=k) for k in (1, 2)]
     u, v = [V.increment for V in spaces], [V.test for V in spaces]
     laws = [mpm.materials.Hencky(E=E, nu=nu) for E in moduli]
-    F = sum(mpm.momentum(laws[k], points, u[k], v[k], tag=k + 1) for k in (0, 1))
+    F = sum(mpm.momentum(laws[k], points, u[k], v[k]) for k in (0, 1))
 
     def along(a, b):
         ends = [(a, level), (b, level)]

@@ -182,6 +182,9 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         stencils = pushed(made(own))
     else:
         first = fields[0]
+        for mover in (fields[k] for k in here.movers):
+            if mover.space.tags is not None and (region.tags or set()) <= set(mover.space.tags):
+                first = mover
         *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
         stencils = pushed(stencils)
         where = here.where

@@ -58,6 +58,10 @@ class Region(Protocol):
     def by_centres(self) -> bool:
         """Whether the means count each point in the cell of its centre alone."""
 
+    @property
+    def tags(self) -> frozenset[int] | None:
+        """Tags of its points, or None for all, or for all but some."""
+
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
         """Which points belong to it, or None if all do."""
 

@@ -340,6 +340,16 @@ def _regions(
     means = any(
         isinstance(o.law, AveragingLaw) for i in integrals for o in operators_in(i.integrand())
     )
+    shape = (points.gdim,)
+    bodies = [s.tags for s in spaces if s.tags is not None and s.increment.ufl_shape == shape]
+    if means and bodies:
+        # but each body has its own, whatever else is in the cell
+        return [
+            PointTerms(
+                integrals, spaces, points, frozenset(tags), declarations=declarations, mixed=True
+            )
+            for tags in bodies
+        ]
     if not mentioned or means:
         return [PointTerms(integrals, spaces, points, declarations=declarations)]
     alike: dict[tuple, set[int]] = {}

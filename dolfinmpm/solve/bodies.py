@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
+from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.cut.participants import Field, movers
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -23,17 +23,11 @@ def check_bodies(fields: Sequence[Field], form: WeakForm) -> None:
     Raises:
         ParameterError: The tags of two displacements meet, or points have none of them, or a field
             without tags would move points that others move.
-        FormError: A law takes means over cells, in which points of several bodies may be.
     """
     spaces = [field.space for field in fields]
     if all(space.tags is None for space in spaces):
         return
     points = form.points
-    if any(region.averages for region in form.regions):
-        raise FormError(
-            "fbar goes with one field for all points: the means would be over points of several "
-            "bodies in a cell; leave it out, or Space(..., tag=...)"
-        )
     shape = (points.gdim,)
     if spaces[0].tags is None and spaces[0].increment.ufl_shape == shape:
         return

@@ -70,8 +70,8 @@ def bodies_that_collide():
     points = discs[0] + discs[1]
     spaces = [mpm.Space(grid, "gimp", tag=k) for k in (1, 2)]
     u, v = [V.increment for V in spaces], [V.test for V in spaces]
-    law = mpm.materials.NeoHookean(E=1e3, nu=0.3)
-    F = sum(mpm.momentum(law, points, u[k], v[k], tag=k + 1) for k in (0, 1))
+    law = mpm.materials.Hencky(E=1e3, nu=0.4)
+    F = sum(mpm.momentum(law, points, u[k], v[k], fbar=True) for k in (0, 1))
     rims = [mpm.Boundary.from_polygon(points, x + rim, rule=1) for x in centres]
     F += mpm.contact_between(rims, u, v, friction=0.2)
     points.add_field("velocity", (2,), "m/s")
