@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import ufl
 from mpi4py import MPI
+from scipy.spatial import cKDTree
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown
@@ -70,6 +71,36 @@ class Between:
         """Work that friction has taken (J), on all ranks. Collective."""
         done = float(self.boundaries[0].markers[self.names[2]].sum())
         return self.points.comm.allreduce(done, op=MPI.SUM)
+
+    @property
+    def begun(self) -> bool:
+        """Whether a step has been taken. Collective."""
+        steps = self.boundaries[0].markers[self.names[3]]
+        return self.points.comm.allreduce(bool(steps.any()), op=MPI.LOR)
+
+    def check_sides(self) -> None:
+        """Raise unless each boundary has its body behind it. Collective.
+
+        Raises:
+            ParameterError: The points of a field's tags are in front of its boundary.
+        """
+        points = self.points
+        for boundary, u in zip(self.boundaries, self.u):
+            x, area = boundary.markers["x"], boundary.markers["area"]
+            own = points["x"][np.isin(points["tag"], u._dolfinmpm_space.tags)]
+            votes = np.zeros(2, int)
+            if len(own) and len(x):
+                nearest = own[cKDTree(own).query(x)[1]]
+                behind = np.einsum("pi,pi->p", x - nearest, area) > 0.0
+                votes[:] = np.count_nonzero(behind), np.count_nonzero(~behind)
+            behind, before = points.comm.allreduce(votes, op=MPI.SUM)
+            if before > behind:
+                raise ParameterError(
+                    f"the points of the tags {u._dolfinmpm_space.tags}, which the field beside "
+                    f"{boundary} moves, are in front of {before} of {behind + before} of its "
+                    "markers: give u and v in the order of the boundaries, and polygons that have "
+                    "the body to the left"
+                )
 
     def bind(self, declarations: Sequence[Declaration]) -> None:
         """Give the markers the fields that it keeps, and find its penalty. Collective.

@@ -91,6 +91,9 @@ class Facing:
         own = [
             next(k for k, f in enumerate(here.fields) if f.space.increment is u) for u in contact.u
         ]
+        begun = contact.begun
+        if not begun:
+            contact.check_sides()
         x, area = first["x"], first["area"]
         X, A = (np.concatenate(first.comm.allgather(second[name])) for name in ("x", "area"))
         which, gap, normal = self._pieces(x, area, X, A)
@@ -105,7 +108,7 @@ class Facing:
         self.rows = rows = rows[of]
         self.gap, self.normal = gap[rows], normal[rows]
         self.areas = self.shares * np.linalg.norm(area[rows], axis=1)
-        raise_together(first.comm, self._overlap(x))
+        raise_together(first.comm, None if begun else self._overlap(x))
         opposite = at - self.gap[:, None] * self.normal
         self.sides = (
             _side(own[0], _seen(here.fields[own[0]], at, x[rows])),
@@ -148,10 +151,9 @@ class Facing:
         return which, gap[every, best], normal[every, best]
 
     def _overlap(self, x: Array) -> ParameterError | None:
-        """What is wrong with bodies that overlap before the first step, or None."""
-        steps = self.contact.boundaries[0].markers[self.contact.names[3]]
+        """What is wrong with bodies that overlap, or None."""
         deep = self.gap < -_TOUCHES * self.reach
-        if steps.any() or not deep.any():
+        if not deep.any():
             return None
         p = int(np.argmin(self.gap))
         return ParameterError(

@@ -208,3 +208,14 @@ def test_bodies_that_overlap_at_first_are_refused():
     )
     with pytest.raises(ParameterError, match="overlap before the first step"):
         problem.step()
+
+
+def test_boundaries_of_the_wrong_body_are_refused():
+    points, (low, up), F, boundaries = two_blocks()
+    increments, tests = [low.increment, up.increment], [low.test, up.test]
+    law = mpm.materials.Hencky(E=1e3, nu=0.2)
+    F = sum(mpm.momentum(law, points, *both) for both in zip(increments, tests))
+    F += mpm.contact_between(boundaries, increments, tests)
+    problem = mpm.QuasiStatic(F, increments, points, mpm.fixed(low, "bottom"))
+    with pytest.raises(ParameterError, match="in front of 13 of 13 of its markers"):
+        problem.step()
