@@ -142,3 +142,48 @@ def test_a_block_slides_at_mu_times_its_weight():
             slip = points["x"][own, 0].mean() - before
             assert contact.dissipated - done == pytest.approx(0.3 * weight * slip, rel=0.01)
     assert max(record.iterations for record in problem.history) <= 8
+
+
+@pytest.mark.long
+def test_two_rods_collide():
+    """Each stops the other as a rigid wall would: ρ c v for 2L/c, and then all the speed back."""
+    speed, wave = 0.1, 10.0
+    h, apart, width = 1 / 40, 0.3 / 40, 2 / 40
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(-1.3, 0), (1.3, width)], (104, 2), mesh.CellType.quadrilateral
+    )
+    ends = 0.13 * h + np.array([-0.5, 0.5]) * apart
+    rods = [
+        mpm.fill(grid, mpm.Box((min(x, x + way), 0), (max(x, x + way), width)), 2, 1.0, tag=k,
+                 aligned="body")
+        for k, x, way in ((1, ends[0], -1.0), (2, ends[1], 1.0))
+    ]  # fmt: skip
+    points = rods[0] + rods[1]
+    spaces = [mpm.Space(grid, "gimp", tag=k) for k in (1, 2)]
+    u, v = [V.increment for V in spaces], [V.test for V in spaces]
+    law = mpm.materials.Hencky(E=wave**2, nu=0.0)
+    F = sum(mpm.momentum(law, points, u[k], v[k]) for k in (0, 1))
+    faces = [[(ends[0], 0), (ends[0], width)], [(ends[1], width), (ends[1], 0)]]
+    F += mpm.contact_between(
+        [mpm.Boundary.from_polygon(points, face, closed=False, rule=1) for face in faces], u, v
+    )
+    bcs = [condition for V in spaces for condition in mpm.rollers(V, "bottom", "top")]
+    points.add_field("velocity", (2,), "m/s")
+    first = points["tag"] == 1
+    points["velocity"] = np.where(first[:, None], 1.0, -1.0) * [speed, 0.0]
+    problem = mpm.Newmark(F, u, points, bcs, mapping="flip", stabilisation="ghost")
+    (contact,) = problem.form.parts.between
+    touch, dt = 0.5 * apart / speed, 0.5 * h / wave
+    problem.step(touch - 2 * dt)
+    rows = []
+    while problem.time < touch + 0.21:
+        record = problem.step(problem.time + dt)
+        force = record.bodies[contact.name]["force"]
+        rows.append((problem.time - touch, -force[0] / width))
+    t, p = np.array(rows).T
+    pressed = t[p > 1e-6]
+    assert pressed.min() == pytest.approx(0.0, abs=1.5 * dt)
+    assert pressed.max() == pytest.approx(2.0 / wave, abs=3 * dt)
+    assert p[(t > 0.05) & (t < 0.15)].mean() == pytest.approx(wave * speed, rel=0.02)
+    assert points["velocity"][first, 0].mean() == pytest.approx(-speed, rel=0.02)
+    np.testing.assert_allclose(problem.momentum(), 0.0, atol=1e-13 * width * speed)
