@@ -203,13 +203,18 @@ def contact_between(
     require_lattice(points.grid, "contact_between")
     for one, test in zip(_pair("u", u), _pair("v", v)):
         check_displacement(points, u=one, v=test)
-    spaces = [getattr(one, "_dolfinmpm_space", None) for one in u]
+    spaces: list[Any] = [getattr(one, "_dolfinmpm_space", None) for one in u]
     tags = [getattr(space, "tags", None) for space in spaces]
     own = [set(one or ()) for one in tags]
     if u[0] is u[1] or not all(own) or own[0] & own[1]:
         raise ParameterError(
             f"u are increments of fields of the tags {tags[0]} and {tags[1]}; bodies that touch "
             "have fields of their own, Space(..., tag=1) and Space(..., tag=2)"
+        )
+    if any(test != space.test for test, space in zip(v, spaces)):
+        raise ParameterError(
+            "v are not the test functions of the fields of u, in their order; give "
+            "(one.increment, other.increment) and (one.test, other.test)"
         )
     number("friction", friction, 0.0, math.inf, closed=True)
     number("penalty", penalty, 0.0)

@@ -172,6 +172,7 @@ def test_what_cannot_be_two_bodies_is_named():
     refused("fields of their own", both, (u[0], u[0]), (v[0], v[0]))
     whole = mpm.Space(grid, "gimp")
     refused("fields of their own", both, (u[1], whole.increment), (v[1], whole.test))
+    refused("in their order", both, u[::-1], v)
     refused("friction", both, u[::-1], tests, friction=-0.1)
     refused("penetration", both, u[::-1], tests, penetration=0.0)
     with pytest.raises(ParameterError, match="tag = -1"):
@@ -219,3 +220,22 @@ def test_boundaries_of_the_wrong_body_are_refused():
     problem = mpm.QuasiStatic(F, increments, points, mpm.fixed(low, "bottom"))
     with pytest.raises(ParameterError, match="in front of 13 of 13 of its markers"):
         problem.step()
+
+
+@pytest.mark.long
+def test_a_rigid_body_touches_one_of_two_bodies():
+    """A plane carries the lower block, and with it the upper one, which it does not see."""
+    points, (low, up), F, _ = two_blocks(0.2)
+    low_form = mpm.contact(
+        mpm.RigidBody(mpm.Plane((0, 1e-4), (0, 1)), name="floor"), points, low.increment, low.test,
+        friction=0.3, penalty=200.0,
+    )  # fmt: skip
+    g = ufl.as_vector((0.0, -10.0))
+    F += low_form - sum(ufl.dot(g, V.test) * points.dX for V in (low, up))
+    bcs = mpm.rollers(low, "left")
+    increments = [low.increment, up.increment]
+    record = mpm.QuasiStatic(F, increments, points, bcs, stabilisation="ghost").step()
+    upper, lower = 10.0 * 2.1 * 1.15, 10.0 * 3.0 * 1.3
+    forces = record.bodies["floor"]["force"], record.bodies["contact1"]["force"]
+    assert forces[0][1] == pytest.approx(-upper - lower, rel=1e-8)
+    assert forces[1][1] == pytest.approx(upper, rel=1e-8)
