@@ -15,7 +15,7 @@ from dolfinmpm.body.meshparts import partitioner
 from dolfinmpm.body.points import MaterialPoints, PointChange
 from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact
+from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
 from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
 from dolfinmpm.dynamics import (
     Collision,
@@ -85,6 +85,7 @@ __all__ = [
     "carried",
     "cell_size",
     "contact",
+    "contact_between",
     "create_lattice",
     "dirichlet",
     "equilibrate",

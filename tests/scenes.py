@@ -75,3 +75,33 @@ def disc(
     points.add_field("velocity", (dimension,), "m/s", velocity or turning)
     options = {"stabilisation": stabilisation, **options}
     return problem(F, V.increment, points, (), **options)
+
+
+def two_blocks(friction=0.0, basis="gimp", upper=(0.4, 2.5), top=2.45, moduli=(1e3, 4e3), nu=0.2,
+               **options):  # fmt: skip
+    """Two blocks on each other with fields of their own; the interface is off the grid's lines.
+
+    Returns:
+        The points, the Spaces, the weak form without loads, and its contact term's boundaries.
+    """
+    grid = mesh.create_rectangle(
+        MPI.COMM_WORLD, [(0, 0), (3.5, 3)], (7, 6), mesh.CellType.quadrilateral
+    )
+    low, level = (0.0, 3.0), 1.3
+    parts = [mpm.Box((low[0], 0), (low[1], level)), mpm.Box((upper[0], level), (upper[1], top))]
+    bodies = [
+        mpm.fill(grid, part, 2 + k, 1.0, tag=k + 1, aligned="body") for k, part in enumerate(parts)
+    ]
+    points = bodies[0] + bodies[1]
+    spaces = [mpm.Space(grid, basis, tag=k) for k in (1, 2)]
+    u, v = [V.increment for V in spaces], [V.test for V in spaces]
+    laws = [mpm.materials.Hencky(E=E, nu=nu) for E in moduli]
+    F = sum(mpm.momentum(laws[k], points, u[k], v[k]) for k in (0, 1))
+
+    def along(a, b):
+        ends = [(a, level), (b, level)]
+        return mpm.Boundary.from_polygon(points, ends, closed=False, rule=1, spacing=0.25)
+
+    boundaries = along(*upper), along(*low[::-1])
+    F += mpm.contact_between(boundaries, u[::-1], v[::-1], friction=friction, **options)
+    return points, spaces, F, boundaries

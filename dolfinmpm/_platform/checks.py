@@ -15,7 +15,11 @@ import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError
 
-__all__ = ["check_kind", "choice", "file_path", "number", "shown", "truth", "whole"]
+__all__ = [
+    "Tags", "as_tags", "check_kind", "choice", "file_path", "number", "shown", "truth", "whole",
+]  # fmt: skip
+
+Tags = tuple[int, ...] | None
 
 
 # words that a message lists
@@ -162,3 +166,21 @@ def file_path(what: str, value: Any) -> Path:
     if not isinstance(value, (str, os.PathLike)) or not os.fspath(value):
         raise ParameterError(f"{what} = {shown(value)} must be a path, such as 'output/name'")
     return Path(value)
+
+
+def as_tags(tag: Any) -> Tags:
+    """Tags of points, in order, from an integer, several, or None for all points.
+
+    Raises:
+        ParameterError: They are no whole numbers from 0, or there is none.
+    """
+    if tag is None:
+        return None
+    several = tag if isinstance(tag, (tuple, list)) else (tag,)
+    whole = all(isinstance(t, (int, np.integer)) and not isinstance(t, bool) for t in several)
+    if not (several and whole and min(several) >= 0):
+        raise ParameterError(
+            f"tag = {shown(tag)} must be a whole number from 0, a tuple of such, or None for all "
+            "points"
+        )
+    return tuple(sorted({int(t) for t in several}))

@@ -107,6 +107,19 @@ class Evaluation:
                 gather(s, nodal, value, gradient)
             region.prepare()
 
+    def motion(self, movers: Sequence[int]) -> tuple[Array, Array]:
+        """Displacements of the points and their gradients: each point's by the field that it sees.
+
+        Args:
+            movers: Numbers of the fields that move points, no two of them the same ones.
+        """
+        first, *others = movers
+        value, gradient = self.value[first], self.gradient[first]
+        if others:
+            value = np.sum([self.value[k] for k in movers], axis=0)
+            gradient = np.sum([self.gradient[k] for k in movers], axis=0)
+        return value, gradient
+
     def _all(self, act) -> bool:
         """Let every region act until a law finds no stress; returns whether none failed."""
         self.failure = None

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import choice, shown, truth, whole
+from dolfinmpm._platform.checks import as_tags, choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
@@ -205,6 +205,10 @@ class Space:
             U = √(FᵀF), so that they go on to tile a body that is stretched; "volume" by
             J^(1/d), or "fixed", for flow, in which F grows without bound and has no more to do
             with the space that a point takes.
+        tag: Tags of the points that the field is of, one or several; None means all. A field of
+            tags lives where its points are and nowhere else, with active cells, ghost facets and
+            ties of its own. Displacements of fields whose tags share the points among them each
+            move their own points: bodies with velocities of their own on one grid.
 
     Attributes:
         increment: The step's increment, a function for UFL.
@@ -212,9 +216,10 @@ class Space:
         function_space: The DOLFINx space that both live in: Lagrange functions of
             the basis's degree.
         coarsen: See there.
+        tags: Tags of its points, or None for all.
 
     Raises:
-        ParameterError: The grid, the basis or the shape is not what it may be.
+        ParameterError: The grid, the basis, the shape or a tag is not what it may be.
         UnsupportedGridError: The basis cannot be built on this grid, or its numbers of cells are
             no multiples of `coarsen`.
 
@@ -236,6 +241,7 @@ class Space:
         configuration: str = "updated",
         domains: str = "stretch",
         coarsen: int = 1,
+        tag: int | tuple[int, ...] | None = None,
     ):
         basis = choice("basis", basis, _DEGREES)
         _check_grid(grid)
@@ -252,6 +258,7 @@ class Space:
             )
         self.grid = grid
         self.coarsen = whole("coarsen", coarsen, 1)
+        self.tags = as_tags(tag)
         on_grid = _basis_of(grid, basis, averaged and basis != "linear", self.coarsen)
         self.basis: Basis = on_grid.basis
         element = (

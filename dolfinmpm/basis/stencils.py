@@ -22,6 +22,7 @@ __all__ = [
     "joined",
     "pushed_forward",
     "selected",
+    "spread",
     "together",
 ]
 
@@ -46,7 +47,9 @@ class Placement:
 
     def of(self, rows: npt.NDArray[np.integer]) -> Placement:
         """Some of the points."""
-        return Placement(self.x[rows], self.half[rows], self.volume[rows], self.cell[rows])
+        return Placement(
+            self.x[rows], self.half[rows], self.volume[rows], self.cell[rows], self.rings
+        )
 
 
 def together(placements: Sequence[Placement]) -> Placement:
@@ -207,6 +210,27 @@ def selected(s: Stencils, chosen: npt.NDArray[np.bool_]) -> Stencils:
     keep = chosen[s.order]
     group_of = np.repeat(np.arange(s.groups.size - 1), np.diff(s.groups))[keep]
     return _regrouped(s, s.order[keep], group_starts(group_of.astype(np.int64)))
+
+
+def spread(s: Stencils, rows: npt.NDArray[np.integer], count: int) -> Stencils:
+    """Stencils of some points as those of all: the others see nothing, in a group without nodes.
+
+    Args:
+        s: Stencils of the points of `rows`.
+        rows: Which points they are, shape (n,).
+        count: Number of all points.
+    """
+    rest = np.ones(count, bool)
+    rest[rows] = False
+    others = np.flatnonzero(rest).astype(np.int32)
+    order = np.concatenate([np.asarray(rows, np.int32)[s.order], others])
+    if not others.size:
+        return replace(s, order=order)
+    ends = [np.append(start, start[-1]) for start in (s.node_start, s.value_start, s.cell_start)]
+    return replace(
+        s, order=order, groups=np.append(s.groups, np.int32(count)), node_start=ends[0],
+        value_start=ends[1], cell_start=ends[2],
+    )  # fmt: skip
 
 
 def joined(stencils: Sequence[Stencils]) -> list[Stencils]:

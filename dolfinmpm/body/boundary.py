@@ -71,6 +71,7 @@ class Boundary:
         markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
             and `V`, its length, and those that hold the state of the nearest material point.
         follows, name, activates: The arguments.
+        tiles: Whether each marker is the middle of a segment of its length, which together are it.
         forces: Names of the markers' fields that hold the forces of conditions on the body
             in the last step (N), see `force`.
         ds: Measure over the markers.
@@ -107,6 +108,7 @@ class Boundary:
         at = at - _inward(points.grid, at) * vectors / sizes[:, None]
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
+        self.tiles = False
         self.name = name or f"boundary{next(_numbers)}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0,
@@ -181,7 +183,9 @@ class Boundary:
             spacing = smallest_height(points.grid) / 2
         lines = () if lattice is None else lattice.lines
         x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
-        return cls(points, x, area, follows, name, activates)
+        made = cls(points, x, area, follows, name, activates)
+        made.tiles = rule == 1
+        return made
 
     @classmethod
     def from_side(

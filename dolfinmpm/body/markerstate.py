@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.points import MaterialPoints
@@ -26,19 +27,23 @@ _SAME = 1e-7
 _WEIGHTS = np.sqrt([2.0, 3.0, 7.0])
 
 
-def take_state(boundary: Boundary) -> None:
+def take_state(boundary: Boundary, tags: Tags = None) -> None:
     """Give each marker the state of the nearest material point as it is now. Collective.
 
     Fields that the markers alone have stay as they are.
+
+    Args:
+        boundary: The boundary.
+        tags: Tags of the points of its body, or None for all.
     """
     points, markers = boundary.points, boundary.markers
     names = {name: name for name in points.fields if name not in _OWN}
     names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
     if points.comm.size == 1:
-        rows = _nearest(points, markers["x"])[2]
+        rows = _nearest(points, markers["x"], tags)[2]
         found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     else:
-        found = _from_all(boundary, names)
+        found = _from_all(boundary, names, tags)
     for name, values in found.items():
         if name in markers.fields:
             markers.fields[name][...] = values
@@ -80,16 +85,20 @@ def keys_of(x0: Array) -> Array:
     return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
 
 
-def _nearest(points: MaterialPoints, at: Array):
-    return nearest(points["x"], keys_of(points["x0"]), at)
+def _nearest(points: MaterialPoints, at: Array, tags: Tags):
+    if tags is None:
+        return nearest(points["x"], keys_of(points["x0"]), at)
+    own = np.flatnonzero(np.isin(points["tag"], tags))
+    distance, key, rows = nearest(points["x"][own], keys_of(points["x0"][own]), at)
+    return distance, key, own[rows] if own.size else rows
 
 
-def _from_all(boundary: Boundary, names: dict[str, str]) -> dict[str, npt.NDArray[Any]]:
+def _from_all(boundary: Boundary, names: dict[str, str], tags: Tags) -> dict[str, npt.NDArray[Any]]:
     """State of the nearest points of all ranks, in the order of this rank's markers. Collective."""
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
     at = np.concatenate(comm.allgather(markers["x"]))
-    distance, key, rows = _nearest(points, at)
+    distance, key, rows = _nearest(points, at, tags)
     least = np.empty_like(distance)
     comm.Allreduce(distance, least, op=MPI.MIN)
     key[distance > least * (1 + _SAME)] = np.inf

@@ -1,7 +1,8 @@
-"""Rigid bodies, and material points that touch them."""
+"""Rigid bodies, material points that touch them, and bodies that touch each other."""
 
+from dolfinmpm.contact.between import contact_between
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import contact
 from dolfinmpm.contact.tools import Cone, Plane, Wedge
 
-__all__ = ["Cone", "Plane", "RigidBody", "Wedge", "contact"]
+__all__ = ["Cone", "Plane", "RigidBody", "Wedge", "contact", "contact_between"]

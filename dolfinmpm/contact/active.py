@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
@@ -12,6 +11,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
 from dolfinmpm.contact.corners import Sites
+from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
@@ -185,12 +185,8 @@ class ActiveContact:
         active = np.flatnonzero(self.states != FREE)
         if active.size == 0:
             return
-        N, K = self.corners.N, -self._world_slope(active)
-        _add_corners(
-            active, N.indptr, self.corners.nodes[N.indices], N.data, K, to.rows.row_of,
-            to.columns.row_of, to.pattern.indptr, to.pattern.indices, to.data, to.prescribed,
-            to.lift,
-        )  # fmt: skip
+        seen = self.corners.N, self.corners.nodes
+        add_corners(active, seen, seen, -self._world_slope(active), to)
 
     # -- multipliers and what is kept -----------------------------------------
 
@@ -322,35 +318,3 @@ def _cross(a: Array, b: Array) -> Array:
     if a.shape[1] == 3:
         return np.asarray(np.cross(a, b), float)
     return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _add_corners(
-    active, start, nodes, N, K, row_of, column_of, indptr, indices, data, prescribed, lift
-):
-    d = K.shape[1]
-    for e in range(active.size):
-        c = active[e]
-        for a in range(start[c], start[c + 1]):
-            for b in range(start[c], start[c + 1]):
-                weight = N[a] * N[b]
-                if weight == 0.0:
-                    continue
-                for i in range(d):
-                    row = row_of[nodes[a], i]
-                    if row < 0:
-                        continue
-                    for k in range(d):
-                        value = weight * K[e, i, k]
-                        column = column_of[nodes[b], k]
-                        if column < 0:
-                            lift[nodes[a], i] += value * prescribed[nodes[b], k]
-                            continue
-                        low, high = indptr[row], indptr[row + 1]
-                        while low < high:
-                            middle = (low + high) // 2
-                            if indices[middle] < column:
-                                low = middle + 1
-                            else:
-                                high = middle
-                        data[low] += value

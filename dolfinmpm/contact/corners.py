@@ -29,7 +29,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.participants import ActiveField
 
-__all__ = ["Corners", "Sites", "corner_count"]
+__all__ = ["Corners", "Sites", "corner_count", "stencil_matrix"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
@@ -188,7 +188,7 @@ class Sites:
                               one.astype(np.int32))  # fmt: skip
         # the cells are some that the points' own stencils have nodes in
         assert s is not None
-        N = _matrix(s, s.N, (len(at), basis.nodes.size))
+        N = stencil_matrix(s, s.N, (len(at), basis.nodes.size))
         return at, N if self._field.C is None else sparse.csr_matrix(N @ self._field.C)
 
     def _of_material(self, each: Rows, which: Rows) -> tuple[Array, sparse.csr_matrix]:
@@ -202,15 +202,15 @@ class Sites:
             R = _signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
         shape = len(points), self._field.basis.nodes.size
-        parts = [_matrix(s, s.N, shape)[each]]
+        parts = [stencil_matrix(s, s.N, shape)[each]]
         # gradients at first positions go with offsets at first
         along = R if self._total else r
         for k in range(points.gdim):
-            parts.append(sparse.diags(along[:, k]) @ _matrix(s, s.dN[:, k], shape)[each])
+            parts.append(sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[each])
         return points["x"][each] + r, sparse.csr_matrix(sum(parts[1:], parts[0]))
 
 
-def _matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:
+def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:
     """Stencils as a matrix.
 
     Args:

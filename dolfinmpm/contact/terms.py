@@ -13,7 +13,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, choice, number
+from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import ring
@@ -21,7 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.rigid import RigidBody
-from dolfinmpm.forms.declarations import Declaration, as_tags
+from dolfinmpm.forms.declarations import Declaration
 
 __all__ = ["Contact", "contact"]
 
@@ -176,7 +176,8 @@ def contact(
         corners: "domains" for corners of the points' domains, "material" for corners that turn
             and shear with the points' material, see `dolfinmpm.contact.corners`; by default the
             latter of marked faces, and the former otherwise, for the ground that flows.
-        tag: Tags of the points that can touch, one or several; None means all.
+        tag: Tags of the points that can touch, one or several; None means all that the field of u
+            is of.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -204,9 +205,13 @@ def contact(
     if corners is None:
         corners = "domains" if surface is None else "material"
     corners = choice("corners", corners, ("domains", "material"))
+    tags = as_tags(tag)
+    if tags is None:
+        # corners of others would not move
+        tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
     integrand = ufl.inner(u, v)
     term = Contact(
-        body, points, u, surface, corners == "material", as_tags(tag), friction,
+        body, points, u, surface, corners == "material", tags, friction,
         stiffness_per_area, penalty, slip_stiffness, penetration, integrand,
     )  # fmt: skip
     metadata = {**points.dX.metadata(), "contact": term}

@@ -7,7 +7,8 @@ means need, so that no numbering changes behind what was computed in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, Placement, Stencils
-from dolfinmpm.basis.space import extraction
-from dolfinmpm.basis.stencils import joined, pushed_forward, selected, together
+from dolfinmpm.basis.space import Space, extraction
+from dolfinmpm.basis.stencils import joined, pushed_forward, selected, spread, together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
@@ -81,16 +82,18 @@ def activate(
     bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
     # markers activate cells as points without volume do
     where = together([bodies, *sets])
-    bases = _bases(fields, where, averages, points.partition)
+    bases = _bases(fields, where, averages, points.partition, terms.beyond)
     members: list[npt.NDArray[Any]] = [np.arange(len(p.x), dtype=np.int32) for p in sets]
+    views = [_View(field.space, points["tag"], terms.boundaries) for field in fields]
     if not all(b.boundary.activates for b in terms.boundaries):
-        members = _in_active_cells(terms.boundaries, bodies, sets, bases)
+        members = _in_active_cells(terms.boundaries, bodies, sets, bases, views)
         where = together([bodies, *(one.of(rows) for one, rows in zip(sets, members))])
-    seen = _shared(bases, lambda basis: basis.stencils(where))
-    nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
-    bases, nodes, roots = _with_roots(fields, bases, where, seen, nodes)
+    keys = [(id(field.space.basis), view.key) for field, view in zip(fields, views)]
+    seen = _shared(keys, lambda k: views[k].stencils(bases[k], where, members))
+    nodes = _shared(keys, lambda k: active_nodes(seen[k], bases[k].nodes))
+    bases, nodes, roots = _with_roots(fields, keys, bases, where, seen, nodes)
     fixed, prescribed = held.at(bases, share)
-    entities = _entities(points, bases, seen, terms.moving)
+    entities = _entities(points, keys, bases, seen, terms.moving)
     active = []
     for k, field in enumerate(fields):
         found = _field(
@@ -114,12 +117,20 @@ def activate(
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
     every = [*regions, *(region for parts in of_boundaries for region in parts)]
-    later = Later(lambda: Pattern.build(lists_of(every, active, unknowns), unknowns, pairs, former))
+    facing = terms.facing(here)
+    couple = functools.partial(_pattern, every, active, unknowns, facing, pairs, former)
+    later = Later(couple)
     driven = held.changing and held.driven
     return Activation(
         bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later, of_boundaries,
+        later, of_boundaries, facing,
     )  # fmt: skip
+
+
+def _pattern(every, active, unknowns: Unknowns, facing, pairs, former: Pattern | None) -> Pattern:
+    """Where the matrix has entries."""
+    lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in facing]
+    return Pattern.build(lists, unknowns, pairs, former)
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
@@ -171,6 +182,9 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         stencils = pushed(made(own))
     else:
         first = fields[0]
+        for mover in (fields[k] for k in here.movers):
+            if mover.space.tags is not None and (region.tags or set()) <= set(mover.space.tags):
+                first = mover
         *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
         stencils = pushed(stencils)
         where = here.where
@@ -202,26 +216,66 @@ def _renewed(
     return replace(old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft)
 
 
-def _shared(bases: Sequence[Basis], make: Callable[[Basis], Any]) -> list[Any]:
-    """What is made of a basis, once for fields of the same one."""
-    made: dict[int, Any] = {}
-    for basis in bases:
-        if id(basis) not in made:
-            made[id(basis)] = make(basis)
-    return [made[id(basis)] for basis in bases]
+class _View:
+    """Which points, and markers of which boundaries, a field sees.
+
+    Args:
+        space: The field's space.
+        tags: Tags of the points, shape (points,).
+        boundaries: Boundaries that do not fit the grid.
+
+    Attributes:
+        key: What is the same for fields that see the same.
+        boundaries: Whether it sees each boundary's markers.
+    """
+
+    def __init__(self, space: Space, tags: npt.NDArray[np.int32], boundaries: Sequence[BoundaryOf]):
+        self._chosen = None if space.tags is None else np.isin(tags, space.tags)
+        self.boundaries = [space.tags is None or b.sees(space.increment) for b in boundaries]
+        self.key = space.tags, tuple(self.boundaries)
+
+    def stencils(
+        self, basis: Basis, where: Placement, members: Sequence[npt.NDArray[Any]]
+    ) -> Stencils:
+        """Stencils in a basis; what it does not see is there without nodes. Collective.
+
+        Args:
+            basis: The basis.
+            where: The points, behind them the markers of each boundary.
+            members: Which markers of each boundary take part.
+        """
+        if self._chosen is None:
+            return basis.stencils(where)
+        of_markers = [np.full(len(m), sees) for m, sees in zip(members, self.boundaries)]
+        rows = np.flatnonzero(np.concatenate([self._chosen, *of_markers]))
+        return spread(basis.stencils(where.of(rows)), rows, len(where.x))
+
+
+def _shared(keys: Sequence[Hashable], make: Callable[[int], Any]) -> list[Any]:
+    """What is made for a field, by its number, once for all fields of the same key."""
+    made: dict[Hashable, Any] = {}
+    for k, key in enumerate(keys):
+        if key not in made:
+            made[key] = make(k)
+    return [made[key] for key in keys]
 
 
 def _bases(
-    fields: Sequence[Field], where: Placement, averages: bool, partition: Partition | None
+    fields: Sequence[Field],
+    where: Placement,
+    averages: bool,
+    partition: Partition | None,
+    least: int = 0,
 ) -> list[Basis]:
     """The bases with the overlap that domains, roots and cell means need. Collective."""
-    reach = _shared([f.space.basis for f in fields], lambda basis: basis.reach(where))
+    keys = [id(f.space.basis) for f in fields]
+    reach = _shared(keys, lambda k: fields[k].space.basis.reach(where))
     layers: dict[int, int] = {}
     # cell means are of all fields' nodes around the cells that the first one's domains overlap
     span = max(count for _, count in reach)
     for field, (beyond, _) in zip(fields, reach):
         basis = field.space.basis
-        need = beyond
+        need = max(beyond, least)
         if averages:
             need = max(need, layers_needed(span, basis))
         if field.ties_nodes:
@@ -230,7 +284,9 @@ def _bases(
     return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]
 
 
-def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, seen, nodes):
+def _with_roots(
+    fields: Sequence[Field], keys, bases: list[Basis], where: Placement, seen, nodes
+):  # fmt: skip
     """The bases that know roots on other ranks, for grids that are not rectangular. Collective."""
     roots: list[Any] = [None] * len(fields)
     for k, field in enumerate(fields):
@@ -242,18 +298,19 @@ def _with_roots(fields: Sequence[Field], bases: list[Basis], where: Placement, s
         wider = basis.knowing(*roots[k].unknown)
         # fields of one basis stay fields of one basis
         bases = [wider if b is basis else b for b in bases]
-    nodes = _shared(bases, lambda basis: active_nodes(seen[bases.index(basis)], basis.nodes))
+    nodes = _shared(keys, lambda k: active_nodes(seen[k], bases[k].nodes))
     return bases, nodes, roots
 
 
-def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[int]):
+def _entities(points: MaterialPoints, keys, bases: Sequence[Basis], seen, moving: set[int]):
     """What terms integrate over, for every field. Collective."""
     tables = ghost_facets(points.grid) if GHOST_FACETS in moving else None
 
-    def find(basis: Basis) -> Entities:
+    def find(k: int) -> Entities:
         if not moving:
             return {}
-        cells = active_cells(seen[bases.index(basis)], basis.cells)
+        basis = bases[k]
+        cells = active_cells(seen[k], basis.cells)
         entities: Entities = {}
         if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
             entities[GHOST_FACETS] = tables.select_coarse(cells, basis)
@@ -267,7 +324,7 @@ def _entities(points: MaterialPoints, bases: Sequence[Basis], seen, moving: set[
             entities[ACTIVE_CELLS] = owned.astype(np.int32)
         return entities
 
-    return _shared(bases, find)
+    return _shared(keys, find)
 
 
 def _field(
@@ -302,14 +359,14 @@ def _field(
 
 
 def _in_active_cells(
-    boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases
+    boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases, views
 ) -> list[npt.NDArray[Any]]:
     """Which markers take part: those of passive boundaries in cells that points see. Collective."""
     members = [np.ones(len(one.x), bool) for one in sets]
-    for basis in {id(b): b for b in bases}.values():
-        cells = active_cells(basis.stencils(bodies), basis.cells)
-        for of, one, chosen in zip(boundaries, sets, members):
-            if of.boundary.activates:
+    for view, basis in {(id(b), v.key): (v, b) for b, v in zip(bases, views)}.values():
+        cells = active_cells(view.stencils(basis, bodies, ()), basis.cells)
+        for of, one, chosen, sees in zip(boundaries, sets, members, view.boundaries):
+            if of.boundary.activates or not sees:
                 continue
             s = basis.stencils(one)
             # a marker without a domain is in one cell

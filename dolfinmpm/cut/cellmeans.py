@@ -207,7 +207,8 @@ class CellMeans:
         """Means m̄ at the points of a scalar m at the points, shape (points,). Collective."""
         sums = self._sums(self.weight * values)
         of_cell = np.divide(sums, self.volume, out=np.zeros_like(sums), where=self.volume > 0)
-        out = np.empty(len(values))
+        # points that do not share in it have none
+        out = np.zeros(len(values))
         _to_points(*self._graph, of_cell, out)
         return out
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,7 @@ __all__ = [
     "Prolongate",
     "Region",
     "Terms",
+    "movers",
 ]
 
 Basis = LatticeBasis | LinearBasis
@@ -57,6 +58,10 @@ class Region(Protocol):
     def by_centres(self) -> bool:
         """Whether the means count each point in the cell of its centre alone."""
 
+    @property
+    def tags(self) -> frozenset[int] | None:
+        """Tags of its points, or None for all, or for all but some."""
+
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
         """Which points belong to it, or None if all do."""
 
@@ -71,6 +76,9 @@ class BoundaryOf(Protocol):
     @property
     def regions(self) -> Sequence[Region]:
         """Parts of it with terms of their own."""
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers are of the field of an increment, of those that have tags."""
 
 
 class Terms(Protocol):
@@ -93,6 +101,13 @@ class Terms(Protocol):
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
+
+    @property
+    def beyond(self) -> int:
+        """Layers of cells around a rank's own that its terms look at at least."""
+
+    def facing(self, here: Participants) -> list[Any]:
+        """Places where bodies face each other, with `lists` of nodes to couple. Collective."""
 
 
 @dataclass(frozen=True)
@@ -209,6 +224,20 @@ class Participants:
     fields: tuple[ActiveField, ...]
     unknowns: Unknowns
 
+    @property
+    def movers(self) -> tuple[int, ...]:
+        """Numbers of the fields that move points."""
+        return movers([field.space for field in self.fields])
+
+
+def movers(spaces: Sequence[Space]) -> tuple[int, ...]:
+    """Numbers of the fields that move points: the first, or all displacements that have tags."""
+    if spaces[0].tags is None:
+        return (0,)
+    shape = (spaces[0].grid.geometry.dim,)
+    own = (k for k, s in enumerate(spaces) if s.tags and s.increment.ufl_shape == shape)
+    return tuple(own)
+
 
 class Later:
     """The pattern of a matrix, made when it is first asked for.
@@ -246,6 +275,7 @@ class Activation(Participants):
         mass: The mass between these nodes (kg), if there are inertial forces.
         later: What is made when it is first asked for.
         of_boundaries: The parts of each boundary that does not fit the grid.
+        facing: Where bodies with fields of their own face each other.
     """
 
     terms: Terms
@@ -257,6 +287,7 @@ class Activation(Participants):
     mass: list[Blocks]
     later: Later
     of_boundaries: list[list[ActiveRegion]]
+    facing: list[Any]
 
     @property
     def pattern(self) -> Pattern:

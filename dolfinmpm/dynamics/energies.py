@@ -89,7 +89,7 @@ class Work:
             external: Work of loads and prescribed motions (J).
         """
         d, at = points.strain_dim, operator.points
-        H = full_gradient(points, at.value[0], at.gradient[0])
+        H = full_gradient(points, *at.motion(operator.here.movers))
         # rate of deformation at the middle of the step
         rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
         declarations = operator.form.parts.declarations

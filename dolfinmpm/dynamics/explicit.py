@@ -38,6 +38,7 @@ from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
@@ -131,11 +132,12 @@ class Explicit(Problem):
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
-                "dimensions"
+                "dimensions; bodies collide in it with contact=mpm.Collision(tags)"
             )
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
+        refuse_bodies(self.fields, "Explicit", "bodies collide with contact=mpm.Collision(tags)")
         if self.form.boundaries:
             raise FormError(
                 f"the form has terms over {self.form.boundaries[0].boundary}, and Explicit makes "
@@ -148,7 +150,7 @@ class Explicit(Problem):
                 "their forces; take Newmark or Transient, or bulk_viscosity and damping"
             )
         check_masses(self.bodies)
-        self.form.inertia = mass_terms(self.form, self.fields[0], mass, ghost_mass)
+        self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         self._kept_state = Snapshot(points)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -22,12 +23,13 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField, Field
+from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
-from dolfinmpm.cut.unknowns import Nodal, Unknowns
+from dolfinmpm.cut.unknowns import FieldUnknowns, Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.method import iterative
 from dolfinmpm.solve.weakform import WeakForm
@@ -49,7 +51,7 @@ def point_masses(points: MaterialPoints) -> Array:
 
 
 class MassTerms:
-    """What the mass of the first field is made of, on any activation.
+    """What the mass of the fields that move points is made of, on any activation.
 
     Args:
         points: Material points.
@@ -77,20 +79,25 @@ class MassTerms:
 
     def blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass between the nodes that remain behind C, this rank's share. Collective."""
-        field, mass = fields[0], point_masses(self.points)
+        own = movers([field.space for field in fields])
+        found = [self._of(k, fields[k]) for k in own]
+        if self.ghost is not None:
+            grid, _ = self.ghost.grid_blocks(fields)
+            found += [b for b in grid if b.row_field == b.column_field and b.row_field in own]
+        return found
+
+    def _of(self, k: int, field: ActiveField) -> Blocks:
+        """The mass of the k-th field, without a penalty."""
+        mass = point_masses(self.points)
         unit = np.eye(field.space.components)
         if self.kind == "lumped":
             sums = np.zeros((field.basis.nodes.size, 1))
             scatter(field.seen, mass, np.ones((len(mass), 1)), sums)
             nodes = field.active
-            single = Blocks(0, 0, nodes, nodes, sums[nodes, :, None] * unit)
-            return [reduce_blocks(field.C, field.C, single)]
+            single = Blocks(k, k, nodes, nodes, sums[nodes, :, None] * unit)
+            return reduce_blocks(field.C, field.C, single)
         rows, columns, values = mass_entries(field.stencils, mass)
-        found = [Blocks(0, 0, rows, columns, values[:, None, None] * unit)]
-        if self.ghost is not None:
-            grid, _ = self.ghost.grid_blocks(fields)
-            found += [b for b in grid if b.row_field == b.column_field == 0]
-        return found
+        return Blocks(k, k, rows, columns, values[:, None, None] * unit)
 
     def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
         """A matrix of that pattern, the same as long as the pattern is. Collective."""
@@ -102,7 +109,7 @@ class MassTerms:
 
 def mass_terms(
     form: WeakForm,
-    field: Field,
+    fields: Sequence[Field],
     mass: str,
     ghost_mass: float | None,
     factorised: bool = False,
@@ -111,7 +118,7 @@ def mass_terms(
 
     Args:
         form: Its weak form.
-        field: The field that moves the points.
+        fields: The problem's fields.
         mass: "consistent" or "lumped".
         ghost_mass: γ_M in units of the largest density, see `Newmark`; None for what is usual.
         factorised: Whether steps factorise tangents anyway. The penalty that splines need makes
@@ -120,7 +127,8 @@ def mass_terms(
     Raises:
         ParameterError: A ghost penalty is asked for of a lumped mass, or is negative.
     """
-    points, space = form.points, field.space
+    points = form.points
+    moving = [fields[k] for k in movers([field.space for field in fields])]
     if mass == "lumped":
         if ghost_mass:
             raise ParameterError(
@@ -128,25 +136,38 @@ def mass_terms(
                 'ghost penalty adds; give mass="consistent"'
             )
         return MassTerms(points, mass, None)
-    if ghost_mass is None:
-        tied = field.remedy.kind in ("aggregation", "extended")
-        ghost_mass = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
-    factor = number("ghost_mass", ghost_mass, 0.0, closed=True)
-    if factor == 0:
+    if ghost_mass is not None:
+        number("ghost_mass", ghost_mass, 0.0, closed=True)
+    terms = [_ghost_mass(field, points, ghost_mass) for field in moving]
+    J = [term for term in terms if term is not None]
+    if not J:
         return MassTerms(points, mass, None)
-    density = points.comm.allreduce(points["density"].max(initial=0.0), op=MPI.MAX)
-    J = ghost(points, space.increment, space.test, factor * density, scaling="literal")
-    factorised = factorised and space.basis.degree > 1
-    return MassTerms(points, mass, WeakForm(J, form.spaces, points), factorised)
+    factorised = factorised and any(field.space.basis.degree > 1 for field in moving)
+    whole = sum(J[1:], start=J[0])
+    return MassTerms(points, mass, WeakForm(whole, form.spaces, points), factorised)
+
+
+def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> ufl.Form | None:
+    """The ghost penalty of a field's mass, or None. Collective."""
+    space = field.space
+    if factor is None:
+        tied = field.remedy.kind in ("aggregation", "extended")
+        factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
+    if factor == 0:
+        return None
+    own = points["density"][rows_within(points, space.tags)]
+    density = points.comm.allreduce(own.max(initial=0.0), op=MPI.MAX)
+    return ghost(points, space.increment, space.test, factor * density, scaling="literal")
 
 
 class Mass:
-    """The mass of the first field on an activation. Collective.
+    """The mass of a field on an activation. Collective.
 
     Args:
         terms: What it is made of.
         here: The activation.
         scaling: Factor of the mass.
+        k: Number of the field.
 
     Attributes:
         lumped: Its row sums (kg), shape (nodes,), on all ranks that know the nodes.
@@ -154,10 +175,10 @@ class Mass:
     """
 
     @stages.assemble
-    def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0):
-        self._terms, self._here = terms, here
-        self._field = here.fields[0]
-        self.blocks = list(here.mass)
+    def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0, k: int = 0):
+        self._terms, self._here, self._k = terms, here, k
+        self._field = here.fields[k]
+        self.blocks = [b for b in here.mass if b.row_field == k]
         if scaling != 1.0:
             self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
         self.iterations = 0
@@ -170,7 +191,7 @@ class Mass:
             if terms.kind == "lumped":
                 np.add.at(sums.arrays[0][:, 0], b.rows, b.values[:, 0, 0])
         if terms.kind != "lumped":
-            ones = np.ones((len(point_masses(terms.points)), 1))
+            ones = np.ones((len(terms.points), 1))
             m = scaling * point_masses(terms.points)
             scatter(self._field.stencils, m, ones, sums.arrays[0])
         sums.add_up()
@@ -200,9 +221,9 @@ class Mass:
             unknowns: Its unknowns, those of the activation by default.
         """
         matrix.data[:] = 0.0
-        first = (unknowns or self._here.unknowns).fields[0]
-        zero = np.zeros(first.row_of.shape)
-        entries = Entries(first, first, matrix.pattern, matrix.data, zero, np.zeros_like(zero))
+        own = self._own_of(unknowns or self._here.unknowns)
+        zero = np.zeros(own.row_of.shape)
+        entries = Entries(own, own, matrix.pattern, matrix.data, zero, np.zeros_like(zero))
         for b in self.blocks:
             add_blocks(b, entries)
         matrix.finish()
@@ -215,9 +236,13 @@ class Mass:
         """
         out = self.nodal()
         for b in self.blocks:
-            add_product(b, [v], out.arrays)
+            add_product(replace(b, row_field=0, column_field=0), [v], out.arrays)
         out.add_up()
         return out
+
+    def _own_of(self, unknowns: Unknowns) -> FieldUnknowns:
+        """The field's unknowns among those of all fields, or those of it alone."""
+        return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]
 
     @stages.solve
     def velocities(self, momenta: Nodal, held: Array, fastest: float) -> Nodal:
@@ -238,8 +263,8 @@ class Mass:
         V = self.solve(momenta, held)
         if self._diagonal:
             return V
-        nodes = self._here.unknowns.fields[0].nodes
-        given = np.where(self._here.unknowns.fields[0].fixed, held, 0.0)
+        own = self._own_of(self._here.unknowns)
+        nodes, given = own.nodes, np.where(own.fixed, held, 0.0)
         found = [np.abs(V.arrays[0][nodes]).max(initial=0.0), np.abs(given).max(initial=0.0)]
         both = np.array([*found, fastest])
         self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
@@ -295,8 +320,8 @@ class Mass:
         if len(here.fields) == 1:
             return here.unknowns
         if not hasattr(self, "_own"):
-            first = here.unknowns.fields[0]
-            self._own = Unknowns([first.numbering], [first.nodes], [first.fixed])
+            one = here.unknowns.fields[self._k]
+            self._own = Unknowns([one.numbering], [one.nodes], [one.fixed])
         return self._own
 
     def _cg(self, right: Array, guess: Array) -> Array:
@@ -328,7 +353,7 @@ class Mass:
         return np.array(x.getArray(readonly=True))
 
     def assembled(self) -> Matrix:
-        """It as a matrix of the first field's unknowns. Collective."""
+        """It as a matrix of the field's unknowns. Collective."""
         unknowns = self._unknowns
         matrix = Matrix(self._pattern(unknowns), unknowns)
         self.add_to(matrix, unknowns)

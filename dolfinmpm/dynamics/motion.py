@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
@@ -20,6 +22,7 @@ from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
@@ -57,6 +60,26 @@ class Rule:
         return (1 - self.alpha_m) / (self.beta * dt**2 * (1 - self.alpha_f))
 
 
+@dataclass
+class MovingNodes:
+    """The nodes of a field that moves points, at the start of a step.
+
+    Attributes:
+        k: Number of the field.
+        tags: Tags of the points that it moves, or None for all.
+        mass: Their mass.
+        momenta: Momenta that the points gave them (kg m/s), shape (nodes, d).
+        V, A: Their velocities (m/s) and accelerations (m/s²), likewise.
+    """
+
+    k: int
+    tags: Tags
+    mass: Mass
+    momenta: Array
+    V: Array
+    A: Array
+
+
 class Motion:
     """What moves, and how it moved last.
 
@@ -71,8 +94,7 @@ class Motion:
 
     Attributes:
         rule, mapping, terms: The arguments.
-        mass: Mass at the nodes in the last step.
-        V, A: Velocities (m/s) and accelerations (m/s²) of the nodes at its start.
+        nodes: What moved in the last step: the nodes of each field that moves points.
         start, end: Times between which the step asked for goes (s).
         jumped, varying: Whether a load jumps at its start, and whether any changes in it.
         time: Time that the state is of (s).
@@ -80,9 +102,7 @@ class Motion:
         work: Work done so far.
     """
 
-    mass: Mass
-    V: Array
-    A: Array
+    nodes: list[MovingNodes]
 
     def __init__(
         self,
@@ -128,33 +148,44 @@ class Motion:
             self._clock.value = t
 
     @stages.assemble
-    def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Array) -> None:
+    def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Sequence[Array]) -> None:
         """Velocities and accelerations of the nodes at the start of a step. Collective.
 
         Args:
             here: What is active.
             form: The weak form, for M a = f.
             dt: Length of the step (s).
-            rates: Velocities of held components (m/s), shape (nodes, d).
+            rates: Velocities of held components (m/s), (nodes, d) for each field.
         """
-        points, field = self._points, here.fields[0]
-        self.mass = mass = Mass(self.terms, here)
-        momenta = mass.nodal()
-        x_node = field.basis.node_coordinates()
-        self.mapping.to_grid(points, field.stencils, x_node, momenta)
-        self._momenta = momenta.arrays[0].copy()
-        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
-        self.V = mass.velocities(momenta, rates, fastest).arrays[0]
-        forces = mass.nodal()
+        start = None
         if self._starting:
             plain = Operator(form, here)
             plain.rest()
-            forces.arrays[0][:] = -plain.forces()[0]
+            start = plain.forces()
+        self.nodes = [
+            self._on_nodes(here, k, rates[k], None if start is None else start[k])
+            for k in here.movers
+        ]
+
+    def _on_nodes(self, here: Activation, k: int, rates: Array, start: Array | None) -> MovingNodes:
+        """Those of one field; `start` is what is out of balance (N) if it begins. Collective."""
+        points, field = self._points, here.fields[k]
+        mass = Mass(self.terms, here, k=k)
+        momenta = mass.nodal()
+        x_node = field.basis.node_coordinates()
+        self.mapping.to_grid(points, field.stencils, x_node, momenta)
+        given = momenta.arrays[0].copy()
+        fastest = float(np.abs(points["velocity"]).max(initial=0.0))
+        V = mass.velocities(momenta, rates, fastest).arrays[0]
+        forces = mass.nodal()
+        if start is not None:
+            forces.arrays[0][:] = -start
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])
             forces.add_up()
-        self.A = mass.solve(forces, np.zeros_like(self.V)).arrays[0]
+        A = mass.solve(forces, np.zeros_like(V)).arrays[0]
+        return MovingNodes(k, field.space.tags, mass, given, V, A)
 
     def dashpots(self, here: Activation, dt: float) -> tuple[Blocks, Array] | None:
         """Dashpots of absorbing faces at the level where forces balance. Collective.
@@ -167,9 +198,9 @@ class Motion:
         if faces is None or faces.dashpots is None:
             return None
         rule, d, c = self.rule, self._points.gdim, faces.dashpots
-        level = 1.0 - rule.alpha_f
-        rest = rule.acceleration(np.zeros_like(self.V), self.V, self.A, dt)
-        start = level * rule.velocity(self.V, self.A, rest, dt) + rule.alpha_f * self.V
+        level, one = 1.0 - rule.alpha_f, self.nodes[0]
+        rest = rule.acceleration(np.zeros_like(one.V), one.V, one.A, dt)
+        start = level * rule.velocity(one.V, one.A, rest, dt) + rule.alpha_f * one.V
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
@@ -194,31 +225,53 @@ class Motion:
             Why the step is not to be taken, or None.
         """
         points, here, dt, rule = self._points, operator.here, step.dt, self.rule
-        field = here.fields[0]
-        u = operator.increments[0]
-        A_end = rule.acceleration(u, self.V, self.A, dt)
-        reason = self._judge(A_end, u, field.nodes, dt)
+        motions = []
+        for one in self.nodes:
+            u = operator.increments[one.k]
+            A_end = rule.acceleration(u, one.V, one.A, dt)
+            V_end = rule.velocity(one.V, one.A, A_end, dt)
+            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u))
+        reason = self._judge(motions, here, dt)
         if reason is not None:
             return reason
-        V_end = rule.velocity(self.V, self.A, A_end, dt)
-        motion = NodalMotion(self.V, self.A, V_end, A_end, u)
-        s, x_node = field.stencils, field.basis.node_coordinates()
-        if self._starting and self.mapping.kind == "accel":
-            points["acceleration"] = collect(s, self.A)
-        gradient = np.zeros((len(points), points.gdim, points.gdim))
-        if self.mapping.kind == "tpic":
-            gather(s, V_end, np.empty((len(points), points.gdim)), gradient)
-            gradient = gradient @ np.linalg.inv(np.eye(points.gdim) + operator.points.gradient[0])
-        new = self.mapping.to_points(points, s, x_node, motion, self.mass, dt, rule.gamma, gradient)
-        external = self._external(operator, x, scale, V_end, dt)
+        found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
+        external = self._external(operator, x, scale, motions, dt)
         self.work.add(points, state.fields, operator, external)
+        new = found[0]
+        for one, own in zip(self.nodes[1:], found[1:]):
+            rows = rows_within(points, one.tags)
+            for name, values in own.items():
+                new[name][rows] = values[rows]
         state.fields.update(new)
         self._starting = False
         self.time, self.last = step.t, dt
         return None
 
+    def _from_nodes(
+        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
+    ) -> dict[str, Array]:
+        """The new motion of the points of a field; that of others means nothing. Collective."""
+        points, field = self._points, operator.here.fields[one.k]
+        s, x_node = field.stencils, field.basis.node_coordinates()
+        if self._starting and self.mapping.kind == "accel":
+            rows = rows_within(points, one.tags)
+            points["acceleration"][rows] = collect(s, one.A)[rows]
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if self.mapping.kind == "tpic":
+            gather(s, motion.V_end, np.empty((len(points), points.gdim)), gradient)
+            dF = np.eye(points.gdim) + operator.points.gradient[one.k]
+            gradient = gradient @ np.linalg.inv(dF)
+        return self.mapping.to_points(
+            points, s, x_node, motion, one.mass, dt, self.rule.gamma, gradient
+        )
+
     def _external(
-        self, operator: Operator, x: Array, scale: float, V_end: Array, dt: float
+        self,
+        operator: Operator,
+        x: Array,
+        scale: float,
+        motions: Sequence[NodalMotion],
+        dt: float,
     ) -> float:
         """Work of loads, and of what moves prescribed components, in a step (J). Collective.
 
@@ -236,18 +289,23 @@ class Motion:
         start = plain.forces()
         plain.move(x, scale)
         forces = [0.5 * (f + g) for f, g in zip(start, plain.forces())]
-        forces[0] += (self.mass.times(V_end).arrays[0] - self._momenta) / dt
+        for one, motion in zip(self.nodes, motions):
+            forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
         return plain.load_work() + plain.held_work(forces)
 
-    def _judge(self, A_end: Array, u: Array, nodes, dt: float) -> str | None:
+    def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.
 
         Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
         """
         if self._error is None:
             return None
-        change = np.abs(A_end[nodes] - self.A[nodes]).max(initial=0.0)
-        both = np.array([change, np.abs(u[nodes]).max(initial=0.0)])
+        both: Array = np.zeros(2)
+        for one, motion in zip(self.nodes, motions):
+            nodes = here.fields[one.k].nodes
+            assert motion.u is not None
+            change = np.abs(motion.A_end[nodes] - motion.A[nodes]).max(initial=0.0)
+            both = np.maximum(both, [change, np.abs(motion.u[nodes]).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
         found = abs(self.rule.beta - 1 / 6) * dt**2 * both[0]
         allowed = self._error * max(self._largest, both[1])

@@ -36,6 +36,7 @@ from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
+from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial, check_masses
 from dolfinmpm.solve.operator import Operator
@@ -53,9 +54,9 @@ class InertialOperator(Operator):
 
     Args:
         form, here: See `Operator`.
-        mass: The mass.
+        masses: The masses of the fields that move points, in the order of `here.movers`.
         factor: Derivative of the accelerations by the increments (1/s²).
-        known: The rest of them (m/s²), shape (nodes, d).
+        known: The rest of them (m/s²), shape (nodes, d) each.
         dashpots: Dashpots on the nodes by the increments, and forces of the velocities that do
             not depend on these (N), shape (nodes, d); or None.
     """
@@ -64,13 +65,14 @@ class InertialOperator(Operator):
         self,
         form: WeakForm,
         here: Activation,
-        mass: Mass,
+        masses: Sequence[Mass],
         factor: float,
-        known: Array,
+        known: Sequence[Array],
         dashpots: tuple[Blocks, Array] | None = None,
     ):
-        self.mass, self._known, self._dashpots = mass, known, dashpots
-        self._inertia = [dataclasses.replace(b, values=factor * b.values) for b in mass.blocks]
+        self._known, self._dashpots = dict(zip(here.movers, known)), dashpots
+        self._masses = [b for mass in masses for b in mass.blocks]
+        self._inertia = [dataclasses.replace(b, values=factor * b.values) for b in self._masses]
         if dashpots is not None:
             self._inertia.append(dashpots[0])
         super().__init__(form, here)
@@ -79,11 +81,13 @@ class InertialOperator(Operator):
         super().renew_external()
         # M times what is known acts as a load does
         forces = self.here.unknowns.nodal()
-        for b in self.mass.blocks:
-            add_product(b, [self._known], forces.arrays)
+        known = [self._known.get(k, none) for k, none in enumerate(self._u.arrays)]
+        for b in self._masses:
+            add_product(b, known, forces.arrays)
         forces.add_up()
         self._loads = [np.array(values) for values in self._external.arrays]
-        self._external.arrays[0][...] += forces.arrays[0]
+        for k in self._known:
+            self._external.arrays[k][...] += forces.arrays[k]
         if self._dashpots is not None:
             self._external.arrays[0][...] += self._dashpots[1]
 
@@ -149,7 +153,9 @@ class TimeStepping(QuasiStatic):
                 "of its length before the end: take Newmark, for damping with beta=0.3025, "
                 "gamma=0.6, or GeneralisedAlpha with rho_inf=0"
             )
-        terms = mass_terms(self.form, self.fields[0], mass, ghost_mass, factorised=True)
+        terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
+        if faces:
+            refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
         check_masses(self.bodies)
@@ -226,9 +232,10 @@ class TimeStepping(QuasiStatic):
             level = [(1 - rule.alpha_f) * g for g in here.prescribed]
             here = dataclasses.replace(here, prescribed=level)
         self._free(step)
-        known = rule.known(motion.V, motion.A, step.dt)
+        known = [rule.known(one.V, one.A, step.dt) for one in motion.nodes]
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
-        return InertialOperator(self.form, here, motion.mass, factor, known, dashpots)
+        masses = [one.mass for one in motion.nodes]
+        return InertialOperator(self.form, here, masses, factor, known, dashpots)
 
     def _free(self, step: Step) -> None:
         """Begin the step of the free rigid bodies, at the level where forces balance."""
@@ -242,18 +249,18 @@ class TimeStepping(QuasiStatic):
                 rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f
             )
 
-    def _rates(self, here: Activation, step: Step) -> Array:
-        """Velocities of held components at the start of a step (m/s), shape (nodes, d). Collective.
+    def _rates(self, here: Activation, step: Step) -> list[Array]:
+        """Velocities of held components at the start of a step (m/s), each field's. Collective.
 
         Those prescribed there, and increments over the step's length.
         """
         if not any(condition.velocity for condition in self.bcs):
-            return np.asarray(here.prescribed[0] / step.dt, np.float64)
+            return [np.asarray(g / step.dt, np.float64) for g in here.prescribed]
         bases, scale = [field.basis for field in here.fields], step.dt / step.share
         set_velocities(self.bcs, lambda v: v(step.t - step.dt) * scale)
-        values = self._held.at(bases, step.share)[1][0]
+        values = self._held.at(bases, step.share)[1]
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
-        return np.asarray(values / step.dt, np.float64)
+        return [np.asarray(g / step.dt, np.float64) for g in values]
 
     def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
         motion = self.motion

@@ -160,7 +160,7 @@ class Transient(QuasiStatic):
     def _judge(self, operator: Operator, state: NewState, dt: float) -> str | None:
         """Bound the error ½ Δt |u/Δt − rate| of a step, and choose the next. Collective."""
         assert self._error is not None
-        u, clock = operator.points.value[0], self.clock
+        u, clock = operator.points.motion(operator.here.movers)[0], self.clock
         rate = u / dt
         change = rate - self.points[_RATE] if clock.rates else np.zeros_like(rate)
         both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])

@@ -20,40 +20,19 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints, PointField
 
 __all__ = [
     "Declaration",
     "LawConstant",
     "LawField",
-    "as_tags",
     "check_separate",
     "declared",
     "rows_within",
     "tags_in_use",
 ]
-
-Tags = tuple[int, ...] | None
-
-
-def as_tags(tag: Any) -> Tags:
-    """Tags of points, in order, from an integer, several, or None for all points.
-
-    Raises:
-        ParameterError: They are no whole numbers from 0, or there is none.
-    """
-    if tag is None:
-        return None
-    several = tag if isinstance(tag, (tuple, list)) else (tag,)
-    whole = all(isinstance(t, (int, np.integer)) and not isinstance(t, bool) for t in several)
-    if not (several and whole and min(several) >= 0):
-        raise ParameterError(
-            f"tag = {shown(tag)} must be a whole number from 0, a tuple of such, or None for all "
-            "points"
-        )
-    return tuple(sorted({int(t) for t in several}))
 
 
 def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:

@@ -22,10 +22,11 @@ from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.declarations import Declaration, Tags
+from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
@@ -65,6 +66,7 @@ class PointTerms:
         tags: Tags of the points, or None for all of them.
         but: Whether the points are those that have none of the tags instead.
         declarations: What the laws in the form keep at the points.
+        mixed: Whether terms and laws may be for some of these tags only.
 
     Attributes:
         slots: What the terms are made of: operators, functions and constants.
@@ -78,15 +80,16 @@ class PointTerms:
         tags: frozenset[int] | None = None,
         but: bool = False,
         declarations: Sequence[Declaration] = (),
+        mixed: bool = False,
     ):
-        self._tags, self._but = tags, but
+        self._tags, self._but, self._mixed = tags, but, mixed
         self.slots = slots = Slots(spaces, points)
         increments = [space.increment for space in spaces]
         self._parts: dict[bool, list[Expr]] = {False: [], True: []}
         for integral in integrals:
             volume: Expr = slots.slot(("field", integral.metadata()["volume"]), ())
             where = tags_of(integral)
-            if tags is None and where is not None:
+            if where is not None and (tags is None or mixed):
                 volume = volume * slots.slot(("tagged", where), ())
             for term in summands(integral.integrand()):
                 arguments = {a for a in ufl.algorithms.extract_arguments(term) if a.number() == 0}
@@ -116,6 +119,8 @@ class PointTerms:
         """Whether a law for points of these tags is asked at these points; it is zero at others."""
         if tags is None or self._tags is None:
             return True
+        if self._mixed:
+            return bool(self._tags & set(tags))
         return not self._but and self._tags <= set(tags)
 
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
@@ -127,6 +132,11 @@ class PointTerms:
         if self._tags is None:
             return None
         return np.isin(tags, list(self._tags), invert=self._but)
+
+    @property
+    def tags(self) -> frozenset[int] | None:
+        """Tags of its points, or None for all, or for all but some."""
+        return None if self._but else self._tags
 
     @property
     def operators(self) -> list[PointOperator]:

@@ -16,6 +16,7 @@ from ufl.classes import (
 )
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary
@@ -43,12 +44,22 @@ class BoundaryTerms:
         regions: Terms of its markers, as of points.
         declarations: What laws in the terms need of the markers.
         conditions: What makes numbers at the markers before each step; see `dirichlet`.
+        increments: Increments of the fields in the terms.
+        stateful: Whether its terms need the state of the body at the markers.
+        tags: Tags of the points of the body, or None for all.
     """
 
     boundary: Boundary
     regions: list[PointTerms]
     declarations: list[Declaration]
     conditions: list[Any]
+    increments: list[Any]
+    stateful: bool
+    tags: Tags
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers are of the field of an increment, of those that have tags."""
+        return any(u is one for one in self.increments)
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,7 @@ class SplitForm:
         carried: Fields that its terms carry from step to step, or renew as one begins.
         boundaries: Terms over boundaries that do not fit the grid.
         contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
+        between: Contacts of two boundaries of bodies that deform.
     """
 
     regions: list[PointTerms]
@@ -71,6 +83,7 @@ class SplitForm:
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
     contacts: list[Any] = field(default_factory=list)
+    between: list[Any] = field(default_factory=list)
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -104,10 +117,19 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     kept = carried_in(form)
     for one in kept:
         points.add_field(one.name, one.ufl_shape, one.unit, one.first)
+    between = [c for c in contacts if hasattr(c, "boundaries")]
+    touching = _touching(between, spaces)
     of_markers = {b.markers.number: b for b in _boundaries(form, points)}
+    with_terms = set(of_markers)
+    of_markers |= {number: boundary for number, (boundary, _) in touching.items()}
     of_laws = {number: declared(form, b.markers) for number, b in of_markers.items()}
+    increments = {
+        number: _increments(form, number, spaces, touching.get(number)) for number in of_markers
+    }
+    tags = {number: _tags_of_fields(found) for number, found in increments.items()}
     for number, boundary in of_markers.items():
-        take_state(boundary)
+        if number in with_terms:
+            take_state(boundary, tags[number])
         for declaration in of_laws[number]:
             declaration.bind()
     for contact in contacts:
@@ -148,11 +170,38 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
                 _regions(at_markers[number], spaces, boundary.markers, of_laws[number]),
                 of_laws[number],
                 _conditions(at_markers[number]),
+                increments[number],
+                number in with_terms,
+                tags[number],
             )
             for number, boundary in of_markers.items()
         ],
-        contacts,
+        [c for c in contacts if c not in between],
+        between,
     )
+
+
+def _touching(between, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]:
+    """Boundaries that touch others, and the increments that move them, by their markers' number.
+
+    Raises:
+        FormError: The problem does not solve for the increment, or two contacts differ in it.
+    """
+    found: dict[int, tuple[Boundary, Any]] = {}
+    for contact in between:
+        for boundary, u in zip(contact.boundaries, contact.u):
+            if not any(u is space.increment for space in spaces):
+                raise FormError(
+                    f"{contact!r} is of a field that the problem does not solve for; name its "
+                    "increment when the problem is made"
+                )
+            known = found.setdefault(boundary.markers.number, (boundary, u))
+            if known[1] is not u:
+                raise FormError(
+                    f"{boundary} is moved by one field in one contact and by another in a second; "
+                    "give the same"
+                )
+    return found
 
 
 def _boundaries(form: ufl.Form, points: MaterialPoints) -> list[Boundary]:
@@ -182,6 +231,38 @@ def _conditions(integrals) -> list[Any]:
         condition = integral.metadata().get("condition")
         if condition is not None and not any(condition is c for c in found):
             found.append(condition)
+    return found
+
+
+def _tags_of_fields(increments) -> Tags:
+    """Tags of the points that some fields are of, or None if any is of all points."""
+    tags = [u._dolfinmpm_space.tags for u in increments]
+    if not tags or None in tags:
+        return None
+    return tuple(sorted({tag for own in tags for tag in own}))
+
+
+def _increments(form, number: int, spaces: Sequence[Space], touching=None) -> list[Any]:
+    """Increments of the fields in terms over markers, or that of a boundary that touches another.
+
+    Args:
+        form: The form.
+        number: Number of the markers.
+        spaces: Spaces of the increments.
+        touching: The boundary and its increment, if it touches another.
+    """
+    if touching is not None:
+        return [touching[1]]
+    integrals = [i for i in form.integrals() if (i.metadata() or {}).get("points") == number]
+    found = []
+    for space in spaces:
+        for integral in integrals:
+            term = integral.integrand()
+            tests = ufl.algorithms.extract_arguments(term)
+            own = any(c is space.increment for c in extract_coefficients(term))
+            if own or any(a == space.test for a in tests):
+                found.append(space.increment)
+                break
     return found
 
 
@@ -259,6 +340,16 @@ def _regions(
     means = any(
         isinstance(o.law, AveragingLaw) for i in integrals for o in operators_in(i.integrand())
     )
+    shape = (points.gdim,)
+    bodies = [s.tags for s in spaces if s.tags is not None and s.increment.ufl_shape == shape]
+    if means and bodies:
+        # but each body has its own, whatever else is in the cell
+        return [
+            PointTerms(
+                integrals, spaces, points, frozenset(tags), declarations=declarations, mixed=True
+            )
+            for tags in bodies
+        ]
     if not mentioned or means:
         return [PointTerms(integrals, spaces, points, declarations=declarations)]
     alike: dict[tuple, set[int]] = {}

@@ -9,8 +9,8 @@ from ufl.classes import (
 )
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import Tags, as_tags
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.forms.declarations import Tags, as_tags
 from dolfinmpm.forms.operators import PointOperator
 
 __all__ = ["brief", "contact_of", "operators_in", "summands", "tags_of"]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.forms.operators import Kept
 from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters

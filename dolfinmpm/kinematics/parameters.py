@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import call_together
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.declarations import Tags, rows_within
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.materials.base import Parametrised
 
 __all__ = ["PointParameters"]

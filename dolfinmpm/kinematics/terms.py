@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, shown, truth
+from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient
@@ -23,8 +23,6 @@ from dolfinmpm.forms.declarations import (
     Declaration,
     LawConstant,
     LawField,
-    Tags,
-    as_tags,
     rows_within,
 )
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
@@ -89,6 +87,9 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
     check_displacement(points, u=u)
     strain = choice("strain", strain, _FRAMEWORKS)
     tags, fbar = as_tags(tag), _means(fbar, u)
+    if tags is None:
+        # a field of some points has no strain at others
+        tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
     for number, known in points.declarations.items():
         same = known.law is law and (known.strain, known.fbar, known.tags) == (strain, fbar, tags)
         if same and known.u == u:
@@ -263,8 +264,8 @@ def momentum(
             locking of nearly incompressible bodies; see `FBar`. True shares domains of GIMP out
             among the cells that they overlap, "centres" counts each point in the cell of its
             centre, as explicit codes do.
-        tag: Tags of the points that the law is for, one or several; None means all. Laws of
-            one form must be for different points.
+        tag: Tags of the points that the law is for, one or several; None means all that the field
+            of u is of. Laws of one form must be for different points.
 
     Returns:
         A form over the points, to which loads and further terms are added.

@@ -88,15 +88,15 @@ def advance(
         new.update(contact.new_fields())
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
-        dF = deformation(points, evaluation.value[0], evaluation.gradient[0])
+        u, gradient = evaluation.motion(operator.here.movers)
+        dF = deformation(points, u, gradient)
         new["F"] = np.ascontiguousarray(dF @ points["F"])
         J = np.linalg.det(new["F"])
         bad = np.flatnonzero(~(J > 0))
         new["V"] = J * points["V0"]
-        new["x"] = points["x"] + evaluation.value[0] if x is None else x
-        if operator.here.fields[0].basis.averaged:
-            growth = operator.here.fields[0].space.domains
-            new["l"] = update_domains(in_section(points, new["F"]), points["l0"], growth)
+        new["x"] = points["x"] + u if x is None else x
+        if any(operator.here.fields[k].basis.averaged for k in operator.here.movers):
+            new["l"] = _domains(operator, new["F"])
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:
@@ -104,6 +104,12 @@ def advance(
         return "a material point's state is not finite or its volume not positive"
     if any(contact.missed(new["x"]) for contact in operator.contacts if moves):
         return "material points got into a rigid body from further away than was looked at"
+    if operator.between:
+        moved = [terms.motion(operator.here.movers)[0] for terms in operator.markers]
+        for one in operator.between:
+            reason = one.missed(moved)
+            if reason is not None:
+                return reason
     if not moves or operator.here.total:
         return NewState(new, None)
     to = destinations(points.grid, new["x"], points["cell"], points.partition)
@@ -114,7 +120,11 @@ def advance(
         return "material points would be thrown out of the grid, further than a cell"
     raise_together(comm, _outside(points, new["x"], lost, step))
     form = operator.form
-    markers = advance_markers(form.boundaries, form.updates, operator.markers, step)
+    markers = advance_markers(
+        form.boundaries, form.updates, operator.markers, step, operator.here.movers
+    )  # fmt: skip
+    for one in operator.between:
+        markers[one.facing.numbers[0]][1].update(one.new_fields())
     return NewState(new, to, markers)
 
 
@@ -129,6 +139,21 @@ def commit(points: MaterialPoints, state: NewState) -> int:
         points.fields[name][...] = values
     commit_markers(state.markers)
     return 0 if state.to is None else points.migrate(state.to) + balance(points)
+
+
+def _domains(operator: Operator, F: Array) -> Array:
+    """Half-lengths of the points' domains (m), each as its field's rule says."""
+    points, here = operator.form.points, operator.here
+    new = points["l"].copy()
+    for field in (here.fields[k] for k in here.movers):
+        if not field.basis.averaged:
+            continue
+        tags, growth = field.space.tags, field.space.domains
+        if tags is None:
+            return update_domains(in_section(points, F), points["l0"], growth)
+        own = np.isin(points["tag"], tags)
+        new[own] = update_domains(in_section(points, F)[own], points["l0"][own], growth)
+    return new
 
 
 def _out_of_bounds(

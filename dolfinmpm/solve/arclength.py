@@ -24,6 +24,7 @@ from dolfinmpm.solve.arguments import (
     check_updates,
     increments_of,
 )
+from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.newton import Newton
@@ -169,6 +170,7 @@ class ArcLength(QuasiStatic):
         trail = points.add_field("arc_increment", (points.gdim,), "m")
         updates["arc_increment"] = u
         super().__init__(form, increment, points, bcs, updates=updates, **options)
+        refuse_bodies(self.fields, "ArcLength", "take QuasiStatic")
         if self.bodies.free:
             raise ParameterError(
                 f"'{self.bodies.free[0].name}' is free: an arc length finds a load factor and no "

@@ -50,7 +50,8 @@ def place_markers(boundaries: Sequence[BoundaryTerms]) -> None:
         if markers.partition is not points.partition:
             markers.partition = points.partition
             markers.locate()
-        take_state(of.boundary)
+        if of.stateful:
+            take_state(of.boundary, of.tags)
 
 
 def set_penalties(
@@ -122,6 +123,7 @@ def advance_markers(
     updates: Sequence[PointUpdates],
     evaluations: Sequence[Evaluation],
     step: int,
+    movers: Sequence[int] = (0,),
 ) -> list[MarkerState]:
     """The new state of markers, which nothing has been changed for. Collective.
 
@@ -130,6 +132,7 @@ def advance_markers(
         updates: Their fields that are set to UFL expressions.
         evaluations: Their terms, moved to the increments.
         step: Number of the step, for messages.
+        movers: Numbers of the fields that move what sees them.
 
     Raises:
         PointsOutsideGridError: Markers would leave the grid.
@@ -142,13 +145,14 @@ def advance_markers(
         if not of.boundary.follows:
             made.append((of.boundary, new, None))
             continue
-        dF = evaluation.gradient[0] + np.eye(d)
+        u, gradient = evaluation.motion(movers)
+        dF = gradient + np.eye(d)
         J = np.linalg.det(dF)
         # Nanson's formula
         turned = np.linalg.solve(np.swapaxes(dF, 1, 2), markers["area"][:, :, None])[:, :, 0]
         new["area"] = J[:, None] * turned
         new["V"] = np.linalg.norm(new["area"], axis=1)
-        new["x"] = markers["x"] + evaluation.value[0]
+        new["x"] = markers["x"] + u
         to = destinations(markers.grid, new["x"], markers["cell"], markers.partition)
         raise_together(markers.comm, _outside(of.boundary, new["x"], to, step))
         made.append((of.boundary, new, to))
@@ -214,7 +218,8 @@ def set_markers(
         else:
             markers.fields["cell"] = cells_here(markers.grid, markers["x"])
             markers.recount()
-        take_state(of.boundary)
+        if of.stateful:
+            take_state(of.boundary, of.tags)
 
 
 def _kept(boundary: Boundary) -> list[str]:

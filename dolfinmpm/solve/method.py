@@ -125,7 +125,7 @@ def symmetric(form: WeakForm) -> bool:
     which has no say as long as it is zero. Terms over the grid are linear and show in any tangent.
     """
     laws = form.parts.declarations
-    if any(contact.friction for contact in form.parts.contacts):
+    if any(contact.friction for contact in (*form.parts.contacts, *form.parts.between)):
         return False
     return only_momentum(form) and all(
         d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in laws

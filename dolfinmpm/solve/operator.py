@@ -14,6 +14,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import region_on, regions_of
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.participants import Activation
@@ -58,6 +59,7 @@ class Operator:
         points: The terms of the points.
         markers: The terms over each boundary that does not fit the grid.
         contacts: The contacts with rigid bodies.
+        between: The contacts of bodies with fields of their own.
     """
 
     @stages.assemble
@@ -83,6 +85,7 @@ class Operator:
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
         self.contacts = [ActiveContact(contact, here) for contact in form.parts.contacts]
+        self.between = [ActiveBetween(facing) for facing in here.facing if self._main]
         self.renew_external()
 
     # -- vectors --------------------------------------------------------------
@@ -201,8 +204,7 @@ class Operator:
         for blocks in self._linear():
             add_product(blocks, self._u.arrays, out.arrays)
         self.touch()
-        for contact in self.contacts:
-            contact.add_internal(out.arrays[contact.field])
+        self._add_contacts(out.arrays)
         if not self.form.parts.grid.linear:
             self.fill_functions()
             self.form.grid.add_internal(here.fields, out.arrays)
@@ -213,6 +215,15 @@ class Operator:
         """Let contacts find their forces at the increments moved to."""
         for contact in self.contacts:
             contact.move(self._u.arrays[contact.field])
+        for one in self.between:
+            one.move(self._u.arrays)
+
+    def _add_contacts(self, out: Sequence[Array]) -> None:
+        """Add the forces of contacts as they were last found, as internal forces."""
+        for contact in self.contacts:
+            contact.add_internal(out[contact.field])
+        for one in self.between:
+            one.add_internal(out)
 
     @stages.assemble
     def contact_forces(self, out: Sequence[Array]) -> None:
@@ -221,11 +232,10 @@ class Operator:
         Args:
             out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
         """
-        if not self.contacts:
+        if not (self.contacts or self.between):
             return
         forces = self.here.unknowns.nodal()
-        for contact in self.contacts:
-            contact.add_internal(forces.arrays[contact.field])
+        self._add_contacts(forces.arrays)
         forces.add_up()
         for mine, more in zip(out, forces.arrays):
             mine += more
@@ -328,6 +338,8 @@ class Operator:
         self.touch()
         for contact in self.contacts:
             contact.add_tangent(entries[contact.field, contact.field])
+        for one in self.between:
+            one.add_tangent(entries)
         matrix.finish()
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:

@@ -25,7 +25,7 @@ from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import Activation, Field, Prolongate
+from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form
 from dolfinmpm.io import checkpoint
@@ -39,6 +39,7 @@ from dolfinmpm.solve.arguments import (
     remedies_of,
 )
 from dolfinmpm.solve.axis import warn_of_free_axis
+from dolfinmpm.solve.bodies import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
@@ -110,6 +111,7 @@ class Problem:
         whole, softening = with_remedies(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, softening)
         check_fields(form, spaces)
+        check_bodies(self.fields, self.form)
         refuse_increments(bcs, self.form.parts.carried)
         if self.form.boundaries and self.configuration == "total":
             raise ParameterError(
@@ -164,8 +166,10 @@ class Problem:
 
     @property
     def _moves(self) -> bool:
-        """Whether the points move with the first field."""
-        return self.fields[0].space.increment.ufl_shape == (self.points.gdim,)
+        """Whether the points move with the first field, or with those of their tags."""
+        spaces = [field.space for field in self.fields]
+        first = next(iter(movers(spaces)), 0)
+        return spaces[first].increment.ufl_shape == (self.points.gdim,)
 
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -277,6 +281,7 @@ class Problem:
         """
         share = 1.0 if step is None else step.share
         self.form.bind()
+        check_bodies(self.fields, self.form)
         self.form.place_markers()
         self._held.follow()
         first, kept, self._kept = self.here is None, self._kept, None

@@ -21,6 +21,8 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import active_on_grid
 from dolfinmpm.cut.participants import Prolongate
 from dolfinmpm.grid.lattice import largest_cell
@@ -191,7 +193,7 @@ class QuasiStatic(Problem):
         finally:
             self._loads.release()
         self._share = share
-        record.bodies = self.bodies.record()
+        record.bodies |= self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
@@ -247,6 +249,9 @@ class QuasiStatic(Problem):
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
         self.bodies.commit(operator.contacts)
+        record.bodies = {
+            one.contact.name: {"force": [float(f) for f in one.total()]} for one in operator.between
+        }
         record.migrated += commit(points, state)
         record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
         with stages.commit:
@@ -256,14 +261,15 @@ class QuasiStatic(Problem):
     def _solve(self, operator: Operator) -> Outcome:
         """Solve the equations of a step, with multipliers of contact that bound penetrations."""
         record = self._record
-        for contact in operator.contacts:
+        contacts: list[ActiveContact | ActiveBetween] = [*operator.contacts, *operator.between]
+        for contact in contacts:
             contact.clings = True
         for _ in range(_MOST_AUGMENTATIONS):
             outcome = self.solver.solve(operator)
             record.iterations += outcome.iterations
             record.residuals = outcome.residuals
             record.linear_iterations += self.newton.linear.iterations
-            deep = not outcome.reason and [c.augment() for c in operator.contacts]
+            deep = not outcome.reason and [c.augment() for c in contacts]
             if not deep or not any(deep):
                 return outcome
         outcome.reason = (
@@ -292,8 +298,8 @@ class QuasiStatic(Problem):
         if len(points):
             J = np.ones(len(points))
             if self._moves:
-                at = operator.points
-                J = np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
+                motion = operator.points.motion(operator.here.movers)
+                J = np.linalg.det(deformation(points, *motion))
             failure = operator.points.failure
             p = int(np.argmin(np.nan_to_num(J, nan=-np.inf))) if failure is None else failure.point
             place = f"point {points['id'][p]} at {points['x'][p]} m with det ΔF = {J[p]:.4g}"

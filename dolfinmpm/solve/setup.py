@@ -52,15 +52,18 @@ def with_moduli(
                     f'{remedy.kind}", E=...) in a list with one entry a field, or "none"'
                 )
             if remedy.needs_modulus:
-                remedy = _with_modulus(remedy, form, points)
+                remedy = _with_modulus(remedy, form, points, space)
         made.append(remedy)
     return made
 
 
-def _with_modulus(remedy: Stabilisation, form: ufl.Form, points: MaterialPoints) -> Stabilisation:
+def _with_modulus(
+    remedy: Stabilisation, form: ufl.Form, points: MaterialPoints, space: Space
+) -> Stabilisation:
     moduli = []
     for declaration in declared(form, points):
-        if "E" in declaration.law.values:
+        own = space.tags is None or declaration.u is space.increment
+        if own and "E" in declaration.law.values:
             declaration.bind()
             moduli.append((declaration.largest("E"), declaration.largest("nu")))
     if not moduli:

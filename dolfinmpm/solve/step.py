@@ -58,7 +58,8 @@ class StepRecord:
             are all of it but what looks at loads and chooses the length of steps. Of this
             process, as `seconds` are. Empty unless `measure_stages` or PETSc's log asked for it.
         bodies: Of each rigid body by its name: "position" of its centre (m), "angle" (rad), "force"
-            (N) and "moment" (N m) of the points on it.
+            (N) and "moment" (N m) of the points on it. Of each contact between bodies that
+            deform the "force" (N) on the first of them.
     """
 
     iterations: int = 0

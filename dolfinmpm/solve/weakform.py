@@ -15,8 +15,9 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.touching import LAYERS, Facing
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
-from dolfinmpm.cut.participants import Activation, ActiveField
+from dolfinmpm.cut.participants import Activation, ActiveField, Participants
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
@@ -209,6 +210,20 @@ class WeakForm:
             return blocks, []
         self.softening.attach(fields)
         return blocks, self.softening.tangent(fields)
+
+    @property
+    def beyond(self) -> int:
+        """Layers of cells around a rank's own that its terms look at at least."""
+        return LAYERS if self.parts.between else 0
+
+    def facing(self, here: Participants) -> list[Facing]:
+        """Places where bodies face each other. Collective."""
+        numbers = {id(of.boundary): k for k, of in enumerate(self.boundaries)}
+        return [
+            Facing(contact, here, (numbers[id(first)], numbers[id(second)]))
+            for contact in self.parts.between
+            for first, second in [contact.boundaries]
+        ]
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were."""

@@ -17,6 +17,7 @@ TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 VARIANTS = {
     "adaptive_penalties",
     "boundaries_triangles",
+    "bodies_that_rub",
     "boundary_3d",
     "facets_of_few_ranks",
     "fbar_3d",
@@ -32,6 +33,7 @@ VARIANTS = {
     "rings_bases",
     "rings_in_time",
     "rings_remedies",
+    "touching_restart",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7

@@ -19,6 +19,7 @@ from . import (
     restart,
     rings,
     tables,
+    touching,
     transport,
 )
 
@@ -99,5 +100,8 @@ CASES = {
         contact.contact_in_time,
         contact.contact_of_revolution,
         collision.colliding_bodies,
+        touching.bodies_that_rub,
+        touching.bodies_that_collide,
+        touching.touching_restart,
     )
 }

@@ -1,0 +1,239 @@
+"""The term of a weak form by which two bodies with fields of their own touch each other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+from mpi4py import MPI
+from scipy.spatial import cKDTree
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.arguments import check_displacement
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.grid.lattice import require_lattice, smallest_height
+
+__all__ = ["Between", "contact_between"]
+
+
+class Between:
+    """Contact of two boundaries, as a form declares it; see `contact_between`.
+
+    Attributes:
+        boundaries: The boundary whose markers touch, and that which they meet.
+        u: Increments that move the bodies.
+        points: The points of both.
+        friction: μ.
+        stiffness: κ (Pa/m); of no meaning before `bind` if it follows from moduli.
+        slip_share: ε_T/ε_N.
+        penetration: Bound of the penetration (m) by multipliers, or None.
+        name: Name in records, and first part of those of the markers' fields.
+        names: Fields of the first boundary's markers: forces along the surface (N), normal ones
+            (N), the work that friction has taken (J), and steps taken.
+        integrand: What the form has in its place.
+    """
+
+    def __init__(
+        self, boundaries, u, friction, penalty, stiffness, slip_share, penetration, integrand
+    ):  # fmt: skip
+        self.boundaries: tuple[Boundary, Boundary] = boundaries
+        self.u: tuple[Any, Any] = u
+        self.friction: float = friction
+        self.stiffness: float = 0.0 if stiffness is None else stiffness
+        self._penalty: float | None = penalty if stiffness is None else None
+        self.slip_share: float = slip_share
+        self.penetration: float | None = penetration
+        self.integrand: Expr = integrand
+        points = boundaries[0].points
+        counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
+        self.name = f"contact{next(counter)}"
+        parts = ("traction", "pressure", "work", "steps")
+        self.names = tuple(f"{self.name}_{part}" for part in parts)
+
+    def __repr__(self) -> str:
+        return f"the contact of {self.boundaries[0]} with {self.boundaries[1]}"
+
+    @property
+    def points(self) -> MaterialPoints:
+        """The points of both bodies."""
+        return self.boundaries[0].points
+
+    @property
+    def dissipated(self) -> float:
+        """Work that friction has taken (J), on all ranks. Collective."""
+        done = float(self.boundaries[0].markers[self.names[2]].sum())
+        return self.points.comm.allreduce(done, op=MPI.SUM)
+
+    @property
+    def begun(self) -> bool:
+        """Whether a step has been taken. Collective."""
+        steps = self.boundaries[0].markers[self.names[3]]
+        return self.points.comm.allreduce(bool(steps.any()), op=MPI.LOR)
+
+    def check_sides(self) -> None:
+        """Raise unless each boundary has its body behind it. Collective.
+
+        Raises:
+            ParameterError: The points of a field's tags are in front of its boundary.
+        """
+        points = self.points
+        for boundary, u in zip(self.boundaries, self.u):
+            x, area = boundary.markers["x"], boundary.markers["area"]
+            own = points["x"][np.isin(points["tag"], u._dolfinmpm_space.tags)]
+            votes = np.zeros(2, int)
+            if len(own) and len(x):
+                nearest = own[cKDTree(own).query(x)[1]]
+                behind = np.einsum("pi,pi->p", x - nearest, area) > 0.0
+                votes[:] = np.count_nonzero(behind), np.count_nonzero(~behind)
+            behind, before = points.comm.allreduce(votes, op=MPI.SUM)
+            if before > behind:
+                raise ParameterError(
+                    f"the points of the tags {u._dolfinmpm_space.tags}, which the field beside "
+                    f"{boundary} moves, are in front of {before} of {behind + before} of its "
+                    "markers: give u and v in the order of the boundaries, and polygons that have "
+                    "the body to the left"
+                )
+
+    def bind(self, declarations: Sequence[Declaration]) -> None:
+        """Give the markers the fields that it keeps, and find its penalty. Collective.
+
+        Raises:
+            ParameterError: The penalty needs moduli, and a body has none.
+        """
+        markers, points = self.boundaries[0].markers, self.points
+        for name, shape, unit in zip(self.names, ((points.gdim,), (), (), ()), ("N", "N", "J", "")):
+            markers.add_field(name, shape, unit)
+        if self._penalty is None:
+            return
+        moduli = []
+        for k, u in enumerate(self.u):
+            own = [d for d in declarations if d.u is u]
+            found = max((float(_young(d.moduli()).max(initial=0.0)) for d in own), default=0.0)
+            moduli.append(points.comm.allreduce(found, op=MPI.MAX))
+            if not moduli[k] > 0.0:
+                raise ParameterError(
+                    f"{self!r} takes its penalty from Young's moduli, and no law of the form has "
+                    f"one for the body of {self.boundaries[k]}: give "
+                    "contact_between(..., stiffness_per_area=...) in Pa/m"
+                )
+        both = 2.0 * moduli[0] * moduli[1] / (moduli[0] + moduli[1])
+        self.stiffness = self._penalty * both / smallest_height(points.grid)
+
+
+def _young(moduli):
+    """Young's moduli (Pa) from those of P-waves and shear, shape (n, 2)."""
+    M, G = moduli[:, 0], moduli[:, 1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        E = G * (3 * M - 4 * G) / (M - G)
+    return np.where(M > G, E, 0.0)
+
+
+def contact_between(
+    boundaries: Sequence[Boundary],
+    u: Sequence[Any],
+    v: Sequence[Any],
+    *,
+    friction: float = 0.0,
+    penalty: float = 5.0,
+    stiffness_per_area: float | None = None,
+    slip_stiffness: float = 0.5,
+    penetration: float | None = None,
+) -> ufl.Form:
+    """Contact of two bodies that move with fields of their own; F += contact_between(...).
+
+    Each body has a field of its own, a `Space` with its tags, and a `Boundary` that follows it.
+    The markers of the first boundary are the quadrature points of contact. At the start of a step
+    each finds the piece of the other boundary that faces it, along the mean of both normals, which
+    for surfaces that lie on each other is exact to third order in the distance of markers. Gap,
+    normal and place are those of the step's start; the gap's increment is the difference of both
+    fields at the two places that face each other. So forces are equal and opposite along one
+    line, and each of the bodies feels them as exactly as its functions are integrated. A polygon of
+    one Gauss point a piece, `Boundary.from_polygon(..., rule=1, spacing=h/4)`, is cut anew at the
+    grid's lines in every step, so that even pressure and even stress are in balance.
+
+    Where the gap is closed the bodies are pressed apart by κ |g| per area, and rubbed by what
+    Coulomb's law allows, see `dolfinmpm.contact.penalty`; with a bound of the penetration by
+    multipliers, see `contact`.
+
+    Bodies may go as far as a cell towards each other in a step; one that asks for more is halved.
+    Give the surface that is smaller, or finer, or of the softer body first. Cells into which a
+    boundary reaches beyond its points are active: stabilise both fields.
+
+    Args:
+        boundaries: The boundary whose markers touch, and that which they meet.
+        u: Increments of the two fields, `Space.increment`, in that order.
+        v: Their test functions, `Space.test`.
+        friction: Coefficient μ of Coulomb's friction.
+        penalty: κ h/E, h being the size of the smallest cell and E the harmonic mean of the
+            bodies' Young's moduli.
+        stiffness_per_area: κ itself (Pa/m), instead.
+        slip_stiffness: Stiffness against slip that sticks, as a share of κ.
+        penetration: Bound of the penetration (m), or None for what the penalty leaves.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
+        UnsupportedGridError: The grid is not rectangular.
+    """
+    first, second = _pair("boundaries", boundaries)
+    for one in (first, second):
+        if not isinstance(one, Boundary):
+            raise ParameterError(
+                f"boundaries holds {shown(one)}, no mpm.Boundary: make one along each body, such "
+                "as with mpm.Boundary.from_polygon"
+            )
+        if not (one.follows and one.activates):
+            raise ParameterError(
+                f"{one} stays in space or makes no cells active; boundaries that touch follow "
+                "their bodies: leave follows and activates as they are by default"
+            )
+    if first is second or first.points is not second.points:
+        raise ParameterError(
+            "contact_between takes two boundaries, each of a body, of the same material points: "
+            "tag the points of each, join the bodies with + and give each a boundary"
+        )
+    points = first.points
+    require_lattice(points.grid, "contact_between")
+    for one, test in zip(_pair("u", u), _pair("v", v)):
+        check_displacement(points, u=one, v=test)
+    spaces: list[Any] = [getattr(one, "_dolfinmpm_space", None) for one in u]
+    tags = [getattr(space, "tags", None) for space in spaces]
+    own = [set(one or ()) for one in tags]
+    if u[0] is u[1] or not all(own) or own[0] & own[1]:
+        raise ParameterError(
+            f"u are increments of fields of the tags {tags[0]} and {tags[1]}; bodies that touch "
+            "have fields of their own, Space(..., tag=1) and Space(..., tag=2)"
+        )
+    if any(test != space.test for test, space in zip(v, spaces)):
+        raise ParameterError(
+            "v are not the test functions of the fields of u, in their order; give "
+            "(one.increment, other.increment) and (one.test, other.test)"
+        )
+    number("friction", friction, 0.0, math.inf, closed=True)
+    number("penalty", penalty, 0.0)
+    if stiffness_per_area is not None:
+        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
+    number("slip_stiffness", slip_stiffness, 0.0)
+    if penetration is not None:
+        number("penetration", penetration, 0.0, unit="m")
+    integrand = ufl.inner(u[0], v[0])
+    term = Between(
+        (first, second), (u[0], u[1]), friction, penalty, stiffness_per_area, slip_stiffness,
+        penetration, integrand,
+    )  # fmt: skip
+    metadata = {**points.dX.metadata(), "contact": term}
+    return integrand * points.dX.reconstruct(metadata=metadata)
+
+
+def _pair(name: str, given: Any) -> tuple[Any, Any]:
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        many = len(given) if isinstance(given, (tuple, list)) else shown(given)
+        raise ParameterError(f"{name} = {many} must be two, one for each of the bodies that touch")
+    return given[0], given[1]
