@@ -37,6 +37,7 @@ import time
 
 import numpy as np
 import ufl
+from cone_in_water import PRESSURE, VELOCITIES, Clay
 from mpi4py import MPI
 from scene import draw_points, finish, parser, say, solver_figures
 
@@ -52,6 +53,10 @@ DEFAULTS = {  # by the law, lengths in m
         "radius": 0.4, "start": 0.0, "depth": 4.0, "h": 0.1, "step": 0.02, "poisson": 0.25,
         "fbar": "off", "friction": 0.3, "width": 12.8, "stabilisation": "ghost",
     },
+    "cam-clay": {
+        "radius": 1.0, "start": 4.0, "depth": 10.0, "h": 0.5, "step": 0.1, "poisson": 0.0,
+        "fbar": "off", "friction": 0.0, "width": 40.0, "stabilisation": "ghost",
+    },
 }  # fmt: skip
 
 
@@ -66,6 +71,13 @@ def arguments(words=None):
     options.add_argument("--h", type=float, help="size of the cells around it (m); by the law")
     options.add_argument("--step", type=float, help="way of the cone in a step (m); by the law")
     options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
+    options.add_argument("--ratio", type=float, default=1.0, help="overconsolidation of Cam-Clay")
+    for name, value in VELOCITIES.items():
+        options.add_argument(
+            f"--{name}", dest="velocity", action="store_const", const=value,
+            help=f"Cam-Clay with water at v d/c_v = {value:g}",
+        )  # fmt: skip
+    options.add_argument("--velocity", type=float, help="v d/c_v of Cam-Clay; undrained if none")
     options.add_argument("--relative-density", type=float, default=0.32, help="of sand")
     options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
     options.add_argument("--friction", type=float, help="coefficient at the cone; by the law")
@@ -87,6 +99,10 @@ def arguments(words=None):
     options.add_argument("--ghost", type=float, default=0.1, help="factor of the ghost penalty")
     options.add_argument("--tolerance", type=float, default=1e-6)
     given = options.parse_args(words)
+    if given.velocity is not None and given.law == "tresca":
+        given.law = "cam-clay"
+    if given.velocity is None:
+        given.velocity = math.inf
     for name, value in DEFAULTS[given.law].items():
         if getattr(given, name) is None:
             setattr(given, name, value)
@@ -150,6 +166,9 @@ class Scene:
             E = deposit.modulus(sand.E_ref, sand.exponent, sand.p_ref)
             law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
             density, self.unit = sand.density, 1e3
+        elif args.law == "cam-clay":
+            clay = Clay(args.ratio, args.rigidity_index, args.velocity, 2 * R, self.way)
+            law, E, density, self.unit = clay.law, clay.young, 1000.0, clay.strength
         else:
             E = 2 * args.rigidity_index * COHESION * (1 + args.poisson)
             law = mpm.materials.Tresca(E, args.poisson, COHESION)
@@ -160,25 +179,34 @@ class Scene:
         averaged = {} if args.basis == "linear" else {"domains": args.domains}
         V = mpm.Space(self.grid, args.basis, **averaged)
         u, v = V.increment, V.test
-        F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
+        fields, bcs, self.wet = [u], [], args.law == "cam-clay"
+        if self.wet:
+            Q = mpm.Space(self.grid, args.basis, shape=(), **averaged)
+            F, bcs = clay.form(points, Q, u, v, fbar=args.fbar == "on")
+            fields.append(Q.increment)
+        else:
+            F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
         if deposit is not None:
             mpm.set_stress(points, law, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         F += mpm.contact(
             self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
-            corners=args.corners,
+            corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:
-            bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
+            bcs += mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
         else:
-            bcs = mpm.rollers(V, "left", "right", "front", "back")
+            bcs += mpm.rollers(V, "left", "right", "front", "back")
         remedy = args.stabilisation
         if remedy == "ghost":
             remedy = mpm.Stabilisation("ghost", gamma=args.ghost)
-        self.problem = mpm.QuasiStatic(
-            F, u, points, bcs + mpm.fixed(V, "bottom"), stabilisation=remedy,
+        kind = mpm.Transient if self.wet else mpm.QuasiStatic
+        self.problem = kind(
+            F, fields, points, bcs + mpm.fixed(V, "bottom"), stabilisation=[remedy] * len(fields),
             tolerance=args.tolerance,
         )  # fmt: skip
+        if self.wet:
+            points["pressure"] = -PRESSURE
         self.history, self.reason = mpm.History(), ""
 
     def penetrometer(self):
@@ -228,7 +256,9 @@ class Scene:
 
     def step(self):
         """One step; keeps depth and forces. Collective."""
-        record, area = self.problem.step(), math.pi * self.args.radius**2
+        # with water a step takes 1 s
+        record = self.problem.step(*([len(self.history) + 1.0] if self.wet else []))
+        area = math.pi * self.args.radius**2
         whole = record.bodies["cone"]["force"][-1] * (1 if self.flat else 4)
         shaft = self.on_shaft() if self.args.friction else 0.0
         self.history.record(
