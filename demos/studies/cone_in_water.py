@@ -14,8 +14,8 @@ import dolfinmpm as mpm
 
 PRESSURE = 50e3  # Pa, p0
 M, SWELLING, COMPRESSION, POROSITY = 1.05, 0.018, 0.13, 0.5
-# v d/c_v of what counts as drained, and of a run in between
-VELOCITIES = {"drained": 1e-3, "partly": 3.0, "undrained": math.inf}
+# v d/c_v of what counts as drained, and of a run in between; None for water that stays
+VELOCITIES = {"drained": 1e-2, "partly": 3.0, "undrained": None}
 
 
 class Clay:
@@ -24,7 +24,7 @@ class Clay:
     Args:
         ratio: Overconsolidation ratio R.
         index: G/c_u.
-        velocity: V = v d/c_v, with c_v = k p₀/(λ̂ γ_w) of virgin compression; infinite without
+        velocity: V = v d/c_v, with c_v = k p₀/(λ̂ γ_w) of virgin compression; None without
             drainage.
         diameter: d of the cone (m).
         way: Its way in a step of 1 s (m).
@@ -36,12 +36,14 @@ class Clay:
         law: The law.
     """
 
-    def __init__(self, ratio: float, index: float, velocity: float, diameter: float, way: float):
+    def __init__(
+        self, ratio: float, index: float, velocity: float | None, diameter: float, way: float
+    ):
         size = PRESSURE * (ratio / 2) ** (1 - SWELLING / COMPRESSION)
         self.strength = M * size / math.sqrt(3)
         self.shear_modulus = index * self.strength
         self.bulk_modulus = PRESSURE / SWELLING
-        c_v = way * diameter / velocity
+        c_v = way * diameter / velocity if velocity else 0.0
         self.permeability = c_v * mpm.Fluid().unit_weight * COMPRESSION / PRESSURE
         self.law = mpm.materials.CamClay(
             SWELLING, COMPRESSION, M, self.shear_modulus, 0.0, PRESSURE, ratio * PRESSURE
@@ -80,3 +82,43 @@ def backbone(V, ratio, V50=3.0, m=1.0):
     undrained resistance.
     """
     return 1 + (ratio - 1) / (1 + (np.asarray(V, float) / V50) ** m)
+
+
+def compared(runs):
+    """What the runs of several velocities say together.
+
+    Args:
+        runs: Figures of the runs, by growing velocity; the first is taken as drained, the last as
+            undrained.
+
+    Returns:
+        Drained by undrained resistance, the velocity with the mean of both, and the largest
+        distance from the backbone, as a share of the difference.
+    """
+    V = np.array([run["velocity"] for run in runs])
+    q = np.array([run.get("factor", math.nan) for run in runs])
+    ratio = q[0] / q[-1]
+    share = (q / q[-1] - 1) / (ratio - 1)
+    half = np.exp(np.interp(-0.5, -share, np.log(V)))
+    known = (backbone(V, ratio) - 1) / (ratio - 1)
+    return {
+        "drained_ratio": float(ratio),
+        "V50": float(half),
+        "shares": share.tolist(),
+        "apart": float(np.abs(share - known).max()),
+    }
+
+
+def draw_curve(path, runs, figures):
+    """Resistance and pore pressure against the velocity."""
+    V = np.array([run["velocity"] for run in runs])
+    q = np.array([run["factor"] for run in runs])
+    line = np.geomspace(V[0], V[-1], 200)
+    with mpm.figure(path, 6.8, 2.6, ncols=2) as (_, (left, right)):
+        left.semilogx(line, backbone(line, figures["drained_ratio"]), color="0.6", label="backbone")
+        scatter = [run["scatter"] for run in runs] / q[-1]
+        left.errorbar(V, q / q[-1], scatter, fmt="o", ms=3, lw=0.8, label="material points")
+        left.set(xlabel="$v d/c_v$", ylabel="$q/q_{undrained}$", ylim=(0, None))
+        left.legend()
+        right.semilogx(V, [run["pore_ratio"] for run in runs], "o-", ms=3, lw=0.8)
+        right.set(xlabel="$v d/c_v$", ylabel="$\\Delta u_2/q$")
