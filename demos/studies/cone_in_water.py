@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.optimize import least_squares
 
 import dolfinmpm as mpm
 
@@ -92,20 +93,24 @@ def compared(runs):
             undrained.
 
     Returns:
-        Drained by undrained resistance, the velocity with the mean of both, and the largest
-        distance from the backbone, as a share of the difference.
+        Drained by undrained resistance; the velocity with the mean of both; V50 and m of the
+        backbone that fits best, and the largest distance from that of V50 = 3 and m = 1 as a share
+        of the difference. c_v is that of the ground at rest; where the cone compresses it, it
+        consolidates faster, for κ and λ are slopes by ln p.
     """
     V = np.array([run["velocity"] for run in runs])
     q = np.array([run.get("factor", math.nan) for run in runs])
     ratio = q[0] / q[-1]
     share = (q / q[-1] - 1) / (ratio - 1)
-    half = np.exp(np.interp(-0.5, -share, np.log(V)))
-    known = (backbone(V, ratio) - 1) / (ratio - 1)
-    return {
-        "drained_ratio": float(ratio),
-        "V50": float(half),
-        "shares": share.tolist(),
-        "apart": float(np.abs(share - known).max()),
+    figures = {"drained_ratio": float(ratio), "shares": share.tolist()}
+    if len(V) < 4 or not np.isfinite(share).all():
+        return figures
+    fit = least_squares(lambda x: backbone(V, 2.0, math.exp(x[0]), x[1]) - 1 - share, (1.0, 1.0))
+    return figures | {
+        "V50": float(np.exp(np.interp(-0.5, -share, np.log(V)))),
+        "V50_fitted": math.exp(fit.x[0]),
+        "m_fitted": float(fit.x[1]),
+        "apart": float(np.abs(share - backbone(V, 2.0) + 1).max()),
     }
 
 
@@ -117,6 +122,9 @@ def draw_curve(path, runs, figures):
     with mpm.figure(path, 6.8, 2.6, ncols=2) as (_, (left, right)):
         left.semilogx(line, backbone(line, figures["drained_ratio"]), color="0.6", label="backbone")
         scatter = [run["scatter"] for run in runs] / q[-1]
+        if "V50_fitted" in figures:
+            fitted = figures["drained_ratio"], figures["V50_fitted"], figures["m_fitted"]
+            left.semilogx(line, backbone(line, *fitted), "C0--", lw=0.8)
         left.errorbar(V, q / q[-1], scatter, fmt="o", ms=3, lw=0.8, label="material points")
         left.set(xlabel="$v d/c_v$", ylabel="$q/q_{undrained}$", ylim=(0, None))
         left.legend()

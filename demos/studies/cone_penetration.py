@@ -420,10 +420,12 @@ def main(words=None):
             args.velocity = velocity
             runs.append({"velocity": velocity, **once(args)[0]})
         figures = {"runs": runs, **compared(runs)}
-        say(
-            f"drained {figures['drained_ratio']:.2f} times undrained; half of it at "
-            f"v d/c_v = {figures['V50']:.2f}, {figures['apart']:.3f} from the backbone at most"
-        )
+        text = f"drained {figures['drained_ratio']:.2f} times undrained"
+        if "V50" in figures:
+            text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
+            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
+            text += f"m = {figures['m_fitted']:.2f}"
+        say(text)
         if not args.no_plot and MPI.COMM_WORLD.rank == 0:
             draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
     else:

@@ -184,7 +184,7 @@ class Slope:
         )  # fmt: skip
         if self.coupled:
             self.points["pressure"] = -SUCTION
-        self.history, self.reason = mpm.History(), ""
+        self.history, self.reason, self.state = mpm.History(), "", None
 
     def inside(self, x):
         """Whether positions, shape (2, n), are in the slope or the ground."""
@@ -254,6 +254,14 @@ class Slope:
                 self.reason = f"{type(error).__name__}: {error}"
                 return
             self.history.record(N=self.args.load * shares[i], T=T[i], **self.measured())
+            self.keep(int(np.count_nonzero(shares < 1)))
+
+    def keep(self, held):
+        """Keep the state for a picture: while the load is held, that of the failure. Collective."""
+        moved, args = self.history["moved"], self.args
+        late = len(moved) > held + 1 and moved[-2] > moved[held] + FAILS
+        if self.coupled and not args.no_plot and not late:
+            self.state = self.points.gather("x", "F", "l0", "pressure")
 
     def measured(self):
         """Displacements by H, and the pressure where the soil shears most. Collective."""
@@ -338,7 +346,8 @@ def describe(way, result):
 # %% [markdown]
 # ## Picture
 # Displacements against the load, or the time while it is held; below, where the body lies in the
-# end, with the pressure beyond that at first and the shear strain.
+# end, or when it fails while the load is held, with the pressure beyond that at first and the shear
+# strain.
 
 
 # %%
@@ -369,11 +378,11 @@ def picture(path, args, runs, states):
             right.set(xlabel="$c_v t/H^2$", ylabel="largest displacement / $H$")
         else:
             right.set(xlabel="$N$", ylabel="excess pressure on the slip / $c_u$")
+        excess = {way: (state[3] + SUCTION) / strength for way, state in states.items()}
+        limits = [f([f(values) for values in excess.values()]) for f in (np.min, np.max)]
         panels = np.atleast_2d(lower.subplots(rows, 2, sharex=True, sharey=True))
-        for (axes, other), (way, (x, F, l0, pressure)) in zip(panels, states.items()):
-            values = (pressure + SUCTION) / strength
-            size = np.abs(values).max()
-            drawn = draw_points(axes, x, F, l0, values, cmap="RdBu_r", clim=(-size, size))
+        for (axes, other), (way, (x, F, l0, _)) in zip(panels, states.items()):
+            drawn = draw_points(axes, x, F, l0, excess[way], cmap="cividis", clim=limits)
             lower.colorbar(drawn, ax=axes, label="excess pressure / $c_u$", shrink=0.9)
             drawn = draw_points(other, x, F, l0, sheared(F), cmap="viridis", clim=(0, 0.5))
             lower.colorbar(drawn, ax=other, label="shear strain", extend="max", shrink=0.9)
@@ -399,10 +408,8 @@ def main(words=None):
         slope.run()
         runs[way] = slope.results()
         say(describe(way, runs[way]))
-        if slope.coupled and not args.no_plot:
-            state = slope.points.gather("x", "F", "l0", "pressure")
-            if state is not None:
-                states[way] = state
+        if slope.state is not None:
+            states[way] = slope.state
     figures = {"runs": runs, "undrained_strength": Soil(args).strength}
     for way, limit in LIMITS.items():
         pair = [runs[name]["limit"] for name in (way, limit) if name in runs]

@@ -391,7 +391,7 @@ def test_cells_that_are_one_to_means():
     *offset, size = points["cell_offset"].T
     y = points["x0"][:, 1]
     above = y > 4 * h
-    np.testing.assert_allclose(size, np.where(above, 1.4, 1.0), rtol=1e-3)
+    np.testing.assert_allclose(size, np.where(above, 1.4, 1.0) * h, rtol=1e-3)
     middle = np.where(above, (4 + 0.7) * h, (np.floor(y / h) + 0.5) * h)
     np.testing.assert_allclose(offset[1], y - middle, atol=1e-3 * h)
     np.testing.assert_allclose(offset[0], points["x0"][:, 0] - 0.5 * h, atol=1e-3 * h)
