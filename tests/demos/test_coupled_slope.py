@@ -32,14 +32,14 @@ def test_clay_that_contracts_fails_without_drainage_alone():
 def test_friction_without_drainage():
     """The mean stress of the plane stays: the strength in closed form."""
     found = study("coupled_slope", "--rate", "fast", "--surface-suction", "50")
-    assert abs(found["fast_error"]) < 0.01
+    assert abs(found["fast_error"]) < 0.04
 
 
 @pytest.mark.long
 def test_a_wet_slope_fails_sooner_when_it_is_loaded_slowly():
     found = study("coupled_slope", "--h", "0.5")
     fast, slow = (found["runs"][name] for name in ("fast", "slow"))
-    assert abs(found["fast_error"]) < 0.07
+    assert abs(found["fast_error"]) < 0.05
     assert abs(found["slow_error"]) < 0.01
     assert fast["limit"] == pytest.approx(fast["taylor"], rel=0.06)
     assert slow["limit"] == pytest.approx(slow["taylor"], rel=0.1)
