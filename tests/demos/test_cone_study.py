@@ -59,23 +59,29 @@ def test_a_cone_in_saturated_clay():
     slow, fast = found["runs"]
     assert not slow["reason"]
     assert not fast["reason"]
-    assert found["drained_ratio"] > 1.05
+    assert found["drained_ratio"] > 1.0
     assert abs(slow["pore_ratio"]) < 0.01
-    assert fast["pore_ratio"] > 0.1
+    assert fast["pore_ratio"] > 0.3
 
 
 @pytest.mark.long
 def test_drainage_decides_what_a_cone_carries(tmp_path):
     """Between what is drained and Teh & Houlsby's factor, half of it near v d/c_v = 3."""
-    options = "--curve", "--velocities", "0.01,1,3,10,1000", "--output", str(tmp_path)
-    found = run("cone_penetration", *options)
+    options = "--curve", "--velocities", "0.01,3,30,1000", "--depth", "8"
+    found = run("cone_penetration", *options, "--output", str(tmp_path))
     assert not any(one["reason"] for one in found["runs"])
     assert 1.3 < found["drained_ratio"] < 4
-    assert 1 < found["V50"] < 10
+    assert 1 < found["V50"] < 15
     for name, way in (("factor", -1), ("pore_ratio", 1)):
         assert np.all(way * np.diff([one[name] for one in found["runs"]]) > 0)
     assert (tmp_path / "cone_penetration_curve.png").stat().st_size > 0
-    alone = run("cone_penetration", "--undrained", "--output", str(tmp_path))
-    assert abs(alone["error"]) < 0.15
-    assert alone["factor"] == pytest.approx(found["runs"][-1]["factor"], rel=0.02)
+
+
+@pytest.mark.long
+def test_a_cone_in_clay_whose_water_stays(tmp_path):
+    """Teh & Houlsby's factor of the strength that the clay has in closed form."""
+    found = run("cone_penetration", "--undrained", "--output", str(tmp_path))
+    assert not found["reason"]
+    assert abs(found["error"]) < 0.15
+    assert found["pore_ratio"] > 0.5
     assert (tmp_path / "cone_penetration_cam-clay_axisymmetric.png").stat().st_size > 0
