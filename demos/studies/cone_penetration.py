@@ -28,6 +28,14 @@
 # 10.1 % and 8.3 % too much for I_r = 50 and 200. Sand 4 m deep: 2.4 and 2.5 MPa with
 # ghost penalties in cells of R/4 and R/2; aggregation comes as far with R/3, not with R/2, where
 # ground that was pushed up beside the cone turns inside out; without a remedy the first steps fail.
+#
+# With `--drained`, `--undrained`, `--partly` or `--velocity` the ground is saturated Cam-Clay,
+# normally consolidated (`--ratio`) under an even stress (`cone_in_water.py`). What counts is
+# $v d/c_v$, by the diameter d and the virgin clay's $c_v$. `--curve` takes several velocities: the
+# resistance goes from the drained to the undrained one along an S, the known "backbone" (DeJong &
+# Randolph, 2012), half of it at $v d/c_v \approx 3$. Without drainage Teh & Houlsby's factor is to
+# be compared with, by the closed form of the clay's $c_u$.
+#
 # A quarter of the cone in three dimensions is 8 to 10 % below the bodies of revolution with the
 # same lines (h = R/2, zone 1.5, growth 2), whose force has larger waves.
 
@@ -37,8 +45,9 @@ import time
 
 import numpy as np
 import ufl
+from cone_in_water import PRESSURE, VELOCITIES, Clay, compared, draw_curve
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from scene import draw_points, finish, numbers, parser, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -46,11 +55,15 @@ COHESION = 10e3  # Pa, of the clay
 DEFAULTS = {  # by the law, lengths in m
     "tresca": {
         "radius": 1.0, "start": 6.0, "depth": 18.0, "h": 0.25, "step": 0.1, "poisson": 0.45,
-        "fbar": "on", "friction": 0.0, "width": 40.0, "stabilisation": "ghost",
+        "fbar": "on", "friction": 0.0, "width": 40.0, "stabilisation": "ghost", "penalty": 5.0,
     },
     "sand": {
         "radius": 0.4, "start": 0.0, "depth": 4.0, "h": 0.1, "step": 0.02, "poisson": 0.25,
-        "fbar": "off", "friction": 0.3, "width": 12.8, "stabilisation": "ghost",
+        "fbar": "off", "friction": 0.3, "width": 12.8, "stabilisation": "ghost", "penalty": 5.0,
+    },
+    "cam-clay": {
+        "radius": 1.0, "start": 4.0, "depth": 12.0, "h": 0.5, "step": 0.1, "poisson": 0.0,
+        "fbar": "off", "friction": 0.0, "width": 40.0, "stabilisation": "ghost", "penalty": 1.0,
     },
 }  # fmt: skip
 
@@ -66,6 +79,18 @@ def arguments(words=None):
     options.add_argument("--h", type=float, help="size of the cells around it (m); by the law")
     options.add_argument("--step", type=float, help="way of the cone in a step (m); by the law")
     options.add_argument("--rigidity-index", type=float, default=100.0, help="G/c_u of clay")
+    options.add_argument("--ratio", type=float, default=1.0, help="overconsolidation of Cam-Clay")
+    for name, value in VELOCITIES.items():
+        options.add_argument(
+            f"--{name}", dest="drainage", action="store_const", const=name,
+            help="Cam-Clay with water" + (f" at v d/c_v = {value:g}" if value else " that stays"),
+        )  # fmt: skip
+    options.add_argument("--velocity", type=float, help="v d/c_v of Cam-Clay, instead")
+    options.add_argument("--curve", action="store_true", help="a run for each of --velocities")
+    options.add_argument(
+        "--velocities", type=numbers(float), default=[0.01, 0.1, 0.3, 1, 3, 10, 30, 100, 1000],
+        help="by commas",
+    )  # fmt: skip
     options.add_argument("--relative-density", type=float, default=0.32, help="of sand")
     options.add_argument("--poisson", type=float, help="Poisson's ratio; by the law")
     options.add_argument("--friction", type=float, help="coefficient at the cone; by the law")
@@ -79,7 +104,7 @@ def arguments(words=None):
         "--domains", choices=("volume", "stretch", "fixed"), default="volume", help="their growth"
     )
     options.add_argument("--corners", choices=("domains", "material"), default="domains")
-    options.add_argument("--penalty", type=float, default=5.0, help="κ h/E")
+    options.add_argument("--penalty", type=float, help="κ h/E; by the law")
     options.add_argument("--fillet", type=float, default=1.0, help="of tip and shoulder, by h")
     options.add_argument(
         "--stabilisation", choices=("none", "ghost", "aggregation"), help="by the law"
@@ -87,12 +112,22 @@ def arguments(words=None):
     options.add_argument("--ghost", type=float, default=0.1, help="factor of the ghost penalty")
     options.add_argument("--tolerance", type=float, default=1e-6)
     given = options.parse_args(words)
+    if given.curve or given.velocity or given.drainage:
+        if given.law == "sand":
+            options.error("water goes with --law cam-clay")
+        given.law = "cam-clay"
+    if given.law == "cam-clay" and given.dimension == "3":
+        options.error("water goes with bodies of revolution")
+    if given.velocity is None and given.drainage:
+        given.velocity = VELOCITIES[given.drainage]
     for name, value in DEFAULTS[given.law].items():
         if getattr(given, name) is None:
             setattr(given, name, value)
     sizes = given.radius, given.h, given.step, given.penalty, given.rigidity_index, given.width
     if not min(sizes) > 0 or given.friction < 0 or not given.start >= 0:
         options.error("sizes must be positive, start and friction not negative")
+    if not min(given.velocity or 1.0, *given.velocities) > 0 or not given.ratio >= 1:
+        options.error("velocities must be positive, the ratio 1 at the least")
     if not given.depth >= given.start + given.step or given.growth <= 1:
         options.error("the depth must be more than the start by a step, and growth above 1")
     if not given.h <= given.radius or given.zone < 1.5 or given.points_per_cell < 1:
@@ -150,6 +185,9 @@ class Scene:
             E = deposit.modulus(sand.E_ref, sand.exponent, sand.p_ref)
             law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
             density, self.unit = sand.density, 1e3
+        elif args.law == "cam-clay":
+            clay = Clay(args.ratio, args.rigidity_index, args.velocity, 2 * R, self.way)
+            law, E, density, self.unit = clay.law, clay.young, 1000.0, clay.strength
         else:
             E = 2 * args.rigidity_index * COHESION * (1 + args.poisson)
             law = mpm.materials.Tresca(E, args.poisson, COHESION)
@@ -160,25 +198,34 @@ class Scene:
         averaged = {} if args.basis == "linear" else {"domains": args.domains}
         V = mpm.Space(self.grid, args.basis, **averaged)
         u, v = V.increment, V.test
-        F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
+        fields, bcs, self.wet = [u], [], args.law == "cam-clay"
+        if self.wet:
+            Q = mpm.Space(self.grid, args.basis, shape=(), **averaged)
+            F, bcs = clay.form(points, Q, u, v, fbar=args.fbar == "on")
+            fields.append(Q.increment)
+        else:
+            F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
         if deposit is not None:
             mpm.set_stress(points, law, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         F += mpm.contact(
             self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
-            corners=args.corners,
+            corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:
-            bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
+            bcs += mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
         else:
-            bcs = mpm.rollers(V, "left", "right", "front", "back")
+            bcs += mpm.rollers(V, "left", "right", "front", "back")
         remedy = args.stabilisation
         if remedy == "ghost":
             remedy = mpm.Stabilisation("ghost", gamma=args.ghost)
-        self.problem = mpm.QuasiStatic(
-            F, u, points, bcs + mpm.fixed(V, "bottom"), stabilisation=remedy,
+        kind = mpm.Transient if self.wet else mpm.QuasiStatic
+        self.problem = kind(
+            F, fields, points, bcs + mpm.fixed(V, "bottom"), stabilisation=[remedy] * len(fields),
             tolerance=args.tolerance,
         )  # fmt: skip
+        if self.wet:
+            points["pressure"] = -PRESSURE
         self.history, self.reason = mpm.History(), ""
 
     def penetrometer(self):
@@ -221,6 +268,19 @@ class Scene:
         friction = -float(points["contact1_traction"][above][:, -1].sum())
         return points.comm.allreduce(friction) * (1 if self.flat else 4)
 
+    def at_shoulder(self):
+        """Mean pressure beyond that at first of what is within h of the shoulder (Pa). Collective.
+
+        That is where a piezocone has its filter, u₂.
+        """
+        points, R = self.points, self.args.radius
+        beside = np.linalg.norm(points["x"][:, :-1], axis=1) - R
+        above = points["x"][:, -1] - (self.height - self.depth)
+        near = (np.abs(beside) < self.args.h) & (np.abs(above) < self.args.h)
+        own = np.array([(points["pressure"][near] + PRESSURE).sum(), near.sum()])
+        total, count = points.comm.allreduce(own)
+        return float(total / count) if count else math.nan
+
     @property
     def depth(self):
         """Depth of the tip (m)."""
@@ -228,13 +288,16 @@ class Scene:
 
     def step(self):
         """One step; keeps depth and forces. Collective."""
-        record, area = self.problem.step(), math.pi * self.args.radius**2
+        # with water a step takes 1 s
+        record = self.problem.step(*([len(self.history) + 1.0] if self.wet else []))
+        area = math.pi * self.args.radius**2
         whole = record.bodies["cone"]["force"][-1] * (1 if self.flat else 4)
         shaft = self.on_shaft() if self.args.friction else 0.0
         self.history.record(
             depth=self.depth, force=whole, shaft=shaft,
             factor=(whole - shaft) / area / self.unit,
             iterations=record.iterations, halvings=record.halvings,
+            pore=self.at_shoulder() / self.unit if self.wet else 0.0,
         )  # fmt: skip
 
     def run(self):
@@ -272,7 +335,10 @@ def results(args, scene):
         "forces": scene.history["force"].tolist(), "shaft": scene.history["shaft"].tolist(),
         "tip_resistance": mean * scene.unit,
     }  # fmt: skip
-    if args.law == "tresca":
+    if args.law == "cam-clay":
+        pore = float(np.nanmean(scene.history["pore"][late]))
+        figures |= {"pore_ratio": pore / mean, "undrained_strength": scene.unit}
+    if args.law == "tresca" or (args.law == "cam-clay" and args.velocity is None):
         exact = teh_houlsby(args.rigidity_index)
         figures |= {"factor_exact": exact, "error": mean / exact - 1}
     return figures
@@ -281,20 +347,21 @@ def results(args, scene):
 def draw(args, scene, figures):
     """Force against depth, and the ground beside the cone; rank 0 writes."""
     points, R = scene.points, args.radius
-    found = points.gather("x", "F", "l0", "plastic_strain")
+    shown = "pressure" if scene.wet else "plastic_strain"
+    found = points.gather("x", "F", "l0", shown)
     if found is None:
         return
-    x, F, l0, plastic = found
+    x, F, l0, values = found
+    label = r"$\log_{10}$ plastic strain"
+    if scene.wet:
+        values, label = (values + PRESSURE) / scene.unit, r"$\Delta u/c_u$"
+    else:
+        values = np.log10(values + 1e-3)
     if not scene.flat:
         # points beside the plane of symmetry
         near = x[:, 1] < 0.5 * args.h
-        x, F, l0, plastic = (
-            x[near][:, [0, 2]],
-            F[near][:, [0, 2]][:, :, [0, 2]],
-            l0[near],
-            plastic[near],
-        )
-        l0 = l0[:, [0, 2]]
+        x, l0, values = x[near][:, [0, 2]], l0[near][:, [0, 2]], values[near]
+        F = F[near][:, [0, 2]][:, :, [0, 2]]
     path = args.output / f"cone_penetration_{args.law}_{args.dimension}.png"
     with mpm.figure(path, 7.0, 3.6, ncols=2, width_ratios=(1, 1.2)) as (fig, (left, right)):
         depth = scene.history["depth"]
@@ -302,21 +369,20 @@ def draw(args, scene, figures):
         if "factor_exact" in figures:
             left.axvline(figures["factor_exact"], color="C0", lw=1, label="Teh & Houlsby")
             left.legend()
-        name = "$q_c/c_u$" if args.law == "tresca" else "$q_c$ (kPa)"
+        name = "$q_c$ (kPa)" if args.law == "sand" else "$q_c/c_u$"
         left.set(xlabel=name, ylabel="depth of the tip (m)", xlim=(0, None))
         left.set_ylim(depth[-1], args.start)
-        drawn = draw_points(right, x, F[:, :2, :2], l0, np.log10(plastic + 1e-3), cmap="magma")
+        drawn = draw_points(right, x, F[:, :2, :2], l0, values, cmap="magma")
         tip = -scene.depth
         meridian = np.array([(0, tip), (R, tip + scene.height), (R, tip + 9 * R), (0, tip + 9 * R)])
         right.fill(*meridian.T, color="0.6", zorder=3)
         right.set(xlim=(0, 4 * R), ylim=(tip - 2 * R, tip + 5 * R))
         right.set(xlabel="radius (m)", ylabel="height (m)")
-        fig.colorbar(drawn, label=r"$\log_{10}$ plastic strain")
+        fig.colorbar(drawn, label=label)
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = arguments(words)
+def once(args):
+    """One run, its figures and its scene. Collective."""
     started = time.perf_counter()
     scene = Scene(args)
     ready = time.perf_counter()
@@ -327,19 +393,45 @@ def main(words=None):
         "seconds_solve": sum(record.seconds for record in scene.problem.history),
     }
     text = f"{args.law}, {args.dimension}, h = {args.h:g} m: "
+    if scene.wet:
+        text += f"v d/c_v = {args.velocity:g}, " if args.velocity else "undrained, "
     if "factor" in figures:
-        unit = "" if args.law == "tresca" else " kPa"
+        unit = " kPa" if args.law == "sand" else ""
         text += f"{figures['factor']:.2f}{unit} ± {figures['scatter']:.2f}, drift "
         text += f"{100 * figures['drift']:+.1f} %"
     if "error" in figures:
         text += f", {100 * figures['error']:+.1f} % from {figures['factor_exact']:.2f}"
+    if "pore_ratio" in figures:
+        text += f", Δu/q {figures['pore_ratio']:.2f}"
     say(
         f"{text}; {figures['reached']:.3f} m deep, {figures['newton_iterations']} iterations, "
         f"{figures['halvings']} halvings, {figures['seconds_solve']:.0f} s"
         + (f"; ended: {scene.reason[:300]}" if scene.reason else "")
     )
-    if not args.no_plot and "factor" in figures:
-        draw(args, scene, figures)
+    return figures, scene
+
+
+def main(words=None):
+    """Run, print, and return the figures."""
+    args = arguments(words)
+    if args.curve:
+        runs = []
+        for velocity in args.velocities:
+            args.velocity = velocity
+            runs.append({"velocity": velocity, **once(args)[0]})
+        figures = {"runs": runs, **compared(runs)}
+        text = f"drained {figures['drained_ratio']:.2f} times undrained"
+        if "V50" in figures:
+            text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
+            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
+            text += f"m = {figures['m_fitted']:.2f}"
+        say(text)
+        if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+            draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
+    else:
+        figures, scene = once(args)
+        if not args.no_plot and "factor" in figures:
+            draw(args, scene, figures)
     finish(args, figures)
     return figures
 

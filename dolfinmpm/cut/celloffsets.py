@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, Placement
@@ -31,24 +32,30 @@ def cell_offsets(where: Placement, field: ActiveField) -> Array:
         field: The field.
 
     Returns:
-        Shape (points, gdim + 1): offsets (m), and the volume of the points of cells that count as
-        one by that of a cell, from 1 to 2, 1 of single cells.
+        Shape (points, gdim + 1): offsets (m), and sizes (m): that of the cell, see `cell_size`,
+        times the volume of the points of cells that count as one by that of a cell, from 1 to 2.
     """
     basis = field.basis
     moments = np.column_stack([where.volume, where.volume[:, None] * where.x])
-    growth: Array = np.ones((len(where.x), 1))
     if isinstance(basis, LatticeBasis):
-        position = basis.lattice.cells_at(where.x) - basis.halo.origin
+        ijk = basis.lattice.cells_at(where.x)
+        position = ijk - basis.halo.origin
         cell = basis.halo.cell_table[tuple(position.T)].astype(np.int64)
+        edges = [np.diff(line)[i] for line, i in zip(basis.lattice.lines, ijk.T)]
+        size = np.prod(edges, axis=0) ** (1 / len(edges))
         sums = _summed(basis, cell, moments)
         if field.level is not None:
             sums, volume = _with_roots(where, field, sums)
-            growth = np.clip(volume[cell, None], 1.0, 2.0)
+            size *= np.clip(volume[cell], 1.0, 2.0)
         mine = sums[cell]
     else:
+        h = field.space.cell_size
+        size = (
+            h.x.array[where.cell] if isinstance(h, fem.Function) else np.full(len(where.x), h.value)
+        )
         _, cell = np.unique(where.cell, return_inverse=True)
         mine = np.stack([np.bincount(cell, m) for m in moments.T], axis=1)[cell]
-    return np.hstack([where.x - mine[:, 1:] / mine[:, :1], growth])
+    return np.hstack([where.x - mine[:, 1:] / mine[:, :1], size[:, None]])
 
 
 def _summed(basis: LatticeBasis, cell: Ints, values: Array) -> Array:

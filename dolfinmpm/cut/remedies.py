@@ -30,7 +30,7 @@ from dolfinmpm.cut.aggregation import MeshRoots, ties
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.materials.base import lame
 
 if TYPE_CHECKING:
@@ -360,8 +360,7 @@ class Stabilisation:
         from scipy import sparse
 
         assert self.E is not None
-        h = space.cell_size
-        size = float(h.value) if not isinstance(h, fem.Function) else float(h.x.array.mean())
+        size = mean_size(space.cell_size)
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
         D = sparse.identity(C.shape[0], format="csr") - C

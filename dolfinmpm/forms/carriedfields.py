@@ -40,7 +40,7 @@ class CellOffset(PointField):
     """Where a point is in its cell of a field, shape (gdim + 1,), set as a step begins.
 
     From the centre of mass of the cell's points to the point (m); and the size of what counts as
-    one cell by that of a cell, see `dolfinmpm.cut.celloffsets`.
+    one cell (m), see `dolfinmpm.cut.celloffsets`.
 
     Args:
         points: Material points.

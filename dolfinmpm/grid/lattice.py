@@ -220,6 +220,16 @@ def _as_function(grid: Mesh, sizes: npt.NDArray[np.float64]) -> fem.Function:
     return h
 
 
+def mean_size(h: fem.Constant | fem.Function) -> float:
+    """Mean of the sizes of all cells (m), from `cell_size` or `coarse_cell_size`. Collective."""
+    if not isinstance(h, fem.Function):
+        return float(h.value)
+    own = h.x.array[: h.function_space.dofmap.index_map.size_local]
+    comm = h.function_space.mesh.comm
+    total, count = comm.allreduce(np.array([own.sum(), own.size]), op=MPI.SUM)
+    return float(total / count)
+
+
 @once_per_grid
 def smallest_height(grid: Mesh) -> float:
     """Least height of a cell (m): the shortest way for a wave across it. Collective."""

@@ -29,6 +29,7 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CellOffset
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import mean_size
 
 __all__ = ["factor_of", "largest", "projected", "size_of", "unstable"]
 
@@ -38,12 +39,12 @@ _LUMPED = 3.0
 
 
 def size_of(p: Any) -> Any:
-    """Size of the pressure's cells, one number for UFL (m)."""
+    """Mean size of the pressure's cells, one number for UFL (m). Collective."""
     space: Space = p._dolfinmpm_space
     size = space.cell_size
     if not isinstance(size, fem.Function):
         return size
-    return own_constant(space.grid, float(size.x.array.mean()))
+    return own_constant(space.grid, mean_size(size))
 
 
 def largest(K: Expr) -> Expr:
@@ -125,7 +126,7 @@ def projected(
     space: Space = p._dolfinmpm_space
     # spent where the step is long enough for the flow itself to smooth
     place, gdim = CellOffset(points, space), points.gdim
-    offset, h = ufl.as_vector([place[i] for i in range(gdim)]), place[gdim] * size_of(p)
+    offset, h = ufl.as_vector([place[i] for i in range(gdim)]), place[gdim]
     spent = 4 * theta * largest(K) * M * points.dt / h**2
     slow = own_constant(points.grid, factor) / M * ufl.max_value(1 - spent, 0.0)
     # second moments of a point's domain about the centre of mass of its cell's points

@@ -31,19 +31,21 @@ _MULTIGRID = {
 
 
 # Of a displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle
-# of multigrid for the first block. S is taken for C + B diag(A)⁻¹ Bᵀ, which has the scale and the
-# pattern of what is stored and of what flows (White & Borja 2011, doi 10.1007/s10596-011-9233-7);
-# an incomplete factorisation of it serves as well as LU, where cycles with Jacobi or Gauss–Seidel
-# smoothers need ten times the iterations as soon as the body cuts cells.
+# of multigrid for either block (White & Borja 2011, doi 10.1007/s10596-011-9233-7); S is what
+# flows and what is stored, see `dolfinmpm.solve.complement`. Its cycles smooth by incomplete
+# factors: with Jacobi or Gauss–Seidel they need ten times the iterations where the body cuts cells.
 _BLOCKS = {
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
-    "pc_fieldsplit_schur_precondition": "selfp",
+    "pc_fieldsplit_schur_precondition": "user",
     "fieldsplit_u_ksp_type": "preonly",
     "fieldsplit_u_pc_type": "gamg",
     **{f"fieldsplit_u_{name}": value for name, value in _MULTIGRID.items()},
     "fieldsplit_p_ksp_type": "preonly",
-    "fieldsplit_p_pc_type": "bjacobi",
+    "fieldsplit_p_pc_type": "gamg",
+    "fieldsplit_p_mg_levels_ksp_type": "richardson",
+    "fieldsplit_p_mg_levels_ksp_max_it": 1,
+    "fieldsplit_p_mg_levels_pc_type": "bjacobi",
 }
 
 
@@ -57,6 +59,7 @@ class Tangent:
         softened: Whether its matrix has terms more, so that it only preconditions.
         fields: Number of fields.
         porous: Whether they are a displacement and a scalar.
+        checked: Whether a matrix has been looked at, if it is said to be symmetric.
     """
 
     symmetric: bool
@@ -64,6 +67,7 @@ class Tangent:
     softened: bool
     fields: int = 1
     porous: bool = False
+    checked: bool = False
 
 
 @dataclass(frozen=True)

@@ -66,12 +66,13 @@ class Balance:
     Attributes:
         residuals: Relative out-of-balance forces so far.
         motion: Norm of the forces that the prescribed motion alone would make.
+        predicted: Whether a linear step has been taken, whose tangent is known.
     """
 
     def __init__(self, tolerance: float, most: int):
         self.tolerance, self.most = tolerance, most
         self.residuals: list[float] = []
-        self.motion = 0.0
+        self.motion, self.predicted = 0.0, False
         self._first = 0.0
 
     def test(
@@ -216,7 +217,7 @@ class Newton:
         def test(snes: Any, iteration: int, norms: tuple[float, float, float]) -> int:
             nonlocal smallest
             parts = None
-            if found.parts is not None and iteration > 0:
+            if found.parts is not None and (iteration > 0 or balance.predicted):
                 parts = _references(operator, matrix.petsc, snes.getSolution(), found.parts)
                 smallest = float(parts[:, 1].min())
             return balance.test(norms[2], found.reference, iteration, parts)
@@ -242,7 +243,7 @@ class Newton:
         f = operator.push()
         # a body without loads is measured against the forces that the motion would make
         square = operator.here.unknowns.comm.allreduce(float(f @ f), op=MPI.SUM)
-        balance.motion = math.sqrt(square)
+        balance.motion, balance.predicted = math.sqrt(square), True
         return self.linear.solve(-f)
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import ufl
-from dolfinx import fem
 
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
 from dolfinmpm.dynamics.mass import Mass, MassTerms
-from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 
@@ -65,8 +64,7 @@ def conditioning(
     elif remedy.kind in ("aggregation", "extended"):
         tied = remedy
     elif remedy.kind == "weak-aggregation" and gamma > 0:
-        h = cell_size(points.grid)
-        size = float(h.x.array.mean()) if isinstance(h, fem.Function) else float(h.value)
+        size = mean_size(cell_size(points.grid))
         tied = replace(remedy, E=density * size**2, gamma=gamma)
     inertia = QuasiStatic(
         form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"

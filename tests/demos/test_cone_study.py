@@ -47,3 +47,41 @@ def test_a_quarter_of_a_cone_in_three_dimensions(tmp_path):
     ratio = np.mean(whole["factors"][last]) / np.mean(flat["factors"][last])
     assert ratio == pytest.approx(1.0, abs=0.1)
     assert (tmp_path / "cone_penetration_tresca_3.png").stat().st_size > 0
+
+
+COARSE = "--width", "8", "--zone", "1.5", "--growth", "2"
+
+
+def test_a_cone_in_saturated_clay():
+    """Its way is too short for what is steady; water that stays bears pressure and softens."""
+    options = "--curve", "--velocities", "0.01,1000", "--depth", "4.6", "--step", "0.2", *COARSE
+    found = run("cone_penetration", *options, "--no-plot")
+    slow, fast = found["runs"]
+    assert not slow["reason"]
+    assert not fast["reason"]
+    assert found["drained_ratio"] > 1.0
+    assert abs(slow["pore_ratio"]) < 0.01
+    assert fast["pore_ratio"] > 0.3
+
+
+@pytest.mark.long
+def test_drainage_decides_what_a_cone_carries(tmp_path):
+    """Between what is drained and Teh & Houlsby's factor, half of it near v d/c_v = 3."""
+    options = "--curve", "--velocities", "0.01,3,30,1000", "--depth", "8"
+    found = run("cone_penetration", *options, "--output", str(tmp_path))
+    assert not any(one["reason"] for one in found["runs"])
+    assert 1.3 < found["drained_ratio"] < 4
+    assert 1 < found["V50"] < 15
+    for name, way in (("factor", -1), ("pore_ratio", 1)):
+        assert np.all(way * np.diff([one[name] for one in found["runs"]]) > 0)
+    assert (tmp_path / "cone_penetration_curve.png").stat().st_size > 0
+
+
+@pytest.mark.long
+def test_a_cone_in_clay_whose_water_stays(tmp_path):
+    """Teh & Houlsby's factor of the strength that the clay has in closed form."""
+    found = run("cone_penetration", "--undrained", "--output", str(tmp_path))
+    assert not found["reason"]
+    assert abs(found["error"]) < 0.15
+    assert found["pore_ratio"] > 0.5
+    assert (tmp_path / "cone_penetration_cam-clay_axisymmetric.png").stat().st_size > 0

@@ -16,6 +16,7 @@ NUMBERS = {
     "cantilever": ("down", 0.8262),
     "cone": ("found", 10.314),
     "consolidation": ("degree", 0.7680),
+    "coupled_slope": ("limit", 5.231),
     "column_collapse": ("error", 2.589e-3),
     "column_compaction": ("error", 5.56e-4),
     "footing": ("factor", 5.242),

@@ -70,3 +70,12 @@ def test_a_strip_footing_settles():
         np.testing.assert_allclose(figures[name], figures[f"{name}_exact"], rtol=0.03)
     two = study("footing_consolidation", *options, ranks=2)
     np.testing.assert_allclose(two["settlement_centre"], figures["settlement_centre"], rtol=1e-8)
+
+
+@pytest.mark.long
+def test_iterations_of_a_footing_do_not_depend_on_what_flows():
+    options = "--cells", "14", "--steps", "1", "--permeability", "1e-12,1e-5,1e-2"
+    runs = study("footing_3d", *options)["runs"]
+    means = [one["mean_iterations"] for one in runs]
+    assert max(means) < 10
+    assert max(means) - min(means) < 0.3 * (max(means) + min(means))

@@ -7,9 +7,11 @@ import pytest
 import ufl
 from conftest import unit_grid
 from dolfinx import fem
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.solve import method
+from dolfinmpm.solve.complement import Complement
 from dolfinmpm.solve.method import Tangent, choose
 from dolfinmpm.solve.reuse import Reuse
 
@@ -210,3 +212,18 @@ def test_info_tells_what_solves_and_how_work_is_spread():
     assert f"unknowns: {problem.history[0].unknowns}" in text
     assert "Cholesky" in text
     assert "positive definite" in text
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e6, -2.0])
+def test_what_a_pressure_block_stores(scale):
+    """S = C − 3 diag(B₂ diag(A)⁻¹ B₁), whatever the scale and the sign of the second equation."""
+    A, B, C = np.diag([2.0, 4.0, 5.0]), np.array([[1.0, 2.0, 0.0], [0.0, 1.0, -3.0]]), np.eye(2)
+    whole = np.block([[A, -B.T], [scale * B, scale * C]])
+    matrix = PETSc.Mat().createDense(whole.shape, array=whole, comm=PETSc.COMM_SELF)
+    matrix = matrix.convert("aij")
+    u, p = (PETSc.IS().createGeneral(rows, PETSc.COMM_SELF) for rows in ([0, 1, 2], [3, 4]))
+    complement = Complement((u, p))
+    for _ in range(2):
+        S = complement.update(matrix)[:, :]
+        exact = np.diag(scale * (C + B @ np.linalg.inv(A) @ B.T))
+        np.testing.assert_allclose(S, np.diag(scale + 3 * (exact - scale)), rtol=1e-9)

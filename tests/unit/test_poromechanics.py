@@ -264,7 +264,7 @@ def test_iterations_on_blocks_find_what_factors_do(monkeypatch, remedy, permeabi
         found[crossover] = points["x"].copy(), points["pressure"].copy()
         if crossover == 100:
             assert problem.newton.linear.method.pc == "fieldsplit"
-            assert max(record.linear_iterations) < 40
+            assert max(record.linear_iterations) < 20
     for direct, iterative in zip(*found.values()):
         np.testing.assert_allclose(iterative, direct, atol=1e-7 * np.abs(direct).max())
 
@@ -391,7 +391,7 @@ def test_cells_that_are_one_to_means():
     *offset, size = points["cell_offset"].T
     y = points["x0"][:, 1]
     above = y > 4 * h
-    np.testing.assert_allclose(size, np.where(above, 1.4, 1.0), rtol=1e-3)
+    np.testing.assert_allclose(size, np.where(above, 1.4, 1.0) * h, rtol=1e-3)
     middle = np.where(above, (4 + 0.7) * h, (np.floor(y / h) + 0.5) * h)
     np.testing.assert_allclose(offset[1], y - middle, atol=1e-3 * h)
     np.testing.assert_allclose(offset[0], points["x0"][:, 0] - 0.5 * h, atol=1e-3 * h)
@@ -487,3 +487,15 @@ def test_ponded_water_leaves_effective_stresses_alone(level):
     np.testing.assert_allclose(points["pressure"], 1e4 * (table - y), atol=30)
     middle = (np.floor(5 * y) + 0.5) / 5
     np.testing.assert_allclose(points["stress"][:, 1, 1], -(1.6e4 - 1e4) * (1 - middle), atol=30)
+
+
+def test_forces_balance_however_easily_water_flows():
+    """A step that is predicted ends by the measure of each field: here the flow's is far larger."""
+    law, found = mpm.materials.NeoHookean(1e4, 0.3), []
+    for tolerance in (1e-6, 1e-12):
+        F, points, V, Q, _ = block("linear", height=1.0, drained=False, permeability=1e6, law=law)
+        bcs = held(V) + mpm.prescribed(Q, "right", 0, -1e3, increment=False)
+        bcs += mpm.prescribed(V, lambda x: (x[1] > 0.99) & (x[0] < 0.3), 1, -0.1)
+        problem_of(F, points, V, Q, bcs, tolerance=tolerance).step(1.0)
+        found.append(points["x"].copy())
+    np.testing.assert_allclose(*found, atol=1e-6)

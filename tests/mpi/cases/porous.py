@@ -12,8 +12,12 @@ from .restart import REPEATABLE, goes_on
 
 
 def consolidation():
-    """A block in a corner of the grid that is squeezed from one side and drains at its top."""
-    grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (24, 16), mesh.CellType.quadrilateral)
+    """A block in a corner of the grid that is squeezed from one side and drains at its top.
+
+    Cells grow away from the corner, and so differ from rank to rank.
+    """
+    lines = [mpm.zoned_line(0.0, end, (0.0, 0.5), (0, 4, n)) for end, n in ((3.0, 14), (2.0, 8))]
+    grid = mpm.create_lattice(COMM, lines)
     points = mpm.fill(grid, mpm.Box((0, 0), (1.2, 0.8)), 2, 2000.0, exact=True)
     V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "linear", shape=())
     top = mpm.Surface(points, lambda x: x[1] > 0.8 - 1e-9, (0, 1))

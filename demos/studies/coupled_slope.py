@@ -1,0 +1,449 @@
+# %% [markdown]
+# # A saturated slope fails: fast without drainage, slowly with it, or late
+#
+# A slope 6 m high stands on 2 m of the same soil, under water, and its weight grows as in a
+# centrifuge, until it fails. Pressures are those beyond the hydrostatic one, so that the weight is
+# the buoyant one, γ' per volume. At first the soil is weightless under the even effective stress
+# $p_0$, by the suction $-p_0$ of its water. So its undrained strength is the same everywhere and
+# known in closed form,
+#
+# - Cam-Clay: $c_u = \frac{M}{\sqrt3}\, p_0 (R/2)^{1 - \hat\kappa/\hat\lambda}$, with the
+#   overconsolidation ratio $R$ (Wood 1990, ch. 7);
+# - Mohr-Coulomb without dilation: $c_u = c' \cos\varphi + p_0 \sin\varphi$, for the mean effective
+#   stress of the plane stays.
+#
+# That is why the weight grows, and nothing is put on or dug away: both limits are problems with one
+# field and have numbers of their own.
+#
+# - **fast** ($c_v t/H^2 = 10^{-4}$): no water leaves, and the slope fails as clay of the strength
+#   $c_u$ does: Tresca's law in total stresses (`undrained`), Taylor's (1937) number
+#   $N = \gamma' H/c_u = 5.24$ for 60°;
+# - **slow** ($c_v t/H^2 = 10^3$): water comes and goes through the surface, where its suction is
+#   `--surface-suction`, and inside it is the same: the soil without water under the same pressure
+#   from outside (`drained`). With Mohr-Coulomb's law Taylor's numbers hold of the cohesion
+#   $c' + s \tan\varphi$, $s$ being that suction.
+#
+# Normally consolidated Cam-Clay contracts: fast is weaker. Its suction held at the surface, it does
+# not fail at all when loaded slowly, but settles. Where the surface is wet (Mohr-Coulomb's default)
+# the suction that lends strength at first fades, and slow is weaker. Loaded fast to less than the
+# undrained limit and then left alone (`--hold`), such a slope stands for a while and fails later.
+#
+# What comes out in cells of H/12: normally consolidated Cam-Clay fails at N = 5.24 (Tresca 5.31,
+# H/24: 5.16), and drained moves within 1 % of what the soil without water does. Wet Mohr-Coulomb
+# fails at 5.13 fast and 2.67 slowly (2.67 without water, Taylor 2.47); with its suction held at
+# 5.46 fast. Held at N = 4 it fails after $c_v t/H^2 = 0.1$. All bases and pairs agree within 2 %;
+# without a ghost penalty or aggregation the fast run ends before the failure.
+#
+# The failure is where the farthest point moves by 0.05 H per unit of N (in `--hold`: is 0.05 H
+# further than at its start); quasi-static steps go on beyond it, until the heap carries what the
+# soil cannot.
+
+# %%
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import draw_points, finish, numbers, parser, say, solver_figures
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import DolfinMPMError
+
+HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
+SUCTION = 50e3  # Pa, p0
+PERMEABILITY = 1e-9  # m/s; times are by c_v
+TIMES = {"fast": 1e-4, "slow": 1e3}  # c_v t/H² of the rise
+LIMITS = {"fast": "undrained", "slow": "drained"}
+M, SWELLING, COMPRESSION = 1.05, 0.018, 0.13
+COHESION, FRICTION = 5e3, 25.0
+# Taylor's c/(γH) by the angle of the slope, without friction (toe circles) and with 25°
+TAYLOR = {0.0: {60: 0.191, 75: 0.219}, FRICTION: {45: 0.044, 60: 0.079, 75: 0.117}}
+FAILS = 0.05  # displacement by H, per unit of N
+
+
+def arguments(words=None):
+    """The command line."""
+    options = parser("A saturated slope is brought to failure, fast and slowly.")
+    add = options.add_argument
+    add("--law", choices=("cam-clay", "mohr-coulomb"), default="mohr-coulomb")
+    add("--rate", type=numbers(str), default=["fast", "slow"], help="fast, slow, by commas")
+    add("--duration", type=float, help="c_v t/H² of the rise, in place of --rate")
+    add("--hold", type=float, default=0.0, help="c_v t/H² for which the last load stays")
+    add("--hold-steps", type=int, default=30)
+    add("--no-limits", action="store_true", help="without the problems of one field")
+    add("--load", type=float, default=6.4, help="N = γ'H/c_u at the end")
+    add("--steps", type=int, default=32, help="of the load")
+    add("--ratio", type=float, default=1.0, help="Cam-Clay: overconsolidation ratio R")
+    add("--dilation", type=float, default=0.0, help="Mohr-Coulomb: angle (degrees)")
+    add("--surface-suction", type=float, help="kPa; 50 with Cam-Clay, 0 with Mohr-Coulomb")
+    add("--rigidity-index", type=float, default=100.0, help="G/c_u")
+    add("--slope", type=float, default=60.0, help="its angle (degrees)")
+    add("--h", type=float, default=0.5, help="size of the cells (m), divides 1")
+    add("--points-per-cell", type=int, default=2, help="in each direction")
+    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
+    add("--fbar", choices=("on", "off"), help="of the soil; on where friction drains")
+    add("--pair", choices=("equal", "nested", "linear"), default="equal", help="of the pressure")
+    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
+    given = options.parse_args(words)
+    if given.surface_suction is None:
+        given.surface_suction = SUCTION / 1e3 if given.law == "cam-clay" else 0.0
+    if given.duration is not None:
+        given.rate = ["timed"]
+    if given.duration is None and not set(given.rate) <= set(TIMES):
+        options.error(f"rate = {','.join(given.rate)} must be of {', '.join(TIMES)}")
+    if abs(1 / given.h - round(1 / given.h)) > 1e-9 or (given.pair == "nested" and given.h > 0.5):
+        options.error(f"h = {given.h:g} m must divide 1 m, and be 0.5 m at the most if nested")
+    if not 20 <= given.slope <= 90 or min(given.steps, given.hold_steps) < 2:
+        options.error("the slope may be of 20 to 90 degrees, steps 2 at the least")
+    least = 1.0 if given.law == "cam-clay" else 0.0
+    if given.surface_suction < least or given.ratio < 1 or given.load <= 0 or given.hold < 0:
+        options.error(
+            f"the surface may have {least:g} kPa at the least, ratio 1; load and hold > 0"
+        )
+    return given
+
+
+# %% [markdown]
+# ## Soil
+# The law, and what follows from it in closed form. G is `--rigidity-index` times $c_u$.
+
+
+# %%
+class Soil:
+    """A law, its undrained strength (Pa) and its P-wave modulus at first (Pa)."""
+
+    def __init__(self, args):
+        if args.law == "cam-clay":
+            least = M * SUCTION / math.sqrt(3)
+            self.strength = least * (args.ratio / 2) ** (1 - SWELLING / COMPRESSION)
+            self.G = args.rigidity_index * self.strength
+            self.law = mpm.materials.CamClay(
+                SWELLING, COMPRESSION, M, self.G, 0.0, SUCTION, args.ratio * SUCTION
+            )
+            self.modulus = SUCTION / SWELLING + 4 / 3 * self.G
+        else:
+            phi, nu = math.radians(FRICTION), 0.3
+            self.strength = COHESION * math.cos(phi) + SUCTION * math.sin(phi)
+            self.G = args.rigidity_index * self.strength
+            self.law = mpm.materials.MohrCoulomb(
+                2 * (1 + nu) * self.G, nu, COHESION, FRICTION, args.dilation
+            )
+            self.modulus = 2 * self.G * (1 - nu) / (1 - 2 * nu)
+
+    @property
+    def total(self):
+        """Tresca's law of the same undrained strength."""
+        return mpm.materials.Tresca(2 * 1.49 * self.G, 0.49, self.strength)
+
+
+def taylor(args, soil, kind):
+    """N at failure by Taylor's circles, or None where they do not tell."""
+    if kind == "undrained":
+        number = TAYLOR[0.0].get(args.slope)
+        known = args.dilation == 0.0 or args.law == "cam-clay"
+        return 1 / number if number and known else None
+    number = TAYLOR[FRICTION].get(args.slope)
+    if number is None or args.law == "cam-clay":
+        return None
+    cohesion = COHESION + 1e3 * args.surface_suction * math.tan(math.radians(FRICTION))
+    return cohesion / number / soil.strength
+
+
+# %% [markdown]
+# ## Slope
+# Points whose neighbour above or beside them is missing have a face there: the surface is one of
+# steps, level and upright, as the points' domains are.
+
+
+# %%
+class Slope:
+    """The slope under a way of loading: fast, slow, timed; or undrained, drained, of one field."""
+
+    def __init__(self, args, way):
+        self.args, self.way, self.soil = args, way, Soil(args)
+        self.coupled = way not in LIMITS.values()
+        top = BASE + HEIGHT + ROOM
+        self.grid = mesh.create_rectangle(
+            MPI.COMM_WORLD, [(0, 0), (WIDTH, top)], (round(WIDTH / args.h), round(top / args.h)),
+            mesh.CellType.quadrilateral,
+        )  # fmt: skip
+        self.points = mpm.fill(self.grid, mpm.Where(self.inside), args.points_per_cell, 1.0)
+        self.gravity = fem.Constant(self.grid, (0.0, 0.0))
+        V = mpm.Space(self.grid, args.basis)
+        self.u, self.v = V.increment, V.test
+        F, fields = self.with_water() if self.coupled else self.without_water()
+        # the density is 1, gravity the weight per volume
+        F -= ufl.inner(self.points.density * self.gravity, self.v) * self.points.dX
+        if args.law == "mohr-coulomb" and way != "undrained":
+            mpm.set_stress(self.points, self.soil.law, -SUCTION * np.eye(3))
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        kind = mpm.Transient if self.coupled else mpm.QuasiStatic
+        remedies = [args.stabilisation] * len(fields)
+        self.problem = kind(
+            F, fields, self.points, bcs, stabilisation=remedies, tolerance=1e-7
+        )  # fmt: skip
+        if self.coupled:
+            self.points["pressure"] = -SUCTION
+        self.history, self.reason, self.state = mpm.History(), "", None
+
+    def inside(self, x):
+        """Whether positions, shape (2, n), are in the slope or the ground."""
+        # rounding must not decide about the points on the face
+        face = TOE - (x[1] - BASE) / math.tan(math.radians(self.args.slope)) - 1e-9
+        return (x[0] < WIDTH) & (x[1] < BASE + HEIGHT) & ((x[1] < BASE) | (x[0] < face))
+
+    def faces(self):
+        """The level and the upright part of the surface."""
+        points, found = self.points, []
+        for axis, name in ((1, "level"), (0, "upright")):
+            n, half = np.eye(2)[axis], points["l0"]
+            beyond = points["x0"] + 2 * half * n
+            free = ~self.inside(beyond.T) & (beyond[:, 0] < WIDTH)
+            offset = np.where(free[:, None], half * n, 0.0)
+            area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
+            found.append(mpm.Surface.from_arrays(points, offset, area, name))
+        return found
+
+    @property
+    def fbar(self):
+        """Whether means of cells take the place of the soil's volumes.
+
+        Without them soil that shears at constant volume locks; where its water stays the pressure
+        prevents that, and with both the volumes of single points would be free.
+        """
+        args = self.args
+        if args.fbar is not None:
+            return args.fbar == "on"
+        flows = self.way != "fast" or args.hold > 0
+        return args.law == "mohr-coulomb" and args.dilation == 0 and flows
+
+    def with_water(self):
+        """Form and fields of soil and water."""
+        args, soil = self.args, self.soil
+        coarse = {"coarsen": 2} if args.pair == "nested" else {}
+        basis = "linear" if args.pair == "linear" else args.basis
+        Q = mpm.Space(self.grid, basis, shape=(), **coarse)
+        F = mpm.poromechanics(
+            soil.law, self.points, (self.u, Q.increment), (self.v, Q.test),
+            permeability=PERMEABILITY, porosity=0.5, modulus=soil.modulus, fbar=self.fbar,
+            drained=[(face, -1e3 * args.surface_suction) for face in self.faces()],
+        )  # fmt: skip
+        return F, [self.u, Q.increment]
+
+    def without_water(self):
+        """Form and field of the limit: the soil under a pressure from outside, or Tresca's clay."""
+        if self.way == "undrained":
+            return mpm.momentum(self.soil.total, self.points, self.u, self.v, fbar=True), [self.u]
+        F = mpm.momentum(self.soil.law, self.points, self.u, self.v, fbar=self.fbar)
+        for face in self.faces():
+            F -= face.pressure(1e3 * self.args.surface_suction, self.u, self.v)
+        return F, [self.u]
+
+    def times(self):
+        """Shares of the load, and c_v t/H² at their ends."""
+        args = self.args
+        shares = np.arange(1, args.steps + 1) / args.steps
+        rise = args.duration if self.way == "timed" else TIMES.get(self.way, 1.0)
+        T = rise * shares
+        if args.hold and self.coupled:
+            # the first in which water enters a tenth of a cell, the last as long as the half
+            first = min(1e-2 * (args.h / HEIGHT) ** 2, 1e-2 * args.hold)
+            held = np.geomspace(first, args.hold, args.hold_steps)
+            shares, T = np.append(shares, np.ones(len(held))), np.append(T, T[-1] + held)
+        return shares, T
+
+    def run(self):
+        """Take the steps. Collective."""
+        shares, T = self.times()
+        second = HEIGHT**2 / (PERMEABILITY / mpm.Fluid().unit_weight * self.soil.modulus)
+        for k in mpm.steps(len(T), label=self.way):
+            i = round(k * len(T)) - 1
+            self.gravity.value[1] = -self.args.load * shares[i] * self.soil.strength / HEIGHT
+            try:
+                self.problem.step(*([second * T[i]] if self.coupled else []))
+            except DolfinMPMError as error:
+                # the run's outcome is what is asked for, good or bad
+                self.reason = f"{type(error).__name__}: {error}"
+                return
+            self.history.record(N=self.args.load * shares[i], T=T[i], **self.measured())
+            self.keep(int(np.count_nonzero(shares < 1)))
+
+    def keep(self, held):
+        """Keep the state for a picture: while the load is held, that of the failure. Collective."""
+        moved, args = self.history["moved"], self.args
+        late = len(moved) > held + 1 and moved[-2] > moved[held] + FAILS
+        if self.coupled and not args.no_plot and not late:
+            self.state = self.points.gather("x", "F", "l0", "pressure")
+
+    def measured(self):
+        """Displacements by H, and the pressure where the soil shears most. Collective."""
+        points, comm = self.points, self.points.comm
+        moved = points["x"] - points["x0"]
+        crest = BASE + HEIGHT - 2 * self.args.h
+        at_crest = points["x0"][:, 1] > crest
+        down = comm.allreduce((-moved[at_crest, 1]).max(initial=0.0), op=MPI.MAX)
+        far = comm.allreduce(np.abs(moved).max(initial=0.0), op=MPI.MAX)
+        toe = (np.abs(points["x0"] - (TOE, BASE)) < self.args.h).all(axis=1)
+        out = comm.allreduce(moved[toe, 0].max(initial=-np.inf), op=MPI.MAX)
+        figures = {"moved": far / HEIGHT, "crest": down / HEIGHT, "toe": out / HEIGHT}
+        if self.coupled:
+            found = points.gather("F", "pressure")
+            mean = None
+            if found is not None:
+                shear = sheared(found[0])
+                most = shear > np.percentile(shear, 95)
+                mean = float((found[1][most].mean() + SUCTION) / self.soil.strength)
+            figures["excess"] = comm.bcast(mean, root=0)
+        return figures
+
+    def results(self):
+        """The figures of the run. Collective."""
+        N, T, moved = (self.history[name] for name in ("N", "T", "moved"))
+        rising = np.concatenate([[True], np.diff(N) > 0])[: len(N)]
+        last = int(np.count_nonzero(rising)) - 1
+        failed = failure(N[rising], moved[rising])
+        late = np.flatnonzero(moved[last:] > moved[last] + FAILS) if len(N) else []
+        figures = {
+            "limit": failed,
+            "taylor": taylor(self.args, self.soil, LIMITS.get(self.way, self.way)),
+            "failed_at": float(T[last + late[0]]) if failed is None and len(late) else None,
+            "reason": self.reason,
+            "seconds": sum(record.seconds for record in self.problem.history),
+            **{name: self.history[name].tolist() for name in ("N", "T", "moved", "crest", "toe")},
+        }
+        if self.coupled:
+            excess = self.history["excess"]
+            figures["excess"] = excess.tolist()
+            if failed is not None:
+                figures["excess_at_failure"] = float(np.interp(failed, N[rising], excess[rising]))
+        return figures | solver_figures(self.problem)
+
+
+def sheared(F):
+    """Logarithmic shear strain ½ ln(λ₁/λ₂) of deformation gradients, shape (n, 2, 2)."""
+    stretch = np.linalg.svd(F[:, :2, :2], compute_uv=False)
+    return 0.5 * np.log(stretch[:, 0] / stretch[:, 1])
+
+
+def failure(N, moved):
+    """N from which on displacements grow by more than FAILS per unit of it, or None."""
+    rates = np.diff(moved, prepend=0.0) / np.diff(N, prepend=0.0)
+    middle = N - 0.5 * np.diff(N, prepend=0.0)
+    above = np.flatnonzero(rates > FAILS)
+    if not above.size:
+        return None
+    k = above[0]
+    if k == 0:
+        return float(N[0])
+    return float(np.interp(FAILS, rates[k - 1 : k + 1], middle[k - 1 : k + 1]))
+
+
+def describe(way, result):
+    """A line on a run."""
+    limit, known = result["limit"], result["taylor"]
+    text = f"{way:10s} " + ("no failure" if limit is None else f"fails at N = {limit:.3f}")
+    text += "" if known is None else f", Taylor {known:.2f}"
+    if result["failed_at"] is not None:
+        text += f", but later, at c_v t/H² = {result['failed_at']:.3g}"
+    if "excess_at_failure" in result:
+        text += f", excess pressure on the slip {result['excess_at_failure']:+.2f} c_u"
+    moved = result["moved"][-1] if result["moved"] else 0.0
+    return (
+        f"{text}; moves by {moved:.3f} H in the end, {result['newton_iterations']} iterations, "
+        f"{result['halvings']} halvings, {result['seconds']:.1f} s"
+        + (f"; ended: {result['reason'][:300]}" if result["reason"] else "")
+    )
+
+
+# %% [markdown]
+# ## Picture
+# Displacements against the load, or the time while it is held; below, where the body lies in the
+# end, or when it fails while the load is held, with the pressure beyond that at first and the shear
+# strain.
+
+
+# %%
+def picture(path, args, runs, states):
+    """Draw the curves of all runs and the states of those with water; rank 0."""
+    strength = Soil(args).strength
+    rows = len(states)
+    with mpm.figure(path, 7.2, 2.4 + 1.6 * rows) as (whole, old):
+        old.remove()
+        upper, lower = whole.subfigures(2, 1, height_ratios=(2.4, 1.6 * rows))
+        left, right = upper.subplots(1, 2)
+        colours = {"fast": "C3", "undrained": "C3", "slow": "C0", "drained": "C0", "timed": "C2"}
+        for way, result in runs.items():
+            look = {"color": colours[way], "lw": 1.2}
+            if way in LIMITS.values():
+                look |= {"lw": 3.5, "alpha": 0.3}
+            left.plot(result["moved"], result["N"], label=way, **look)
+            if args.hold and "excess" in result:
+                right.semilogx(result["T"], result["moved"], label=way, **look)
+            elif "excess" in result:
+                right.plot(result["N"], result["excess"], label=way, **look)
+            if way not in LIMITS.values() and result["taylor"] is not None:
+                left.axhline(result["taylor"], color=colours[way], lw=0.6, ls="--")
+        left.set(xlabel="largest displacement / $H$", ylabel="$N = \\gamma' H/c_u$")
+        left.set(xlim=(0, 0.2), ylim=(0, None))
+        left.legend(loc="lower right")
+        if args.hold:
+            right.set(xlabel="$c_v t/H^2$", ylabel="largest displacement / $H$")
+        else:
+            right.set(xlabel="$N$", ylabel="excess pressure on the slip / $c_u$")
+        excess = {way: (state[3] + SUCTION) / strength for way, state in states.items()}
+        limits = [f([f(values) for values in excess.values()]) for f in (np.min, np.max)]
+        panels = np.atleast_2d(lower.subplots(rows, 2, sharex=True, sharey=True))
+        for (axes, other), (way, (x, F, l0, _)) in zip(panels, states.items()):
+            drawn = draw_points(axes, x, F, l0, excess[way], cmap="cividis", clim=limits)
+            lower.colorbar(drawn, ax=axes, label="excess pressure / $c_u$", shrink=0.9)
+            drawn = draw_points(other, x, F, l0, sheared(F), cmap="viridis", clim=(0, 0.5))
+            lower.colorbar(drawn, ax=other, label="shear strain", extend="max", shrink=0.9)
+            for ax in (axes, other):
+                ax.set(xlim=(4, 22), ylim=(0, BASE + HEIGHT + ROOM), title=way)
+
+
+# %% [markdown]
+# ## Runs
+
+
+# %%
+def main(words=None):
+    """Run, print, and return the figures."""
+    args = arguments(words)
+    started = time.perf_counter()
+    ways = list(args.rate)
+    if not args.no_limits:
+        ways += [LIMITS[way] for way in args.rate if way in LIMITS]
+    runs, states = {}, {}
+    for way in ways:
+        slope = Slope(args, way)
+        slope.run()
+        runs[way] = slope.results()
+        say(describe(way, runs[way]))
+        if slope.state is not None:
+            states[way] = slope.state
+    figures = {"runs": runs, "undrained_strength": Soil(args).strength}
+    for way, limit in LIMITS.items():
+        pair = [runs[name]["limit"] for name in (way, limit) if name in runs]
+        known = len(pair) == 2 and None not in pair
+        figures[f"{way}_error"] = pair[0] / pair[1] - 1 if known else None
+        if len(pair) == 2:
+            # displacements at the same loads
+            ours, theirs = (np.array(runs[name]["moved"]) for name in (way, limit))
+            n = min(len(ours), len(theirs))
+            apart = np.abs(ours[:n] - theirs[:n]).max(initial=0.0)
+            figures[f"{way}_apart"] = float(apart / theirs[:n].max(initial=1e-300))
+    figures["seconds"] = time.perf_counter() - started
+    if states:
+        name = "held" if args.hold else args.law.replace("-", "_")
+        picture(args.output / f"coupled_slope_{name}.png", args, runs, states)
+    finish(args, figures)
+    return figures
+
+
+if __name__ == "__main__":
+    main()
