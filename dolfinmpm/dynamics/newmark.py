@@ -34,6 +34,8 @@ from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
+from dolfinmpm.dynamics.transfer import collect
+from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bordered import Bordered
@@ -101,6 +103,7 @@ class TimeStepping(QuasiStatic):
     history: list[MotionRecord]  # type: ignore[assignment]
     _of_step = MotionRecord
     _in_time = True
+    _has_inertia = True
 
     def __init__(
         self,
@@ -228,6 +231,10 @@ class TimeStepping(QuasiStatic):
         self._free(step)
         known = rule.known(motion.V, motion.A, step.dt)
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
+        self.points.inertia.value = factor
+        for field in self.form.parts.carried:
+            if isinstance(field, StartAcceleration):
+                self.points[field.name] = collect(here.fields[0].stencils, known)
         return InertialOperator(self.form, here, motion.mass, factor, known, dashpots)
 
     def _free(self, step: Step) -> None:

@@ -27,11 +27,11 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, carried
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
 from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.terms import momentum
@@ -61,6 +61,7 @@ def poromechanics(
     fluid: Fluid | None = None,
     gravity: Any = None,
     theta: float = 1.0,
+    inertia: bool = False,
     suction: float | None = None,
     projection: str | float = "auto",
     modulus: float | None = None,
@@ -99,6 +100,10 @@ def poromechanics(
             constant; None for none.
         theta: Share of the flow at the end of the step: 1 is backward Euler's rule, ½ Crank and
             Nicolson's.
+        inertia: Whether the water is accelerated as the soil is, which takes the pressure's slope
+            ρ_w a: Darcy's law for w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the
+            soil; that of the water relative to it is left out (Zienkiewicz, Chang & Bettess 1980,
+            doi 10.1680/geot.1980.30.4.385). Of problems with inertia; see `acceleration`.
         suction: Largest suction (Pa) that holds grains together; None for no bound.
         projection: Factor of the polynomial pressure projection by which a step shorter than
             h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
@@ -165,6 +170,8 @@ def poromechanics(
         bulk = own_constant(grid, fluid.bulk_modulus)
         storage += at.J * n / bulk * (p - pressure) * q
     drive = at.grad(p) if b is None else at.grad(p) - water * b
+    if truth("inertia", inertia):
+        drive += water * acceleration(points, u)
     flow = at.J * _times(K, drive)
     terms = -at.J * acts * div + storage + theta * dt * ufl.dot(flow, at.grad(q))
     if theta < 1:

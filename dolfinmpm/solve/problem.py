@@ -12,10 +12,16 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
+from dolfinmpm._platform.errors import (
+    CheckpointError,
+    FormError,
+    ParameterError,
+    raise_together,
+)
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
@@ -72,8 +78,9 @@ class Problem:
     """
 
     _of_step: type[StepRecord] = StepRecord
-    # whether steps have a length in seconds
+    # whether steps have a length in seconds, and whether forces balance with inertia at their level
     _in_time = False
+    _has_inertia = False
 
     def __init__(
         self,
@@ -91,6 +98,12 @@ class Problem:
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
+        if not self._has_inertia and points.inertia in extract_constants(form):
+            raise FormError(
+                f"the form has the acceleration of the body, and {type(self).__name__} has no "
+                "inertial forces at the end of a step that would tell it: take Newmark or "
+                "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
+            )
         bcs = check_conditions(bcs, spaces)
         for condition in bcs:
             if condition.velocity is not None and not self._in_time:

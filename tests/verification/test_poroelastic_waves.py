@@ -54,10 +54,10 @@ def test_an_undrained_bar_has_the_period_of_both_phases():
     assert np.median(ratio) == pytest.approx(-4e5 / POROSITY / M, rel=2e-3)
 
 
-def settlement(times, damping):
+def settlement(times, damping, density=DENSITY):
     """−M u(L)/(qL) of ρ ü + ρ d u̇ = M u'' under a load q put on at once, by its series."""
     k = (2 * np.arange(400) + 1) * math.pi / 2 / LENGTH
-    w = k * math.sqrt(M / DENSITY)
+    w = k * math.sqrt(M / density)
     s = np.sqrt((0.5 * damping) ** 2 - w**2 + 0j)
     found = []
     for t in times:
