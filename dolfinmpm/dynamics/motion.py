@@ -148,7 +148,7 @@ class Motion:
         forces = mass.nodal()
         if self._starting:
             plain = Operator(form, here)
-            plain.rest()
+            plain.start()
             forces.arrays[0][:] = -plain.forces()[0]
         else:
             m = point_masses(points)
@@ -232,7 +232,7 @@ class Motion:
         if not here.driven:
             plain.move(x, scale)
             return plain.load_work()
-        plain.rest()
+        plain.start()
         start = plain.forces()
         plain.move(x, scale)
         forces = [0.5 * (f + g) for f, g in zip(start, plain.forces())]

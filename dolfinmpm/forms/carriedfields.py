@@ -37,10 +37,15 @@ class CarriedField(PointField):
 
     Attributes:
         update: The expression.
+        of: The increment that it is the value of, which is then none but the field itself, or None.
+        level: Share of a step at whose end forces balance, and increments are those of, where the
+            expression gives what is at the end of the step; 1 but for a generalised-α method.
         bounds: Limits between which the values must be, themselves excluded, or None.
     """
 
     update: Expr
+    of: Expr | None = None
+    level: float = 1.0
     bounds: tuple[float, float] | None = None
 
 
@@ -118,6 +123,7 @@ def carried(
         )
     field = CarriedField(points, name, expression.ufl_shape, unit, first)
     field.update = expression
+    field.of = expression if hasattr(expression, "_dolfinmpm_space") else None
     return field
 
 

@@ -33,7 +33,7 @@ from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate
 from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.checks import check_fields, check_form
+from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -124,6 +124,8 @@ class Problem:
         self.form = WeakForm(whole, spaces, points, softening)
         check_fields(form, spaces)
         refuse_increments(bcs, self.form.parts.carried)
+        if not self._has_inertia:
+            check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         if self.form.boundaries and self.configuration == "total":
             raise ParameterError(
                 'boundaries that do not fit the grid need Space(..., configuration="updated"), got '

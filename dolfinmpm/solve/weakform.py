@@ -18,6 +18,7 @@ from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.participants import Activation, ActiveField
 from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
@@ -168,6 +169,14 @@ class WeakForm:
             if declaration.operator is None:
                 found[declaration.rows] = elastic[declaration.rows]
         return found
+
+    @property
+    def values(self) -> list[str | None]:
+        """Field of the points that has what each field was, where the form carries it."""
+        kept = [f for f in self.parts.carried if isinstance(f, CarriedField)]
+        return [
+            next((f.name for f in kept if f.of is space.increment), None) for space in self.spaces
+        ]
 
     @property
     def regions(self) -> list[PointTerms]:

@@ -13,7 +13,7 @@ from test_poroelastic_waves import DENSITY, LENGTH, POROSITY, M, column, settlem
 
 import dolfinmpm as mpm
 
-WATER, BULK = 1000.0, 4e5
+WATER, BULK = 1000.0, 8e5
 NUMBER = 0.5 * math.pi / LENGTH
 OMEGA = NUMBER * math.sqrt(M / DENSITY)
 
@@ -79,6 +79,22 @@ def test_crank_and_nicolson_is_of_second_order(share):
     changes = [np.abs(a - b) for a, b in itertools.pairwise(runs)]
     for before, after in itertools.pairwise(changes):
         np.testing.assert_allclose(np.log2(before / after), 2.0, atol=0.2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("inertia", [False, True])
+@pytest.mark.parametrize("rho_inf", [1.0, 0.8, 0.3])
+def test_generalised_alpha_is_of_second_order_in_both_fields(rho_inf, inertia):
+    runs, last = [], None
+    for steps in (20, 40, 80):
+        last = swinging(
+            1.0, steps, mpm.GeneralisedAlpha, inertia=inertia, rho_inf=rho_inf,
+            of_form={"theta": 1.0, "rho_inf": rho_inf},
+        )  # fmt: skip
+        runs.append(last[0][-1])
+    assert error(*last).max() < 1e-3
+    before, after = (np.abs(a - b) for a, b in itertools.pairwise(runs))
+    np.testing.assert_allclose(np.log2(before / after), 2.0, atol=0.15)
 
 
 @pytest.mark.long
