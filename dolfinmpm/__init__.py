@@ -28,7 +28,7 @@ from dolfinmpm.dynamics import (
     frictional,
     times,
 )
-from dolfinmpm.forms.carriedfields import carried
+from dolfinmpm.forms.carriedfields import acceleration, carried
 from dolfinmpm.grid.graded import create_lattice, zoned_line
 from dolfinmpm.grid.lattice import cell_size
 from dolfinmpm.io import ParaView, figure, plot
@@ -82,6 +82,7 @@ __all__ = [
     "Wedge",
     "Where",
     "absorbing",
+    "acceleration",
     "carried",
     "cell_size",
     "contact",

@@ -33,6 +33,10 @@ class PointUpdates:
         spaces: Spaces of the increments.
         points: Material points.
         tags: Tags of the points that are meant, or None for all.
+        carried: Whether the form carries the fields, see `dolfinmpm.carried`.
+
+    Attributes:
+        carried: The argument.
 
     Raises:
         FieldShapeError: An expression has another shape than its field.
@@ -47,7 +51,9 @@ class PointUpdates:
         spaces: Sequence[Space],
         points: MaterialPoints,
         tags: Tags = None,
+        carried: bool = False,
     ):
+        self.carried = carried
         self._slots = Slots(spaces, points)
         self._programs: dict[str, Program] = {}
         self._points, self._tags = points, tags

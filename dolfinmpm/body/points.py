@@ -113,6 +113,8 @@ class MaterialPoints:
         total: Number of points on all ranks; needs no communication.
         dt: Time that the step's increments take (s), a constant for UFL that `Transient`,
             `Newmark` and `GeneralisedAlpha` set.
+        inertia: Derivative of the body's acceleration by the increment (1/s²), a constant that
+            these two set; see `mpm.acceleration`.
         revision: How many times the rows of the arrays have changed.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.
@@ -194,6 +196,7 @@ class MaterialPoints:
         self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
         # length of a step in time (s), which whoever steps in time sets
         self.dt = own_constant(grid, 1.0)
+        self.inertia = own_constant(grid, 0.0)
 
     # -- where points come from -----------------------------------------------
 

@@ -160,7 +160,7 @@ class Motion:
         start = None
         if self._starting:
             plain = Operator(form, here)
-            plain.rest()
+            plain.start()
             start = plain.forces()
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
@@ -285,7 +285,7 @@ class Motion:
         if not here.driven:
             plain.move(x, scale)
             return plain.load_work()
-        plain.rest()
+        plain.start()
         start = plain.forces()
         plain.move(x, scale)
         forces = [0.5 * (f + g) for f, g in zip(start, plain.forces())]

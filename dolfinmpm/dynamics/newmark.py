@@ -22,7 +22,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm._platform.checks import choice, number
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -34,6 +34,10 @@ from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
+from dolfinmpm.dynamics.transfer import collect
+from dolfinmpm.forms.carriedfields import StartAcceleration
+from dolfinmpm.forms.checks import check_levels
+from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bodies import refuse_bodies
@@ -105,6 +109,7 @@ class TimeStepping(QuasiStatic):
     history: list[MotionRecord]  # type: ignore[assignment]
     _of_step = MotionRecord
     _in_time = True
+    _has_inertia = True
 
     def __init__(
         self,
@@ -146,13 +151,7 @@ class TimeStepping(QuasiStatic):
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
         super().__init__(form, increment, points, conditions, **options)
-        if rule.alpha_f and self.form.parts.carried:
-            raise FormError(
-                f"the form carries '{self.form.parts.carried[0].name}' from the end of one step to "
-                f"the end of the next, and forces balance within a step here, at {rule.alpha_f:g} "
-                "of its length before the end: take Newmark, for damping with beta=0.3025, "
-                "gamma=0.6, or GeneralisedAlpha with rho_inf=0"
-            )
+        check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
@@ -229,11 +228,19 @@ class TimeStepping(QuasiStatic):
         motion.to_grid(here, self.form, step.dt, self._rates(here, step))
         self._load_at(step, 1 - rule.alpha_f)
         if rule.alpha_f and here.driven:
-            level = [(1 - rule.alpha_f) * g for g in here.prescribed]
+            bases = [field.basis for field in here.fields]
+            level = self._held.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = dataclasses.replace(here, prescribed=level)
         self._free(step)
         known = [rule.known(one.V, one.A, step.dt) for one in motion.nodes]
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
+        self.points.inertia.value = factor
+        for field in self.form.parts.carried:
+            if isinstance(field, StartAcceleration):
+                for one, own in zip(motion.nodes, known):
+                    rows = rows_within(self.points, one.tags)
+                    found = collect(here.fields[one.k].stencils, own)
+                    self.points[field.name][rows] = found[rows]
         masses = [one.mass for one in motion.nodes]
         return InertialOperator(self.form, here, masses, factor, known, dashpots)
 
@@ -262,14 +269,20 @@ class TimeStepping(QuasiStatic):
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
         return [np.asarray(g / step.dt, np.float64) for g in values]
 
-    def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
+    def _advance(
+        self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
+    ) -> NewState | str:
         motion = self.motion
         # forces balance at a level within the step, the state is that at its end
         scale = 1.0 / (1.0 - motion.rule.alpha_f)
         self.bodies.put(1.0)
+        kept = {}
+        for update in self._updates if scale != 1.0 else ():
+            if update.carried:
+                update.run(operator.points, kept)
         if scale != 1.0:
             operator.move(x, scale)
-        state = super()._advance(operator, x, step)
+        state = super()._advance(operator, x, step, kept)
         if isinstance(state, str):
             return state
         self._load_at(step, 0.5)
@@ -370,7 +383,9 @@ class GeneralisedAlpha(TimeStepping):
 
     Raises:
         ParameterError: An argument is not what it may be.
-        FormError: The form carries fields from step to step, and forces balance within a step.
+        FormError: The form carries fields from the end of a step to that of the next, and does not
+            know of the level within a step where forces balance; `poromechanics` is told it by its
+            own rho_inf.
     """
 
     def __init__(

@@ -146,8 +146,10 @@ class Transient(QuasiStatic):
             refuse_undetermined(operator)
         return operator
 
-    def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
-        state = super()._advance(operator, x, step)
+    def _advance(
+        self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
+    ) -> NewState | str:
+        state = super()._advance(operator, x, step, kept)
         if isinstance(state, str):
             return state
         if self._error is not None:

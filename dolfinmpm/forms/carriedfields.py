@@ -15,10 +15,18 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints, PointField
 
-__all__ = ["CARRIED", "CarriedField", "CellOffset", "carried", "carried_in"]
+__all__ = [
+    "CARRIED",
+    "CarriedField",
+    "CellOffset",
+    "StartAcceleration",
+    "acceleration",
+    "carried",
+    "carried_in",
+]
 
 # Metadata of a measure: fields that its terms carry without containing them
 CARRIED = "carried"
@@ -29,10 +37,15 @@ class CarriedField(PointField):
 
     Attributes:
         update: The expression.
+        of: The increment that it is the value of, which is then none but the field itself, or None.
+        level: Share of a step at whose end forces balance, and increments are those of, where the
+            expression gives what is at the end of the step; 1 but for a generalised-α method.
         bounds: Limits between which the values must be, themselves excluded, or None.
     """
 
     update: Expr
+    of: Expr | None = None
+    level: float = 1.0
     bounds: tuple[float, float] | None = None
 
 
@@ -50,6 +63,36 @@ class CellOffset(PointField):
     def __init__(self, points: MaterialPoints, space: Space):
         super().__init__(points, "cell_offset", (points.gdim + 1,), "m")
         self.space = space
+
+
+class StartAcceleration(PointField):
+    """What of a step's accelerations does not depend on its increment (m/s²), set as it begins.
+
+    Args:
+        points: Material points.
+    """
+
+    def __init__(self, points: MaterialPoints):
+        super().__init__(points, "start_acceleration", (points.gdim,), "m/s²")
+
+
+def acceleration(points: MaterialPoints, u: Any) -> Expr:
+    """Acceleration of the body at the material points, for UFL (m/s²), shape (gdim,).
+
+    That of the nodes at the level where a step's forces balance, interpolated, so that the
+    inertial forces of the problem are Σ m a·v. It depends on the increment, which a tangent knows:
+    `points.inertia` u + a₀ by the rule of `Newmark` or `GeneralisedAlpha`, which set both.
+
+    Args:
+        points: Material points.
+        u: Increment of the displacement, that of the problem's first field.
+
+    Raises:
+        ParameterError: u is no increment of a displacement of these points.
+    """
+    check_points(points)
+    check_displacement(points, u=u)
+    return points.inertia * u + StartAcceleration(points)
 
 
 def carried(
@@ -80,13 +123,14 @@ def carried(
         )
     field = CarriedField(points, name, expression.ufl_shape, unit, first)
     field.update = expression
+    field.of = expression if hasattr(expression, "_dolfinmpm_space") else None
     return field
 
 
 def _within(expressions: Iterable[Expr]) -> Iterator[PointField]:
     for expression in expressions:
         for c in extract_coefficients(expression):
-            if isinstance(c, (CarriedField, CellOffset)):
+            if isinstance(c, (CarriedField, CellOffset, StartAcceleration)):
                 yield c
 
 

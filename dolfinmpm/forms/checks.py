@@ -16,9 +16,11 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.fields import PointField
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["check_fields", "check_form", "check_signs"]
+__all__ = ["check_fields", "check_form", "check_levels", "check_signs"]
 
 
 def check_form(form: Any) -> None:
@@ -42,6 +44,25 @@ def check_form(form: Any) -> None:
     for integral in form.integrals():
         if integral.integral_type() == "interior_facet":
             _check_restricted(integral)
+
+
+def check_levels(kept: Sequence[PointField], share: float, problem: str) -> None:
+    """Raise FormError unless carried fields are of the level of a step where forces balance.
+
+    Args:
+        kept: Fields that a form carries.
+        share: Share of the step up to there.
+        problem: What balances them.
+    """
+    for field in kept:
+        if isinstance(field, CarriedField) and abs(field.level - share) > 1e-12:
+            raise FormError(
+                f"the form carries '{field.name}' by a rule for forces that balance at "
+                f"{field.level:.6g} of a step, and with {problem} they do at {share:.6g}: for "
+                f"GeneralisedAlpha give mpm.poromechanics the same rho_inf, {1 / share - 1:.6g} "
+                "here, and for any other problem none; a form of your own sets the `level` of its "
+                "fields, see mpm.carried, or takes rho_inf=0"
+            )
 
 
 def check_fields(form: ufl.Form, spaces: Sequence[Space]) -> None:

@@ -7,11 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["Fluid", "kozeny_carman"]
+__all__ = ["Fluid", "kozeny_carman", "refuse_light"]
 
 Permeability = Callable[[Any, Any], Expr]
 
@@ -69,3 +74,33 @@ def kozeny_carman(k: float, porosity: float) -> Permeability:
         return k * (1 - n0) ** 2 / n0**3 * n**3 / (1 - n) ** 2
 
     return permeability
+
+
+def refuse_light(points: MaterialPoints, fluid: Fluid, porosity: Any, M: Any) -> None:
+    """Raise where waves grow if Darcy's law has the acceleration of the soil. Collective.
+
+    Of ρ s² U + M κ² U = κ P, (S s + K κ²) P = κ (K ρ_w s² − s) U, S = n0/K_w and K = k/γ_w, all
+    roots s have a negative real part only if (ρ − ρ_w)(1 + M S) > ρ M S (Routh & Hurwitz), at any
+    wave number κ and permeability.
+
+    Args:
+        points: Material points, of the density ρ of the mixture.
+        fluid: The fluid.
+        porosity: n0, a constant, or an expression, of which the largest value is 1.
+        M: P-wave modulus, a constant (Pa).
+
+    Raises:
+        ParameterError: Somewhere they have not.
+    """
+    lightest = points.density.array.min(initial=math.inf)
+    lightest = points.comm.allreduce(float(lightest), op=MPI.MIN)
+    n0 = float(np.max(porosity.value)) if isinstance(porosity, fem.Constant) else 1.0
+    stored = n0 / fluid.bulk_modulus * float(M.value)
+    least = fluid.density * (1 + stored)
+    if not lightest > least:
+        raise ParameterError(
+            f"the density of the mixture is {lightest:.6g} kg/m³ somewhere and must be above "
+            f"{least:.6g}, ρ_w (1 + M n0/K_w), for the soil's acceleration in Darcy's law: waves "
+            "would grow without bounds. Give the points the density (1 − n0) ρ_s + n0 ρ_w, the "
+            "fluid a larger bulk_modulus, or leave inertia out"
+        )

@@ -39,10 +39,26 @@ class Kinematics:
             slope = gradient(points, w)
         return slope if inverse is None else ufl.dot(slope, inverse)
 
+    def spatial(self, slope: Expr) -> Expr:
+        """Gradient of a scalar at the end of the step, from that by positions at its start."""
+        inverse = self.inverse
+        return slope if inverse is None else ufl.dot(slope, in_section(self.points, inverse))
 
-def kinematics(points: MaterialPoints, u: Expr, strain: str) -> Kinematics:
-    """What a step's increment does to volumes and gradients, by the measure of strain."""
+
+def kinematics(
+    points: MaterialPoints, u: Expr, strain: str, factor: Expr | None = None
+) -> Kinematics:
+    """What a step's increment does to volumes and gradients, by the measure of strain.
+
+    Args:
+        points: Material points.
+        u: The increment.
+        strain: Measure of strain.
+        factor: What it is multiplied by, or None.
+    """
     slope = gradient(points, u)
+    if factor is not None:
+        slope = factor * slope
     if strain == "small":
         return Kinematics(points, 1.0, ufl.tr(slope), None)
     dF = ufl.Identity(points.strain_dim) + slope

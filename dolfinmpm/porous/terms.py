@@ -27,17 +27,18 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, carried
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
 from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.terms import momentum
 from dolfinmpm.materials.base import lame
-from dolfinmpm.porous.fluid import Fluid
+from dolfinmpm.porous.fluid import Fluid, refuse_light
 from dolfinmpm.porous.kinematics import kinematics
+from dolfinmpm.porous.levels import Level
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
 from dolfinmpm.porous.surfaces import Flow, entering, held, seeping, surfaces
 
@@ -61,6 +62,8 @@ def poromechanics(
     fluid: Fluid | None = None,
     gravity: Any = None,
     theta: float = 1.0,
+    rho_inf: float | None = None,
+    inertia: bool = False,
     suction: float | None = None,
     projection: str | float = "auto",
     modulus: float | None = None,
@@ -99,6 +102,14 @@ def poromechanics(
             constant; None for none.
         theta: Share of the flow at the end of the step: 1 is backward Euler's rule, ½ Crank and
             Nicolson's.
+        rho_inf: ρ∞ of `GeneralisedAlpha`, which is to be given the same: the water's volume is
+            then balanced by the generalised-α method of first-order equations, see
+            `dolfinmpm.porous.levels`, at the level where forces are. None for all other problems.
+        inertia: Whether the water is accelerated as the soil is, which takes the pressure's slope
+            ρ_w a: Darcy's law for w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the
+            soil; that of the water relative to it is left out (Zienkiewicz, Chang & Bettess 1980,
+            doi 10.1680/geot.1980.30.4.385), with which waves grow where the water is so easily
+            compressed that n0/K_w > (ρ/ρ_w − 1)/M. Of problems with inertia; see `acceleration`.
         suction: Largest suction (Pa) that holds grains together; None for no bound.
         projection: Factor of the polynomial pressure projection by which a step shorter than
             h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
@@ -138,11 +149,18 @@ def poromechanics(
     theta = number("theta", theta, 0.0, 1.0, closed=True)
     if theta < 0.5:
         raise ParameterError(f"theta = {theta:g} must be at least 0.5: less is not stable")
+    level = None if rho_inf is None else Level(points, rho_inf)
+    if level is not None and theta != 1:
+        raise ParameterError(
+            f"theta = {theta:g} is of flow that is balanced over a step, and with rho_inf it is at "
+            "a level within: leave theta out, or rho_inf"
+        )
     form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
     at = kinematics(points, u, strain)
+    end = at if level is None else kinematics(points, u, strain, level.whole)
     grid, dt, gdim = points.grid, points.dt, points.gdim
     n0 = _porosity(porosity, points)
-    n = 1 - (1 - n0) / at.J
+    n, n_end = 1 - (1 - n0) / at.J, 1 - (1 - n0) / end.J
     weight = own_constant(grid, fluid.unit_weight)
     water = own_constant(grid, fluid.density)
     K = _permeability(permeability, at.J, n, points) / weight
@@ -150,7 +168,7 @@ def poromechanics(
     b = _gravity(gravity, points)
     M = _modulus(modulus, soil, points)
     pressure = carried(points, "pressure", p, "Pa")
-    keeps: list[CarriedField] = [carried(points, "porosity", n, "", _first(porosity))]
+    keeps: list[CarriedField] = [carried(points, "porosity", n_end, "", _first(porosity))]
     keeps[0].bounds = 0.0, 1.0
 
     # volumes in newtons, as forces are: M/h times q, so that solvers see equations alike
@@ -160,13 +178,21 @@ def poromechanics(
     dX = points.dX("everywhere" if tag is None else tag)
     acts = p if suction is None else ufl.max_value(p, -_suction(suction, points))
     div = ufl.tr(at.grad(v))
-    storage = at.growth * q
+    if level is not None:
+        pressure.update = level.end(pressure, p)
+    storage = end.growth
     if fluid.compressible:
         bulk = own_constant(grid, fluid.bulk_modulus)
-        storage += at.J * n / bulk * (p - pressure) * q
+        storage += end.J * n_end / bulk * (pressure.update - pressure)
+    if level is not None:
+        storage, rate = level.change("storage_rate", storage, "1/s")
+        keeps.append(rate)
     drive = at.grad(p) if b is None else at.grad(p) - water * b
+    if truth("inertia", inertia):
+        refuse_light(points, fluid, n0, M)
+        drive += water * acceleration(points, u)
     flow = at.J * _times(K, drive)
-    terms = -at.J * acts * div + storage + theta * dt * ufl.dot(flow, at.grad(q))
+    terms = -at.J * acts * div + storage * q + theta * dt * ufl.dot(flow, at.grad(q))
     if theta < 1:
         # flow at the start of the step, whose gradients are those of the grid
         before = carried(points, "flow", flow, "Pa m/s", np.zeros(gdim))
@@ -174,12 +200,23 @@ def poromechanics(
     if b is not None:
         mass = points.density + at.growth * water
         terms -= mass * ufl.dot(b, v)
+        mass = points.density + end.growth * water
         keeps.append(carried(points, "density", mass, "kg/m^d"))
     factor = factor_of(projection, u, p)
     if factor:
         slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
-        terms += projected(points, factor, at.grad(p) - slope, p, q, M, K, theta)
+        change, share = at.grad(p) - slope, theta
+        if level is not None:
+            slope.update = end.spatial(level.end(slope, ufl.grad(p)))
+            whole = level.whole * (ufl.grad(p) - slope)
+            change, rate = level.change("gradient_rate", whole, "Pa/(m s)")
+            share = 1 / level.weight
+            keeps += [slope, rate]
+        terms += projected(points, factor, change, p, q, M, K, share)
     keeps.append(pressure)
+    if level is not None:
+        for field in keeps:
+            field.level = level.share
     marked = {
         **dX.metadata(),
         CARRIED: tuple(keeps),

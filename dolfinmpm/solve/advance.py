@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,7 @@ def advance(
     cell_size: float,
     step: int,
     x: Array | None = None,
+    kept: Mapping[str, Array] | None = None,
 ) -> NewState | str:
     """The new state that goes with the increments an operator was moved to. Collective.
 
@@ -62,6 +63,8 @@ def advance(
         cell_size: Largest size of a cell (m).
         step: Number of the step, for messages.
         x: New positions (m), shape (n, d), if they do not follow from the increment.
+        kept: Fields that the form carries, where they are not to be found from the increments that
+            the operator was moved to.
 
     Returns:
         The state, or why there is none.
@@ -79,7 +82,9 @@ def advance(
         marks = new.setdefault("moved_under", points["moved_under"].copy())
         marks[declaration.rows] = declaration.mark
     for update in updates:
-        update.run(evaluation, new)
+        if not (kept and update.carried):
+            update.run(evaluation, new)
+    new.update(kept or {})
     reason = _out_of_bounds(points, operator.form.parts.carried, new)
     if reason is not None:
         return reason

@@ -118,13 +118,26 @@ class Operator:
 
         Args:
             x: Owned unknowns, shape (owned,).
-            scale: Factor of them and of prescribed increments.
+            scale: Factor of increments, prescribed ones too; fields whose own values the form
+                carries from step to step are none, and stay.
         """
-        prescribed = self.here.prescribed
+        self.here.unknowns.expand(x, self.here.prescribed, self._u)
         if scale != 1.0:
-            x, prescribed = scale * x, [scale * values for values in prescribed]
-        self.here.unknowns.expand(x, prescribed, self._u)
+            for u, name in zip(self._u.arrays, self.form.values):
+                u *= scale if name is None else 1.0
         self._interpolate()
+
+    @stages.evaluate
+    def start(self) -> None:
+        """Evaluate the state at the start of a step. Collective.
+
+        No increments, and at the points the values of fields that they carry from step to step.
+        """
+        self.here.unknowns.clear(self._u)
+        self._interpolate()
+        for value, name in zip(self.points.value, self.form.values):
+            if name is not None:
+                value[...] = self.form.points[name].reshape(value.shape)
 
     @property
     def _sets(self) -> list[Evaluation]:

@@ -83,7 +83,7 @@ def refuse_increments(bcs: Sequence[Condition], kept: Sequence[PointField]) -> N
     Raises:
         ParameterError: A condition would give parts of a step a share of its value.
     """
-    wholes = [f.update for f in kept if isinstance(f, CarriedField)]
+    wholes = [f.of for f in kept if isinstance(f, CarriedField)]
     for condition in bcs:
         if condition.whole or all(w is not condition.space.increment for w in wholes):
             continue

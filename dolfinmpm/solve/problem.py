@@ -12,10 +12,16 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.errors import CheckpointError, ParameterError, raise_together
+from dolfinmpm._platform.errors import (
+    CheckpointError,
+    FormError,
+    ParameterError,
+    raise_together,
+)
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
@@ -27,7 +33,7 @@ from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers
 from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.checks import check_fields, check_form
+from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -73,8 +79,9 @@ class Problem:
     """
 
     _of_step: type[StepRecord] = StepRecord
-    # whether steps have a length in seconds
+    # whether steps have a length in seconds, and whether forces balance with inertia at their level
     _in_time = False
+    _has_inertia = False
 
     def __init__(
         self,
@@ -92,6 +99,12 @@ class Problem:
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
+        if not self._has_inertia and points.inertia in extract_constants(form):
+            raise FormError(
+                f"the form has the acceleration of the body, and {type(self).__name__} has no "
+                "inertial forces at the end of a step that would tell it: take Newmark or "
+                "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
+            )
         bcs = check_conditions(bcs, spaces)
         for condition in bcs:
             if condition.velocity is not None and not self._in_time:
@@ -113,6 +126,8 @@ class Problem:
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         refuse_increments(bcs, self.form.parts.carried)
+        if not self._has_inertia:
+            check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         if self.form.boundaries and self.configuration == "total":
             raise ParameterError(
                 'boundaries that do not fit the grid need Space(..., configuration="updated"), got '

@@ -278,17 +278,20 @@ class QuasiStatic(Problem):
         )
         return outcome
 
-    def _advance(self, operator: Operator, x: Array, step: Step) -> NewState | str:
+    def _advance(
+        self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
+    ) -> NewState | str:
         """The state at the end of a step, or why there is none. Collective.
 
         Args:
             operator: The step's equations, moved to their solution.
             x: The owned unknowns, shape (owned,).
             step: What was asked for.
+            kept: Fields that the form carries, where they are known already.
         """
         return advance(
             operator, self._updates, self._moves, largest_cell(self.points.grid),
-            len(self.history) + 1,
+            len(self.history) + 1, kept=kept,
         )  # fmt: skip
 
     def _worst(self, operator: Operator) -> str:

@@ -99,6 +99,10 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
         if declaration.updates
     ]
     kept = {f.name: f.update for f in form.parts.carried if isinstance(f, CarriedField)}
-    if kept | dict(given):
-        made.append(PointUpdates({**kept, **given}, form.regions, form.spaces, form.points))
+    kept = {name: update for name, update in kept.items() if name not in given}
+    for updates, carried in ((kept, True), (given, False)):
+        if updates:
+            made.append(
+                PointUpdates(updates, form.regions, form.spaces, form.points, carried=carried)
+            )
     return made

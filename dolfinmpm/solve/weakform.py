@@ -19,6 +19,7 @@ from dolfinmpm.contact.touching import LAYERS, Facing
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.participants import Activation, ActiveField, Participants
 from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
@@ -169,6 +170,14 @@ class WeakForm:
             if declaration.operator is None:
                 found[declaration.rows] = elastic[declaration.rows]
         return found
+
+    @property
+    def values(self) -> list[str | None]:
+        """Field of the points that has what each field was, where the form carries it."""
+        kept = [f for f in self.parts.carried if isinstance(f, CarriedField)]
+        return [
+            next((f.name for f in kept if f.of is space.increment), None) for space in self.spaces
+        ]
 
     @property
     def regions(self) -> list[PointTerms]:

@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.errors import FormError, ParameterError
 
 LENGTH, CELLS, M, DENSITY, POROSITY = 10.0, 20, 1e6, 2000.0, 0.4
 
@@ -54,10 +54,10 @@ def test_an_undrained_bar_has_the_period_of_both_phases():
     assert np.median(ratio) == pytest.approx(-4e5 / POROSITY / M, rel=2e-3)
 
 
-def settlement(times, damping):
+def settlement(times, damping, density=DENSITY):
     """−M u(L)/(qL) of ρ ü + ρ d u̇ = M u'' under a load q put on at once, by its series."""
     k = (2 * np.arange(400) + 1) * math.pi / 2 / LENGTH
-    w = k * math.sqrt(M / DENSITY)
+    w = k * math.sqrt(M / density)
     s = np.sqrt((0.5 * damping) ** 2 - w**2 + 0j)
     found = []
     for t in times:
@@ -115,8 +115,19 @@ def test_rates_are_those_of_the_level_where_forces_balance():
         mpm.Explicit(F, u, points, bcs)
 
 
-def test_levels_within_a_step_are_refused():
+def test_levels_of_another_rule_are_refused():
     F, points, fields, _, _, bcs = column(permeability=1e-5)
-    with pytest.raises(FormError, match=r"carries 'pressure' .* beta=0\.3025"):
+    with pytest.raises(FormError, match=r"carries 'p.* at 1 of a step, .* at 0\.555556: .* 0\.8"):
         mpm.GeneralisedAlpha(F, fields, points, bcs)
     mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.0)
+    F, points, fields, _, _, bcs = column(permeability=1e-5, rho_inf=0.8)
+    for problem in (mpm.Newmark, mpm.Transient, mpm.QuasiStatic):
+        with pytest.raises(FormError, match=rf"with {problem.__name__} they do at 1: .* none"):
+            problem(F, fields, points, bcs)
+    with pytest.raises(FormError, match=r"at 0\.666667: .* rho_inf, 0\.5 here"):
+        mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.5)
+    mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.8)
+    with pytest.raises(ParameterError, match=r"theta = 0\.5 is of flow"):
+        column(permeability=1e-5, rho_inf=0.8, theta=0.5)
+    with pytest.raises(ParameterError, match="rho_inf = 2"):
+        column(permeability=1e-5, rho_inf=2)

@@ -1,0 +1,137 @@
+"""Soil and water in time with inertia: tangents, refusals, restarts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+from conftest import Linearised
+from test_poromechanics import LAW, block, held
+
+import dolfinmpm as mpm
+from dolfinmpm._platform.errors import FormError, ParameterError
+
+
+def test_the_tangent_has_the_acceleration_in_darcys_law():
+    F, points, V, Q, _ = block(inertia=True, gravity=(1.0, -9.81))
+    fields = [V.increment, Q.increment]
+    problem = mpm.Newmark(F, fields, points, held(V), stabilisation=["ghost", "ghost"])
+    points["velocity"] = 0.1 * points["x"]
+    problem.step(0.7)
+    assert points.inertia.value == pytest.approx(4 / 0.7**2)
+    assert np.abs(points["start_acceleration"]).max() > 0.1
+    linearised = Linearised(problem)
+    rng = np.random.default_rng(1)
+    start, way = (s * rng.uniform(-1, 1, linearised.size) for s in (0.02, 0.1))
+    ups = problem.here.unknowns.fields[0].size
+    start[ups:] *= 1e3
+    way[ups:] *= 1e3
+    linearised.tangent(start)
+    exact, t = linearised.product(way), 1e-5
+    ahead, behind = linearised.residual(start + t * way), linearised.residual(start - t * way)
+    numerical = (ahead - behind) / (2 * t)
+    for part in (slice(0, ups), slice(ups, None)):
+        np.testing.assert_allclose(
+            exact[part], numerical[part], atol=2e-5 * np.abs(exact[part]).max()
+        )
+
+
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Transient])
+def test_without_inertial_forces_there_is_no_acceleration(kind):
+    F, points, V, Q, _ = block(inertia=True)
+    with pytest.raises(FormError, match=rf"the acceleration of the body, and {kind.__name__} has"):
+        kind(F, [V.increment, Q.increment], points, held(V))
+
+
+def test_what_is_no_acceleration_is_refused():
+    with pytest.raises(ParameterError, match="inertia = 1 must be True or False"):
+        block(inertia=1)
+    F, points, V, Q, _ = block()
+    with pytest.raises(ParameterError, match="displacement"):
+        mpm.acceleration(points, Q.increment)
+    F = mpm.momentum(mpm.materials.Hencky(E=1e4, nu=0.3), points, V.increment, V.test)
+    F += ufl.dot(mpm.acceleration(points, V.increment), V.test) * points.dX
+    with pytest.raises(FormError, match="acceleration of the body, and Explicit has"):
+        mpm.Explicit(F, V.increment, points, held(V))
+    # n0/K_w = 0.4/4e3 by M = 1.35e4 is 1.35, and ρ/ρ_w - 1 is 1
+    light = mpm.Fluid(bulk_modulus=4e3)
+    with pytest.raises(ParameterError, match=r"is 2000 kg/m³ .* must be above 2346\.15, ρ_w"):
+        block(inertia=True, fluid=light)
+    block(fluid=light)
+    with pytest.raises(ParameterError, match=r"is 900 kg/m³ .* must be above 1000"):
+        block(inertia=True, density=900.0)
+
+
+def time_stepping(rho_inf=None, **options):
+    """A block that drains and falls onto its base, in time; its problem."""
+    options = {"gravity": (0.0, -9.81), "inertia": True, "rho_inf": rho_inf, **options}
+    F, points, V, Q, _ = block(fluid=mpm.Fluid(bulk_modulus=1e6), **options)
+    rule = mpm.Newmark if rho_inf is None else mpm.GeneralisedAlpha
+    of_rule = {} if rho_inf is None else {"rho_inf": rho_inf}
+    remedies = ["ghost", "ghost"]
+    fields = [V.increment, Q.increment]
+    return rule(F, fields, points, held(V), stabilisation=remedies, **of_rule)
+
+
+@pytest.mark.parametrize("rho_inf", [0.8, pytest.param(None, marks=pytest.mark.long)])
+def test_a_run_goes_on_from_a_file(rho_inf, tmp_path):
+    whole, stopped, later = (time_stepping(rho_inf) for _ in range(3))
+    times = (0.01, 0.03, 0.04, 0.06)
+    for t in times:
+        whole.step(t)
+    for t in times[:2]:
+        stopped.step(t)
+    stopped.save(tmp_path / "soil.h5")
+    later.load(tmp_path / "soil.h5")
+    for t in times[2:]:
+        later.step(t)
+    names = {"x", "velocity", "pressure", "density", "porosity", "stress"}
+    if rho_inf is not None:
+        assert {"storage_rate", "gradient_rate"} <= set(whole.points.fields)
+        assert np.abs(whole.points["storage_rate"]).max() > 0
+    for field in names | (set(whole.points.fields) & {"storage_rate", "gradient_rate"}):
+        np.testing.assert_array_equal(later.points[field], whole.points[field])
+
+
+@pytest.mark.parametrize("rho_inf", [0.5, pytest.param(None, marks=pytest.mark.long)])
+def test_soil_that_its_water_holds_stays_at_rest(rho_inf):
+    """A pressure of 50 Pa under no load, by grains in tension: the first acceleration has both."""
+    problem = time_stepping(rho_inf, gravity=None, permeability=0.0, drained=False)
+    points = problem.points
+    points["pressure"] = 50.0
+    mpm.set_stress(points, LAW, (50.0 * np.eye(3)).tolist())
+    for t in (0.01, 0.02, 0.05):
+        problem.step(t)
+    assert np.abs(problem.motion.A).max() < 1e-9
+    np.testing.assert_allclose(points["pressure"], 50.0, rtol=1e-9)
+    np.testing.assert_allclose(points["x"], points["x0"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "rho_inf", [0.5, *(pytest.param(r, marks=pytest.mark.long) for r in (None, 1.0))]
+)
+def test_what_a_step_cannot_resolve_is_damped(rho_inf):
+    """A wave of a few cells in steps of a hundred radians loses 1 − ρ∞ a step; a twofold root of
+    the rule takes it n/(n − 1) times longer at first."""
+    problem = time_stepping(rho_inf, gravity=None, permeability=1e-9, drained=False)
+    points, speed = problem.points, []
+    points["velocity"][:, 1] = 1e-4 * np.sin(4 * np.pi * points["x"][:, 1] / 0.7)
+    for k in range(7):
+        problem.step(2.0 * (k + 1))
+        speed.append(np.abs(problem.motion.V).max())
+    share = 1.0 if rho_inf is None else rho_inf
+    assert 0.97 * share < speed[-1] / speed[-2] < 1.17 * share
+
+
+def test_volumes_of_water_balance_at_the_level():
+    """What leaves is what the mixture loses, and what the pores do."""
+    problem = time_stepping(0.6, permeability=1e-2)
+    points = problem.points
+    start = float(points["density"] @ points["V0"])
+    for t in (0.05, 0.1, 0.2):
+        problem.step(t)
+    J = np.linalg.det(points["F"])
+    np.testing.assert_allclose(points["porosity"], 1 - 0.6 / J, atol=1e-12)
+    lost = start - float(points["density"] @ points["V0"])
+    assert lost == pytest.approx(1000.0 * float((1 - J) @ points["V0"]), rel=1e-9)
+    assert lost > 0
