@@ -13,7 +13,7 @@ def figures(tmp_path, study, *options, ranks=1):
 
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_two_cylinders(tmp_path, ranks):
-    found = figures(tmp_path, "hertz_bodies", "--resolution", "4", "--steps", "2", ranks=ranks)
+    found = figures(tmp_path, "hertz_bodies", "--resolution", "4", ranks=ranks)
     assert abs(found["half_width_error"]) < 0.02
     assert abs(found["peak_error"]) < 0.04
     # diametral planes of whole cylinders do not stay plane
