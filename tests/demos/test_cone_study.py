@@ -53,15 +53,12 @@ COARSE = "--width", "8", "--zone", "1.5", "--growth", "2"
 
 
 def test_a_cone_in_saturated_clay():
-    """Its way is too short for what is steady; water that stays bears pressure and softens."""
-    options = "--curve", "--velocities", "0.01,1000", "--depth", "4.6", "--step", "0.2", *COARSE
+    """Its way is too short for what is steady; water that stays bears most of it."""
+    options = "--velocity", "1000", "--depth", "4.6", "--step", "0.2", *COARSE
     found = run("cone_penetration", *options, "--no-plot")
-    slow, fast = found["runs"]
-    assert not slow["reason"]
-    assert not fast["reason"]
-    assert found["drained_ratio"] > 1.0
-    assert abs(slow["pore_ratio"]) < 0.01
-    assert fast["pore_ratio"] > 0.3
+    assert not found["reason"]
+    assert found["forces"][-1] > found["forces"][0] > 0
+    assert 0.3 < found["pore_ratio"] < 1
 
 
 @pytest.mark.long
