@@ -18,6 +18,7 @@ from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
 
 __all__ = ["WORKSPACE", "LinearSolver"]
@@ -224,6 +225,20 @@ class LinearSolver:
             parts.append(PETSc.IS().createGeneral(first + rows, comm=self._comm))
         parts[0].compose("nearnullspace", near_kernel_within(here, A, parts[0]))
         self.snes.getKSP().getPC().setFieldSplitIS(("u", parts[0]), ("p", parts[1]))
+        # they go with the matrix
+        A.compose("rows of u", parts[0])
+        A.compose("rows of p", parts[1])
+
+    def _renewed(self) -> None:
+        """Make what a new preconditioner is made of, besides the matrix. Collective."""
+        pc = self.snes.getKSP().getPC()
+        if pc.getType() == "fieldsplit" and not self._options.has(
+            "pc_fieldsplit_schur_precondition"
+        ):
+            assert self.matrix is not None
+            A = self.matrix.petsc
+            S = schur_matrix(A, A.query("rows of u"), A.query("rows of p"))
+            pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, S)
 
     def _looks_symmetric(self, operator: Operator) -> bool:
         """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
@@ -288,7 +303,7 @@ class LinearSolver:
         if self._keeps_factors:
             ksp.setTolerances(max_it=_MOST_OF_FACTORS)
         ksp.setOperators(self.true, self.matrix.petsc)
-        self.reuse.prepare(ksp)
+        self.reuse.prepare(ksp, self._renewed)
 
     def vector(self) -> PETSc.Vec:
         """A vector of the unknowns. Collective."""
@@ -311,7 +326,7 @@ class LinearSolver:
             if self._keeps_factors:
                 # the next right-hand side is of the same matrix, and asks for all digits
                 self.reuse.renew()
-            self.reuse.prepare(ksp)
+            self.reuse.prepare(ksp, self._renewed)
         ksp.solve(b, y)
         self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))

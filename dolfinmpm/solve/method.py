@@ -31,19 +31,23 @@ _MULTIGRID = {
 
 
 # Of a displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle
-# of multigrid for the first block. S is taken for C + B diag(A)⁻¹ Bᵀ, which has the scale and the
-# pattern of what is stored and of what flows (White & Borja 2011, doi 10.1007/s10596-011-9233-7);
-# an incomplete factorisation of it serves as well as LU, where cycles with Jacobi or Gauss–Seidel
-# smoothers need ten times the iterations as soon as the body cuts cells.
+# of multigrid for each block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). What stands for S
+# is told by `dolfinmpm.solve.schur`; its multigrid smooths by incomplete factors, since cycles with
+# Jacobi or Gauss–Seidel need two to three times the iterations as soon as the body cuts cells, and
+# without the true S, each product with which is a cycle for the first block.
 _BLOCKS = {
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
-    "pc_fieldsplit_schur_precondition": "selfp",
     "fieldsplit_u_ksp_type": "preonly",
     "fieldsplit_u_pc_type": "gamg",
     **{f"fieldsplit_u_{name}": value for name, value in _MULTIGRID.items()},
     "fieldsplit_p_ksp_type": "preonly",
-    "fieldsplit_p_pc_type": "bjacobi",
+    "fieldsplit_p_pc_type": "gamg",
+    "fieldsplit_p_pc_use_amat": False,
+    "fieldsplit_p_pc_gamg_agg_nsmooths": 1,
+    "fieldsplit_p_pc_gamg_threshold": 0.01,
+    "fieldsplit_p_mg_levels_ksp_type": "richardson",
+    "fieldsplit_p_mg_levels_pc_type": "bjacobi",
 }
 
 
