@@ -14,11 +14,11 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.complement import Complement
 from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
 
 __all__ = ["WORKSPACE", "LinearSolver"]
@@ -80,7 +80,7 @@ class LinearSolver:
 
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
-        self._tangent = tangent
+        self._tangent, self._checked = tangent, False
         self._doubt, self._direct = Doubt(), False
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
@@ -92,7 +92,6 @@ class LinearSolver:
         # norm of the residual of the iteration before
         self._former: float | None = None
         self.snes: Any = None
-        self._complement: Complement | None = None
 
     def in_blocks(self, count: int) -> bool:
         """Whether so many unknowns are solved for by a method that wants a node's in a block."""
@@ -171,8 +170,8 @@ class LinearSolver:
         self._doubt.left = max(self._doubt.left - 1, 0)
         self._choose(here.unknowns.total)
         self._take(here)
-        if self._tangent.symmetric and not self._tangent.checked:
-            self._tangent = replace(self._tangent, checked=True)
+        if self._tangent.symmetric and not self._checked:
+            self._checked = True
             if not self._looks_symmetric(operator):
                 self._tangent = replace(self._tangent, symmetric=False)
                 self._choose(here.unknowns.total)
@@ -226,17 +225,20 @@ class LinearSolver:
             parts.append(PETSc.IS().createGeneral(first + rows, comm=self._comm))
         parts[0].compose("nearnullspace", near_kernel_within(here, A, parts[0]))
         self.snes.getKSP().getPC().setFieldSplitIS(("u", parts[0]), ("p", parts[1]))
-        own = self._options.get("pc_fieldsplit_schur_precondition") in (None, "user")
-        self._complement = Complement((parts[0], parts[1])) if own else None
+        # they go with the matrix
+        A.compose("rows of u", parts[0])
+        A.compose("rows of p", parts[1])
 
-    def _complete(self) -> None:
-        """Let the pressure's block of a field split be that of the present tangent. Collective."""
+    def _renewed(self) -> None:
+        """Make what a new preconditioner is made of, besides the matrix. Collective."""
         pc = self.snes.getKSP().getPC()
-        if self._complement is None or pc.getType() != "fieldsplit":
-            return
-        assert self.matrix is not None
-        S = self._complement.update(self.matrix.petsc)
-        pc.setFieldSplitSchurPreType(PETSc.PC.SchurPreType.USER, S)
+        if pc.getType() == "fieldsplit" and not self._options.has(
+            "pc_fieldsplit_schur_precondition"
+        ):
+            assert self.matrix is not None
+            A = self.matrix.petsc
+            S = schur_matrix(A, A.query("rows of u"), A.query("rows of p"))
+            pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, S)
 
     def _looks_symmetric(self, operator: Operator) -> bool:
         """Whether the tangent is symmetric near the present state: yᵀKx = xᵀKy. Collective."""
@@ -297,12 +299,11 @@ class LinearSolver:
                 share = min(share, 0.9 * (norm / self._former) ** (0.5 * (1 + math.sqrt(5.0))))
             ksp.setTolerances(rtol=max(share, _DIGITS))
         self._former = norm
-        self._complete()
         ksp.setTolerances(atol=max(enough, 1e-300))
         if self._keeps_factors:
             ksp.setTolerances(max_it=_MOST_OF_FACTORS)
         ksp.setOperators(self.true, self.matrix.petsc)
-        self.reuse.prepare(ksp)
+        self.reuse.prepare(ksp, self._renewed)
 
     def vector(self) -> PETSc.Vec:
         """A vector of the unknowns. Collective."""
@@ -325,8 +326,7 @@ class LinearSolver:
             if self._keeps_factors:
                 # the next right-hand side is of the same matrix, and asks for all digits
                 self.reuse.renew()
-            self._complete()
-            self.reuse.prepare(ksp)
+            self.reuse.prepare(ksp, self._renewed)
         ksp.solve(b, y)
         self.stuck = ksp.getConvergedReason() < 0
         return np.array(y.getArray(readonly=True))

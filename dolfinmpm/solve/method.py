@@ -31,20 +31,22 @@ _MULTIGRID = {
 
 
 # Of a displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle
-# of multigrid for either block (White & Borja 2011, doi 10.1007/s10596-011-9233-7); S is what
-# flows and what is stored, see `dolfinmpm.solve.complement`. Its cycles smooth by incomplete
-# factors: with Jacobi or Gauss–Seidel they need ten times the iterations where the body cuts cells.
+# of multigrid for each block (White & Borja 2011, doi 10.1007/s10596-011-9233-7). What stands for S
+# is told by `dolfinmpm.solve.schur`; its multigrid smooths by incomplete factors, since cycles with
+# Jacobi or Gauss–Seidel need two to three times the iterations as soon as the body cuts cells, and
+# without the true S, each product with which is a cycle for the first block.
 _BLOCKS = {
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
-    "pc_fieldsplit_schur_precondition": "user",
     "fieldsplit_u_ksp_type": "preonly",
     "fieldsplit_u_pc_type": "gamg",
     **{f"fieldsplit_u_{name}": value for name, value in _MULTIGRID.items()},
     "fieldsplit_p_ksp_type": "preonly",
     "fieldsplit_p_pc_type": "gamg",
+    "fieldsplit_p_pc_use_amat": False,
+    "fieldsplit_p_pc_gamg_agg_nsmooths": 1,
+    "fieldsplit_p_pc_gamg_threshold": 0.01,
     "fieldsplit_p_mg_levels_ksp_type": "richardson",
-    "fieldsplit_p_mg_levels_ksp_max_it": 1,
     "fieldsplit_p_mg_levels_pc_type": "bjacobi",
 }
 
@@ -59,7 +61,6 @@ class Tangent:
         softened: Whether its matrix has terms more, so that it only preconditions.
         fields: Number of fields.
         porous: Whether they are a displacement and a scalar.
-        checked: Whether a matrix has been looked at, if it is said to be symmetric.
     """
 
     symmetric: bool
@@ -67,7 +68,6 @@ class Tangent:
     softened: bool
     fields: int = 1
     porous: bool = False
-    checked: bool = False
 
 
 @dataclass(frozen=True)

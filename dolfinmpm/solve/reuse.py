@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 import weakref
+from collections.abc import Callable
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -55,8 +56,13 @@ class Reuse:
         """Let the next one be new, whatever it costs."""
         self._last = math.inf
 
-    def prepare(self, ksp: PETSc.KSP) -> None:
-        """Keep or renew the preconditioner of a solver whose matrix is new. Collective."""
+    def prepare(self, ksp: PETSc.KSP, before: Callable[[], None] | None = None) -> None:
+        """Keep or renew the preconditioner of a solver whose matrix is new. Collective.
+
+        Args:
+            ksp: The solver.
+            before: Called before a new one is made, or None.
+        """
         pays = self._last * self._age < self._setup + self._spent
         if not pays and self._age == 2:
             self._wait, self._next = self._next, min(2 * self._next, 32)
@@ -68,6 +74,8 @@ class Reuse:
         ksp.getPC().setReusePreconditioner(keep)
         self._old = keep
         started = time.perf_counter()
+        if not keep and before is not None:
+            before()
         ksp.setUp()
         if not keep:
             self._setup = self._slowest(time.perf_counter() - started)
