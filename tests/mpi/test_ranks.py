@@ -28,6 +28,7 @@ VARIANTS = {
     "restart_triangles",
     "rings_bases",
     "rings_remedies",
+    "waves",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7

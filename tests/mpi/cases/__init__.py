@@ -85,6 +85,7 @@ CASES = {
         explicit.explicit_restart,
         porous.consolidation,
         porous.nested,
+        porous.waves,
         boundaries.boundaries,
         boundaries.boundaries_triangles,
         boundaries.boundary_3d,
