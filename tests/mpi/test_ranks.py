@@ -34,6 +34,7 @@ VARIANTS = {
     "rings_in_time",
     "rings_remedies",
     "touching_restart",
+    "waves",
 }
 # of cases that one launch runs: imports are paid for once, and workers still share the launches
 GROUP = 7

@@ -12,6 +12,7 @@ import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
 
 
+@pytest.mark.long
 def test_the_tangent_has_the_acceleration_in_darcys_law():
     F, points, V, Q, _ = block(inertia=True, gravity=(1.0, -9.81))
     fields = [V.increment, Q.increment]
@@ -73,7 +74,8 @@ def time_stepping(rho_inf=None, **options):
     return rule(F, fields, points, held(V), stabilisation=remedies, **of_rule)
 
 
-@pytest.mark.parametrize("rho_inf", [0.8, pytest.param(None, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("rho_inf", [0.8, None])
 def test_a_run_goes_on_from_a_file(rho_inf, tmp_path):
     whole, stopped, later = (time_stepping(rho_inf) for _ in range(3))
     times = (0.01, 0.03, 0.04, 0.06)
@@ -107,9 +109,8 @@ def test_soil_that_its_water_holds_stays_at_rest(rho_inf):
     np.testing.assert_allclose(points["x"], points["x0"], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "rho_inf", [0.5, *(pytest.param(r, marks=pytest.mark.long) for r in (None, 1.0))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("rho_inf", [None, 0.5, 1.0])
 def test_what_a_step_cannot_resolve_is_damped(rho_inf):
     """A wave of a few cells in steps of a hundred radians loses 1 − ρ∞ a step; a twofold root of
     the rule takes it n/(n − 1) times longer at first."""
@@ -123,6 +124,7 @@ def test_what_a_step_cannot_resolve_is_damped(rho_inf):
     assert 0.97 * share < speed[-1] / speed[-2] < 1.17 * share
 
 
+@pytest.mark.long
 def test_volumes_of_water_balance_at_the_level():
     """What leaves is what the mixture loses, and what the pores do."""
     problem = time_stepping(0.6, permeability=1e-2)

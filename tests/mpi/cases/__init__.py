@@ -88,6 +88,7 @@ CASES = {
         porous.nested,
         porous.nested_bases,
         porous.nested_restart,
+        porous.waves,
         boundaries.boundaries,
         boundaries.boundaries_triangles,
         boundaries.boundary_3d,

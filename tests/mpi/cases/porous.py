@@ -97,3 +97,30 @@ def _drained(basis, remedy):
         "pressure": COMM.allreduce(float(weight @ points["pressure"])),
         **sums(points, "x", "stress", "cell_offset"),
     }
+
+
+def waves():
+    """A block that falls onto its base and drains, by the generalised-α method, with the soil's
+    acceleration in Darcy's law."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (24, 16), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1.2, 0.8)), 2, 2000.0, exact=True)
+    V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "linear", shape=())
+    top = mpm.Surface(points, lambda x: x[1] > 0.8 - 1e-9, (0, 1))
+    F = mpm.poromechanics(
+        mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment), (V.test, Q.test),
+        permeability=1e-3, porosity=0.4, gravity=(0.0, -9.81), drained=top, rho_inf=0.8,
+        inertia=True, fluid=mpm.Fluid(bulk_modulus=1e7),
+    )  # fmt: skip
+    problem = mpm.GeneralisedAlpha(
+        F, [V.increment, Q.increment], points, mpm.fixed(V, "bottom") + mpm.rollers(V, "left"),
+        rho_inf=0.8, stabilisation=["ghost", "ghost"],
+    )  # fmt: skip
+    for t in (0.005, 0.01, 0.02):
+        problem.step(t)
+    weight = np.sin(1.0 + points["id"])
+    names = "pressure", "density", "storage_rate"
+    return {
+        "iterations": [record.iterations for record in problem.history],
+        "carried": [COMM.allreduce(float(weight @ points[name])) for name in names],
+        **sums(points, "x", "velocity", "stress", "gradient_rate", "start_acceleration"),
+    }
