@@ -21,7 +21,7 @@ def test_a_cone_in_clay(tmp_path, ranks):
     assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize("remedy", ["ghost", "aggregation"])
+@pytest.mark.parametrize("remedy", ["ghost", pytest.param("aggregation", marks=pytest.mark.long)])
 def test_a_cone_in_sand(tmp_path, remedy):
     """It is harder the deeper it goes, and the shaft carries what friction it has."""
     options = "--law", "sand", "--h", "0.2", "--step", "0.04", "--depth", "0.96", "--width", "4"
@@ -52,6 +52,7 @@ def test_a_quarter_of_a_cone_in_three_dimensions(tmp_path):
 COARSE = "--width", "8", "--zone", "1.5", "--growth", "2"
 
 
+@pytest.mark.long
 def test_a_cone_in_saturated_clay():
     """Its way is too short for what is steady; water that stays bears most of it."""
     options = "--velocity", "1000", "--depth", "4.6", "--step", "0.2", *COARSE

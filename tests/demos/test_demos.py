@@ -31,8 +31,8 @@ NUMBERS = {
 }
 
 
-# others have what they show too, in two dimensions
-_LONG = ("plough",)
+# tests of studies have what they show at smaller sizes
+_LONG = "coupled_slope", "plough"
 
 
 @pytest.mark.parametrize(

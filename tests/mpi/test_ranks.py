@@ -17,6 +17,7 @@ TOLERANCES = {"plastic": 1e-8, "law_in_ufl": 1e-8}
 VARIANTS = {
     "adaptive_penalties",
     "boundaries_triangles",
+    "bodies_that_collide",
     "bodies_that_rub",
     "boundary_3d",
     "facets_of_few_ranks",
