@@ -6,6 +6,7 @@ from benchmark_rows import Answer, Row, each, keys
 
 RINGS, STEEL, WATER = "Bodies of revolution", "Soil and steel", "Soil and water"
 EXACT = "exact: 0"
+TOUCHING = "--contact bodies --integrator newmark --mass consistent --mapping flip"
 SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
 
 
@@ -43,6 +44,15 @@ ROWS = (
     Row("hertz", STEEL, "cylinder on elastic ground, 8 cells over half the contact: error of its "
         "half-width, of the peak pressure (%)", each("hertz", "--force 1000 --resolution 8"),
         percent("half_width_error", "peak_error"), "{:+.2f}, {:+.2f}", "Hertz: 0"),
+    Row("hertz-bodies", STEEL, "two elastic bodies with fields of their own, cylinders, spheres: error "
+        "of the half-width, of the peak pressure (%)",
+        each("hertz_bodies", "", "--shape sphere"), percent("half_width_error", "peak_error"),
+        "{:+.1f}, {:+.1f}; {:+.1f}, {:+.1f}", "Hertz: 0"),
+    Row("discs-touching", STEEL, "two discs with fields of their own collide, cells of R/4, R/8: least "
+        "kinetic energy, rebound",
+        each("colliding_discs", TOUCHING, f"{TOUCHING} --h 0.025"),
+        keys("min_kinetic", "rebound"), "{:.3f}, {:.3f}; {:.3f}, {:.3f}",
+        "conforming elements: 0.053, 0.908"),
     Row("wall", STEEL, "smooth retaining wall, φ = 33.5°: error of the thrust, passive, active (%)",
         each("retaining_wall", "", "--direction active"), percent("thrust_error"),
         "{:+.2f}, {:+.2f}", "Rankine: 0"),
@@ -97,6 +107,14 @@ ROWS = (
         "the edge", each("footing_consolidation", "--times 0.1"),
         lambda a: [a["settlement_centre"][0], a["settlement_edge"][0]], "{:.3f}, {:.3f}",
         "conforming Q2–Q1 elements: 1.493, 0.848", quick=True),
+    Row("slope-water", WATER, "saturated slope of Cam-Clay that rises fast: γ'H/c at failure, and of a "
+        "slope of that strength without water",
+        each("coupled_slope", "--law cam-clay --rate fast"),
+        lambda a: [run["limit"] for run in a["runs"].values()], "{:.2f}, {:.2f}", "Taylor 1937: 5.24"),
+    Row("cone-water", WATER, "cone in saturated Cam-Clay without drainage: error of its factor by the "
+        "clay's undrained strength (%)",
+        each("cone_penetration", "--undrained"), percent("error"), "{:+.1f}",
+        "Teh & Houlsby 1991: 0"),
     Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations a "
         "Newton iteration", each("footing_3d", "--cells 14,20 --steps 2"), iterations,
         "{:.0f}, {:.0f}"),

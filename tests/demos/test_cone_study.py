@@ -49,19 +49,6 @@ def test_a_quarter_of_a_cone_in_three_dimensions(tmp_path):
     assert (tmp_path / "cone_penetration_tresca_3.png").stat().st_size > 0
 
 
-COARSE = "--width", "8", "--zone", "1.5", "--growth", "2"
-
-
-@pytest.mark.long
-def test_a_cone_in_saturated_clay():
-    """Its way is too short for what is steady; water that stays bears most of it."""
-    options = "--velocity", "1000", "--depth", "4.6", "--step", "0.2", *COARSE
-    found = run("cone_penetration", *options, "--no-plot")
-    assert not found["reason"]
-    assert found["forces"][-1] > found["forces"][0] > 0
-    assert 0.3 < found["pore_ratio"] < 1
-
-
 @pytest.mark.long
 def test_drainage_decides_what_a_cone_carries(tmp_path):
     """Between what is drained and Teh & Houlsby's factor, half of it near v d/c_v = 3."""
