@@ -32,7 +32,7 @@ NUMBERS = {
 
 
 # tests of studies have what they show at smaller sizes
-_LONG = "coupled_slope", "plough"
+_LONG = "column_collapse", "coupled_slope", "plough"
 
 
 @pytest.mark.parametrize(
