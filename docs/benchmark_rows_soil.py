@@ -44,12 +44,12 @@ ROWS = (
     Row("hertz", STEEL, "cylinder on elastic ground, 8 cells over half the contact: error of its "
         "half-width, of the peak pressure (%)", each("hertz", "--force 1000 --resolution 8"),
         percent("half_width_error", "peak_error"), "{:+.2f}, {:+.2f}", "Hertz: 0"),
-    Row("hertz-bodies", STEEL, "two elastic bodies with fields of their own, cylinders, spheres: error "
-        "of the half-width, of the peak pressure (%)",
+    Row("hertz-bodies", STEEL, "two elastic bodies with fields of their own, cylinders, spheres: "
+        "error of the half-width, of the peak pressure (%)",
         each("hertz_bodies", "", "--shape sphere"), percent("half_width_error", "peak_error"),
         "{:+.1f}, {:+.1f}; {:+.1f}, {:+.1f}", "Hertz: 0"),
-    Row("discs-touching", STEEL, "two discs with fields of their own collide, cells of R/4, R/8: least "
-        "kinetic energy, rebound",
+    Row("discs-touching", STEEL, "two discs with fields of their own collide, cells of R/4, R/8: "
+        "least kinetic energy, rebound",
         each("colliding_discs", TOUCHING, f"{TOUCHING} --h 0.025"),
         keys("min_kinetic", "rebound"), "{:.3f}, {:.3f}; {:.3f}, {:.3f}",
         "conforming elements: 0.053, 0.908"),
@@ -107,12 +107,13 @@ ROWS = (
         "the edge", each("footing_consolidation", "--times 0.1"),
         lambda a: [a["settlement_centre"][0], a["settlement_edge"][0]], "{:.3f}, {:.3f}",
         "conforming Q2–Q1 elements: 1.493, 0.848", quick=True),
-    Row("slope-water", WATER, "saturated slope of Cam-Clay that rises fast: γ'H/c at failure, and of a "
-        "slope of that strength without water",
+    Row("slope-water", WATER, "saturated slope of Cam-Clay that rises fast: γ'H/c at failure, and "
+        "of a slope of that strength without water",
         each("coupled_slope", "--law cam-clay --rate fast"),
-        lambda a: [run["limit"] for run in a["runs"].values()], "{:.2f}, {:.2f}", "Taylor 1937: 5.24"),
-    Row("cone-water", WATER, "cone in saturated Cam-Clay without drainage: error of its factor by the "
-        "clay's undrained strength (%)",
+        lambda a: [run["limit"] for run in a["runs"].values()], "{:.2f}, {:.2f}",
+        "Taylor 1937: 5.24"),
+    Row("cone-water", WATER, "cone in saturated Cam-Clay without drainage: error of its factor by "
+        "the clay's undrained strength (%)",
         each("cone_penetration", "--undrained"), percent("error"), "{:+.1f}",
         "Teh & Houlsby 1991: 0"),
     Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations a "
