@@ -64,7 +64,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     if not Loads(problem.form).known or any(one is not None for one in parts.grid.external):
         return FormError(
             "Collision needs loads on the points, of their fields and constants alone, such as "
-            "-rho * mpm.inner(g, v) * points.dX"
+            "F -= ufl.inner(points.density * g, v) * points.dX"
         )
     return None
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import Linearised
-from test_poromechanics import LAW, block, held
+from test_poromechanics import LAW, block, check_tangent, held
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
@@ -21,20 +20,7 @@ def test_the_tangent_has_the_acceleration_in_darcys_law():
     problem.step(0.7)
     assert points.inertia.value == pytest.approx(4 / 0.7**2)
     assert np.abs(points["start_acceleration"]).max() > 0.1
-    linearised = Linearised(problem)
-    rng = np.random.default_rng(1)
-    start, way = (s * rng.uniform(-1, 1, linearised.size) for s in (0.02, 0.1))
-    ups = problem.here.unknowns.fields[0].size
-    start[ups:] *= 1e3
-    way[ups:] *= 1e3
-    linearised.tangent(start)
-    exact, t = linearised.product(way), 1e-5
-    ahead, behind = linearised.residual(start + t * way), linearised.residual(start - t * way)
-    numerical = (ahead - behind) / (2 * t)
-    for part in (slice(0, ups), slice(ups, None)):
-        np.testing.assert_allclose(
-            exact[part], numerical[part], atol=2e-5 * np.abs(exact[part]).max()
-        )
+    check_tangent(problem)
 
 
 @pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Transient])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from scipy import linalg
-from test_poroelastic_waves import DENSITY, LENGTH, POROSITY, M, column, settlement
+from test_poroelastic_waves import DENSITY, LENGTH, POROSITY, M, column, settlement, sinking
 
 import dolfinmpm as mpm
 
@@ -117,11 +117,7 @@ def test_incompressible_water_takes_its_mass_from_the_waves(share):
     )
     F -= top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
     problem = mpm.Newmark(F, fields, points, bcs, stabilisation=["ghost", "ghost"])
-    times, found = [], []
-    for t in mpm.times(4.0 / first, dt=0.05 / first):
-        problem.step(t)
-        times.append(problem.time)
-        found.append(-top.mean_displacement()[1] * M / (load * LENGTH))
+    times, found = sinking(problem, top, first, load)
     off = np.abs(found - settlement(times, damping, DENSITY - WATER))
     assert off.max() < 0.03
     assert np.sqrt(np.mean(off**2)) < 0.01

@@ -67,6 +67,16 @@ def settlement(times, damping, density=DENSITY):
     return np.array(found)
 
 
+def sinking(problem, top, first, load):
+    """Times (s), and settlements of the top under a load (Pa) by those in the end."""
+    times, found = [], []
+    for t in mpm.times(4.0 / first, dt=0.05 / first):
+        problem.step(t)
+        times.append(problem.time)
+        found.append(-top.mean_displacement()[1] * M / (load * LENGTH))
+    return times, np.array(found)
+
+
 @pytest.mark.parametrize("share", [0.5, 5.0])
 def test_a_sudden_load_obeys_the_telegraph_equation(share):
     """Incompressible water drags by γ_w/k, a damping of the soil's waves: over a sealed base the
@@ -78,11 +88,7 @@ def test_a_sudden_load_obeys_the_telegraph_equation(share):
     F, points, fields, V, top, bcs = column(permeability=k, fluid=water, open_top=True)
     F -= top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
     problem = mpm.Newmark(F, fields, points, bcs, stabilisation=["ghost", "ghost"])
-    times, found = [], []
-    for t in mpm.times(4.0 / first, dt=0.05 / first):
-        problem.step(t)
-        times.append(problem.time)
-        found.append(-top.mean_displacement()[1] * M / (load * LENGTH))
+    times, found = sinking(problem, top, first, load)
     error = np.abs(found - settlement(times, damping))
     assert error.max() < 0.03
     # the front and its echoes go through some cells, all else is smooth
