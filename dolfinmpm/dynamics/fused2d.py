@@ -341,16 +341,17 @@ def kernel(
                             ratio = J
                         if kind == JAUMANN or used:
                             t00, t11, t01, t22 = ratio * t00, ratio * t11, ratio * t01, ratio * t22
-                    if kind != SMALL:
+                    if kind != SMALL and kind != NEO:
                         # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
                         z = 0.5 * dt * (h00 * h11 - h01 * h10)
                         q = 1.0 / (1.0 + 0.5 * dt * (h00 + h11 + z))
                         h00, h11, h01, h10 = q * (h00 + z), q * (h11 + z), q * h01, q * h10
-                    work += vp * (
-                        (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
-                        + (tau_old[p, 2] + t01) * (h01 + h10)
-                    )  # fmt: skip
-                    tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
+                    if kind != NEO:
+                        work += vp * (
+                            (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
+                            + (tau_old[p, 2] + t01) * (h01 + h10)
+                        )  # fmt: skip
+                        tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
                     if record:
                         V[p] = J * vp
                         q = 1.0 if kind == SMALL else 1.0 / J
@@ -447,6 +448,8 @@ def kernel(
                     if not (known0 and known1):
                         if not (start0 <= x0 <= end0 and start1 <= x1 <= end1):
                             return np.intp(p), left, behind
+                        if kind == NEO and strain and advance:
+                            tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
                         skipped[1, behind] = rows[index]
                         behind += 1
                         continue

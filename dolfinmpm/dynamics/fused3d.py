@@ -232,7 +232,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                     )  # fmt: skip
                     if not (J > 0.0 and change > 0.0):
                         return np.intp(p), left, behind
-                    if kind != SMALL:
+                    if kind != SMALL and kind != NEO:
                         # the rate by the middle of the step
                         scale, h00, h01, h02, h10, h11, h12, h20, h21, h22 = carried(
                             0.5 * dt, h00, h01, h02, h10, h11, h12, h20, h21, h22
@@ -324,14 +324,16 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                             # Cauchy's
                             t00, t11, t22 = J * t00, J * t11, J * t22
                             t01, t12, t02 = J * t01, J * t12, J * t02
-                    k00, k11, k22 = tau_old[p, 0] + t00, tau_old[p, 1] + t11, tau_old[p, 2] + t22
-                    k01, k12, k02 = tau_old[p, 3] + t01, tau_old[p, 4] + t12, tau_old[p, 5] + t02
-                    work += vp * (
-                        k00 * h00 + k11 * h11 + k22 * h22
-                        + k01 * (h01 + h10) + k12 * (h12 + h21) + k02 * (h02 + h20)
-                    )  # fmt: skip
-                    tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
-                    tau_old[p, 3], tau_old[p, 4], tau_old[p, 5] = t01, t12, t02
+                    if kind != NEO:
+                        k00, k11 = tau_old[p, 0] + t00, tau_old[p, 1] + t11
+                        k22, k01 = tau_old[p, 2] + t22, tau_old[p, 3] + t01
+                        k12, k02 = tau_old[p, 4] + t12, tau_old[p, 5] + t02
+                        work += vp * (
+                            k00 * h00 + k11 * h11 + k22 * h22
+                            + k01 * (h01 + h10) + k12 * (h12 + h21) + k02 * (h02 + h20)
+                        )  # fmt: skip
+                        tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
+                        tau_old[p, 3], tau_old[p, 4], tau_old[p, 5] = t01, t12, t02
                     if record:
                         V[p] = J * vp
                         q = 1.0 if kind == SMALL else 1.0 / J
@@ -456,6 +458,9 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                             start0 <= x0 <= end0 and start1 <= x1 <= end1 and start2 <= x2 <= end2
                         ):
                             return np.intp(p), left, behind
+                        if kind == NEO and strain and advance:
+                            tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
+                            tau_old[p, 3], tau_old[p, 4], tau_old[p, 5] = t01, t12, t02
                         skipped[1, behind] = rows[index]
                         behind += 1
                         continue

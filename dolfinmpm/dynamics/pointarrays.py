@@ -10,7 +10,8 @@ import numpy.typing as npt
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.fusable import Laws
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.passes import LAW, SMALL
+from dolfinmpm.dynamics.neo import kirchhoff
+from dolfinmpm.dynamics.passes import LAW, NEO, SMALL
 
 __all__ = ["PointArrays"]
 
@@ -56,6 +57,13 @@ class PointArrays:
             points["stress"], points["acceleration"], tau, e_out,
         )  # fmt: skip
 
+    def strain(self) -> None:
+        """Take stresses of the strains now, where the loops do not keep them."""
+        if self._laws.kind == NEO:
+            _, numbers, _, which = self._laws.table
+            F, pairs = self._points["F"], _PAIRS[self._points.gdim]
+            self.data[-2][:] = kirchhoff(F, numbers, which, pairs)
+
     def publish(self) -> None:
         """Give the fields what steps without a record keep for themselves and go on with."""
         points, (tau, e_out) = self._points, self.data[-2:]
@@ -63,6 +71,7 @@ class PointArrays:
         J = np.linalg.det(points["F"])
         points["V"][:] = J * points["V0"]
         i, j = _PAIRS[points.gdim]
+        self.strain()
         sigma = tau if small else tau / J[:, None]
         points["stress"][:, i, j] = sigma
         points["stress"][:, j, i] = sigma
