@@ -48,6 +48,44 @@ def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux,
                     out[nodes[first + a], i] += f
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _add_vector_2(begin, end, groups, node_start, nodes, value_start, N, dN, flux, column, out):
+    """`_add_vector` of a vector in the plane, with the flux in registers."""
+    for g in range(begin, end):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p = position - groups[begin]
+            at = value_start[g] + (position - groups[g]) * m
+            f0, q00, q01 = flux[p, column], flux[p, column + 1], flux[p, column + 2]
+            f1, q10, q11 = flux[p, column + 3], flux[p, column + 4], flux[p, column + 5]
+            for a in range(m):
+                w, w0, w1 = N[at + a], dN[at + a, 0], dN[at + a, 1]
+                node = nodes[first + a]
+                out[node, 0] += w * f0 + w0 * q00 + w1 * q01
+                out[node, 1] += w * f1 + w0 * q10 + w1 * q11
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_vector_3(begin, end, groups, node_start, nodes, value_start, N, dN, flux, column, out):
+    """`_add_vector` of a vector in space, with the flux in registers."""
+    for g in range(begin, end):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            p, c = position - groups[begin], column
+            at = value_start[g] + (position - groups[g]) * m
+            f0, q00, q01, q02 = flux[p, c], flux[p, c + 1], flux[p, c + 2], flux[p, c + 3]
+            f1, q10, q11, q12 = flux[p, c + 4], flux[p, c + 5], flux[p, c + 6], flux[p, c + 7]
+            f2, q20, q21, q22 = flux[p, c + 8], flux[p, c + 9], flux[p, c + 10], flux[p, c + 11]
+            for a in range(m):
+                w, w0, w1, w2 = N[at + a], dN[at + a, 0], dN[at + a, 1], dN[at + a, 2]
+                node = nodes[first + a]
+                out[node, 0] += w * f0 + w0 * q00 + w1 * q01 + w2 * q02
+                out[node, 1] += w * f1 + w0 * q10 + w1 * q11 + w2 * q12
+                out[node, 2] += w * f2 + w0 * q20 + w1 * q21 + w2 * q22
+
+
 def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out: Array) -> None:
     """Add Σ_p (N_a f_p + ∇N_a · q_p) over the points of some groups to nodal forces.
 
@@ -61,9 +99,9 @@ def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out:
         column: First column of the field in the flux.
         out: Nodal forces (N), shape (nodes, components).
     """
-    _add_vector(
-        begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, column, out
-    )
+    vector = out.shape[1] if out.shape[1] == s.dN.shape[1] else 0
+    kernel = {2: _add_vector_2, 3: _add_vector_3}.get(vector, _add_vector)
+    kernel(begin, end, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, flux, column, out)
 
 
 @functools.cache

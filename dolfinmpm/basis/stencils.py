@@ -155,6 +155,53 @@ def _gather(order, groups, node_start, nodes, value_start, N, dN, u, value, grad
                         gradient[p, i, j] += dN[at + a, j] * u_ai
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _gather_2(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
+    """`_gather` of a vector in the plane, with sums in registers."""
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            at = value_start[g] + (position - groups[g]) * m
+            v0 = v1 = h00 = h01 = h10 = h11 = 0.0
+            for a in range(m):
+                node = nodes[first + a]
+                w, w0, w1 = N[at + a], dN[at + a, 0], dN[at + a, 1]
+                u0, u1 = u[node, 0], u[node, 1]
+                v0, v1 = v0 + w * u0, v1 + w * u1
+                h00, h01 = h00 + w0 * u0, h01 + w1 * u0
+                h10, h11 = h10 + w0 * u1, h11 + w1 * u1
+            p = order[position]
+            value[p, 0], value[p, 1] = v0, v1
+            gradient[p, 0, 0], gradient[p, 0, 1] = h00, h01
+            gradient[p, 1, 0], gradient[p, 1, 1] = h10, h11
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gather_3(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
+    """`_gather` of a vector in space, with sums in registers."""
+    for g in range(groups.size - 1):
+        first = node_start[g]
+        m = node_start[g + 1] - first
+        for position in range(groups[g], groups[g + 1]):
+            at = value_start[g] + (position - groups[g]) * m
+            v0 = v1 = v2 = 0.0
+            h00 = h01 = h02 = h10 = h11 = h12 = h20 = h21 = h22 = 0.0
+            for a in range(m):
+                node = nodes[first + a]
+                w, w0, w1, w2 = N[at + a], dN[at + a, 0], dN[at + a, 1], dN[at + a, 2]
+                u0, u1, u2 = u[node, 0], u[node, 1], u[node, 2]
+                v0, v1, v2 = v0 + w * u0, v1 + w * u1, v2 + w * u2
+                h00, h01, h02 = h00 + w0 * u0, h01 + w1 * u0, h02 + w2 * u0
+                h10, h11, h12 = h10 + w0 * u1, h11 + w1 * u1, h12 + w2 * u1
+                h20, h21, h22 = h20 + w0 * u2, h21 + w1 * u2, h22 + w2 * u2
+            p = order[position]
+            value[p, 0], value[p, 1], value[p, 2] = v0, v1, v2
+            gradient[p, 0, 0], gradient[p, 0, 1], gradient[p, 0, 2] = h00, h01, h02
+            gradient[p, 1, 0], gradient[p, 1, 1], gradient[p, 1, 2] = h10, h11, h12
+            gradient[p, 2, 0], gradient[p, 2, 1], gradient[p, 2, 2] = h20, h21, h22
+
+
 def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArray) -> None:
     """Evaluate nodal values and their gradients at the points.
 
@@ -164,7 +211,9 @@ def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArra
         value: Written: Σ N_a u_a, shape (points, components).
         gradient: Written: Σ u_a ⊗ ∇N_a, shape (points, components, gdim).
     """
-    _gather(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient)
+    shape = gradient.shape[1:]
+    kernel = _gather_2 if shape == (2, 2) else _gather_3 if shape == (3, 3) else _gather
+    kernel(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, s.dN, u, value, gradient)
 
 
 def _pieces(start, number):

@@ -1,10 +1,11 @@
-"""Small symmetric tensors in Numba: eigenvalues and eigenvectors."""
+"""Small tensors of many points in Numba: eigenvalues and eigenvectors, products."""
 
 from __future__ import annotations
 
 import math
 
 import numba
+import numpy as np
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -70,3 +71,37 @@ def eigen(d, a, values, vectors):
                     vectors[k, j] = s * v_ki + c * v_kj
     for i in range(d):
         values[i] = a[i, i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def products(A, B):
+    """Products of the tensors of many points, and determinants of the products.
+
+    NumPy's products of small matrices, and LAPACK's determinants, take ten times as long.
+
+    Args:
+        A, B: Shape (n, d, d), d = 1, 2 or 3.
+
+    Returns:
+        AB, shape (n, d, d), and det AB, shape (n,).
+    """
+    n, d = A.shape[0], A.shape[1]
+    C, J = np.empty((n, d, d)), np.empty(n)
+    for p in range(n):
+        for i in range(d):
+            for j in range(d):
+                total = 0.0
+                for k in range(d):
+                    total += A[p, i, k] * B[p, k, j]
+                C[p, i, j] = total
+        if d == 1:
+            J[p] = C[p, 0, 0]
+        elif d == 2:
+            J[p] = C[p, 0, 0] * C[p, 1, 1] - C[p, 0, 1] * C[p, 1, 0]
+        else:
+            J[p] = (
+                C[p, 0, 0] * (C[p, 1, 1] * C[p, 2, 2] - C[p, 1, 2] * C[p, 2, 1])
+                + C[p, 0, 1] * (C[p, 1, 2] * C[p, 2, 0] - C[p, 1, 0] * C[p, 2, 2])
+                + C[p, 0, 2] * (C[p, 1, 0] * C[p, 2, 1] - C[p, 1, 1] * C[p, 2, 0])
+            )
+    return C, J

@@ -115,16 +115,15 @@ class Framework:
         self, operand: Array, rows: Rows, kept: Kept | None, S, A, new, internal, sigma
     ) -> int:
         points, measure = self.points, self._measure
-        n, ending = len(rows), len(new) > 0
+        ending = len(new) > 0
         values, known = (
             (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
         )
         return self._kernel(
             self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
             measure.checks, measure.logarithmic, np.ascontiguousarray(operand),
-            points["F"].take(rows, axis=0).reshape(n, points.strain_dim**2),
-            points[self.state].take(rows, axis=0), self.internal(rows), values, known, S, A, new,
-            internal, sigma,
+            np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
+            self.internal(rows), values, known, S, A, new, internal, sigma,
         )  # fmt: skip
 
     def _principal(self, rows: Rows) -> Array:

@@ -84,17 +84,19 @@ def kept_numbers(d: int, variables: int) -> int:
 def stress_kernel(d: int):
     """The loop in d dimensions, which Numba unrolls for that d.
 
-    `kernel(law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, kept,
-    known, S, A, state, internal, stress) -> first point without a stress, or -1`, with m
+    `kernel(law, parameters, programs, checks, logarithmic, H, numbers, F_n, state_n, internal_n,
+    kept, known, S, A, state, internal, stress) -> first point without a stress, or -1`, with m
     components of a symmetric tensor in d dimensions:
 
     - law, parameters: address of the law's kernel; shape (1, parameters) or (n, parameters);
     - programs: addresses of the compiled functions, see `StrainMeasure.programs`;
     - checks: how many numbers that must be positive the first of them writes;
     - logarithmic: whether ε = ½ ln b of the trial tensor b, which else is the strain;
-    - H, F_n, state_n, internal_n: the increment's gradient, shape (n, d²); deformation
-      gradient, state and internal variables at the start of the step, shapes (n, d²), (n, 6)
-      and (n, variables);
+    - H: the increment's gradient, shape (n, d²);
+    - numbers: which of all points they are, shape (n,);
+    - F_n, state_n: deformation gradient and state of all points at the start of the step, shapes
+      (all, d, d) and (all, 6); taking the rows of those n would be a pass more;
+    - internal_n: internal variables then, shape (n, variables);
     - kept: response of the law at the points, shape (n, `kept_numbers`): written, or read
       instead of asking the law again if `known`; one row is room for one point after another,
       of which nothing is kept;
@@ -117,8 +119,8 @@ def stress_kernel(d: int):
 
     @numba.njit(cache=True, error_model="numpy")
     def kernel(
-        law, parameters, programs, checks, logarithmic, H, F_n, state_n, internal_n, kept, known,
-        S, A, state, internal, stress,
+        law, parameters, programs, checks, logarithmic, H, numbers, F_n, state_n, internal_n, kept,
+        known, S, A, state, internal, stress,
     ):  # fmt: skip
         z, out = np.zeros(size), np.empty(checks + max(m, dd))
         tensor, Q, value = np.empty((d, d)), np.empty((d, d)), np.empty(3)
@@ -132,11 +134,14 @@ def stress_kernel(d: int):
         data = z.ctypes.data
         for p in range(H.shape[0]):
             q = p if kept.shape[0] > 1 else 0
+            number = numbers[p]
             for k in range(dd):
                 z[at_H + k] = H[p, k]
-                z[at_F + k] = F_n[p, k]
+            for i in range(d):
+                for j in range(d):
+                    z[at_F + i * d + j] = F_n[number, i, j]
             for k in range(6):
-                z[at_state + k] = state_n[p, k]
+                z[at_state + k] = state_n[number, k]
             start = checks
             if staged or not known:
                 out[:] = 0.0
@@ -166,7 +171,7 @@ def stress_kernel(d: int):
                         for a in range(d):
                             kept[q, i * d + a] = Q[i, a]
                 for i in range(d, 3):
-                    kept[q, at_value + i] = state_n[p, i]
+                    kept[q, at_value + i] = state_n[number, i]
                 for i in range(3):
                     strain = kept[q, at_value + i]
                     if logarithmic:
