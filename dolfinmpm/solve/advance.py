@@ -19,6 +19,7 @@ from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.grid.tensors import products
 from dolfinmpm.solve.boundaries import MarkerState, advance_markers, commit_markers
 from dolfinmpm.solve.operator import Operator
 
@@ -95,8 +96,7 @@ def advance(
     if moves:
         u, gradient = evaluation.motion(operator.here.movers)
         dF = deformation(points, u, gradient)
-        new["F"] = np.ascontiguousarray(dF @ points["F"])
-        J = np.linalg.det(new["F"])
+        new["F"], J = products(np.ascontiguousarray(dF), points["F"])
         bad = np.flatnonzero(~(J > 0))
         new["V"] = J * points["V0"]
         new["x"] = points["x"] + u if x is None else x

@@ -49,7 +49,7 @@ def set_loads(loads: Loads, state: State, cells: Arrays) -> None:
 
 
 def memory_of(newton: Newton, form: WeakForm, here: Activation | None) -> tuple[State, Arrays]:
-    """Line search and workspace; unknowns, couplings and facets' tensors of this rank.
+    """Line search and workspace; guess, couplings and facets' tensors of this rank.
 
     Args:
         newton: Newton's method.
@@ -66,6 +66,7 @@ def memory_of(newton: Newton, form: WeakForm, here: Activation | None) -> tuple[
     if here is not None:
         kept = Kept.of(here)
         local |= {"active": kept.active, "rows": kept.rows, "columns": kept.columns}
+    local |= newton.guess.memory()
     return state, local
 
 
@@ -86,6 +87,7 @@ def set_memory(newton: Newton, form: WeakForm, state: State, local: Arrays | Non
         newton.search = state["search"]
     if state["workspace"]:
         newton.linear.mumps[WORKSPACE] = state["workspace"]
+    newton.guess.remember(local or {}, form.points.partition)
     for space in form.spaces:
         space.increment.x.array[:] = 0.0
     for k, block in enumerate(_spline_blocks(form)):

@@ -15,11 +15,13 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.solve.guess import Guess
 from dolfinmpm.solve.linear import LinearSolver
 from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
 from dolfinmpm.solve.method import Tangent
 from dolfinmpm.solve.operator import Operator, Residual
 from dolfinmpm.solve.options import Options
+from dolfinmpm.solve.secants import Secants
 
 __all__ = ["Newton", "Outcome", "Solver"]
 
@@ -65,14 +67,15 @@ class Balance:
 
     Attributes:
         residuals: Relative out-of-balance forces so far.
-        motion: Norm of the forces that the prescribed motion alone would make.
+        motion: Norm of the forces that the prescribed motion, or that of a tool, alone would make.
         predicted: Whether a linear step has been taken, whose tangent is known.
+        guessed: Whether it begins from increments that are not those of a linear step.
     """
 
     def __init__(self, tolerance: float, most: int):
         self.tolerance, self.most = tolerance, most
         self.residuals: list[float] = []
-        self.motion, self.predicted = 0.0, False
+        self.motion, self.predicted, self.guessed = 0.0, False, False
         self._first = 0.0
 
     def test(
@@ -89,7 +92,7 @@ class Balance:
         """
         if not math.isfinite(norm):
             return Reason.DIVERGED_FNORM_NAN
-        if iteration == 0:
+        if iteration == 0 and not self.guessed:
             self._first = norm
         # a body that is unloaded ends without loads and reactions to measure against
         reference = max(reference, self._first, self.motion)
@@ -106,7 +109,9 @@ class Newton:
     """Newton's method with two line searches, the second where the first fails.
 
     Newton's method may cycle or overshoot where points begin and cease to yield. It then
-    starts again with the other line search, and begins with that the next time.
+    starts again with the other line search, and begins with that the next time. Where rigid bodies
+    touch it looks for the share of each step by `Secants`, and begins from the last step's
+    increments, or from rest where that leads nowhere.
 
     Args:
         comm: Communicator of the problem.
@@ -121,6 +126,7 @@ class Newton:
         tolerance, max_iterations: The arguments.
         search: The line search to begin with.
         searches: All that are tried; none where the user has chosen one.
+        guess: The increments that the last step found, where rigid bodies touch.
     """
 
     def __init__(
@@ -139,11 +145,15 @@ class Newton:
         self.search = SEARCHES[0]
         self._set: tuple[PETSc.SNES | None, str] = None, ""
         self.linear = LinearSolver(comm, gdim, tangent, options)
+        self.guess = Guess()
 
     @stages.solve
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()
+        if operator.contacts and self.searches:
+            self._touch(operator, outcome)
+            return outcome
         self._attempt(operator, outcome)
         for search in [s for s in self.searches if s != self.search]:
             # no line search helps where the linear solver failed
@@ -153,8 +163,17 @@ class Newton:
             self._attempt(operator, outcome)
         return outcome
 
-    def _attempt(self, operator: Operator, outcome: Outcome) -> None:
-        """One run of SNES. Collective."""
+    def _touch(self, operator: Operator, outcome: Outcome) -> None:
+        """Solve where rigid bodies touch: from the last increments, then from rest. Collective."""
+        guess = None if operator.here.driven else self.guess.on(operator)
+        self._attempt(operator, outcome, guess)
+        if guess is not None and outcome.reason is not None and not self.linear.failed:
+            self._attempt(operator, outcome)
+        if outcome.reason is None:
+            self.guess.keep(operator)
+
+    def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
+        """One run of SNES, from a guess of the unknowns or from rest. Collective."""
         unknowns, linear = operator.here.unknowns, self.linear
         balance = Balance(self.tolerance, self.max_iterations)
         outcome.residuals, outcome.reason = balance.residuals, None
@@ -167,16 +186,20 @@ class Newton:
             if operator.here.driven:
                 outcome.x = self._predict(operator, balance)
                 outcome.iterations += 1
+            elif guess is not None:
+                # forces count as out of balance by the same measure wherever it begins
+                balance.motion = operator.residual(outcome.x).norm
+                balance.guessed, outcome.x = True, guess.copy()
             reason, iterations = self._run(operator, balance, outcome.x)
         except PETSc.Error as error:
             outcome.reason = linear.why(error)
             if linear.relax():
-                self._attempt(operator, outcome)
+                self._attempt(operator, outcome, guess)
             return
         outcome.iterations += iterations
         if reason == Reason.DIVERGED_LINEAR_SOLVE:
             if linear.enlarge() or linear.relax():
-                self._attempt(operator, outcome)
+                self._attempt(operator, outcome, guess)
                 return
             # factors that failed fail again, whatever the matrix: begin anew
             linear.forget()
@@ -192,21 +215,31 @@ class Newton:
     def _run(self, operator: Operator, balance: Balance, start: Array) -> tuple[int, int]:
         """Let SNES iterate; writes what it finds over the start. Collective.
 
-        The line searches of `SEARCHES` end with the residual of the step that they choose, which
-        leaves the operator moved to what was found.
+        The line searches of `SEARCHES`, and `Secants`, end with the residual of the step that they
+        choose, which leaves the operator moved to what was found.
         """
-        linear = self.linear
+        linear, touches = self.linear, bool(operator.contacts and self.searches)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         found: Residual = Residual(start, 0.0, 0.0)
+        # where the next step ends, once it is known
+        ahead: Residual | None = None
+        secants = Secants(operator.here.unknowns.comm, operator.residual)
         spare, smallest = _SPARE * self.tolerance, 0.0
         # a solver that kept what keeps the solver would never be freed
         ready = weakref.proxy(linear)
 
         def residual(snes: Any, x: PETSc.Vec, f: PETSc.Vec) -> None:
-            nonlocal found
-            found = operator.residual(x.getArray(readonly=True))
-            f.getArray()[:] = found.values
+            nonlocal found, ahead
+            found = operator.residual(x.getArray(readonly=True)) if ahead is None else ahead
+            f.getArray()[:], ahead = found.values, None
+
+        def shorten(x: PETSc.Vec, y: PETSc.Vec) -> None:
+            nonlocal ahead
+            share, ahead = secants.find(
+                x.getArray(readonly=True), -y.getArray(readonly=True), found
+            )
+            y.scale(share)
 
         def jacobian(snes: Any, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             operator.tangent(matrix)
@@ -220,12 +253,24 @@ class Newton:
             if found.parts is not None and (iteration > 0 or balance.predicted):
                 parts = _references(operator, matrix.petsc, snes.getSolution(), found.parts)
                 smallest = float(parts[:, 1].min())
-            return balance.test(norms[2], found.reference, iteration, parts)
+            reason = balance.test(norms[2], found.reference, iteration, parts)
+            if balance.guessed and iteration == 0:
+                # what turns back is further from balance than what has not moved
+                if not norms[2] < balance.motion:
+                    return Reason.DIVERGED_LINE_SEARCH
+                # what several fields are measured against takes a tangent
+                return reason if found.parts is None else Reason.ITERATING
+            if balance.guessed and reason == Reason.ITERATING and secants.stuck:
+                return Reason.DIVERGED_LINE_SEARCH
+            return reason
 
         snes, x = linear.snes, linear.vector()
-        if self.searches and self._set != (snes, self.search):
-            set_search(snes, self._options.prefix, self.search)
-            self._set = snes, self.search
+        search = SEARCHES[0] if touches else self.search
+        if self.searches and self._set != (snes, search):
+            set_search(snes, self._options.prefix, search)
+            self._set = snes, search
+        if touches:
+            snes.setLineSearchPreCheck(shorten)
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self.max_iterations)
         snes.setFunction(residual, linear.vector())
         snes.setJacobian(jacobian, linear.true, matrix.petsc)

@@ -241,6 +241,7 @@ class QuasiStatic(Problem):
         if fault is not None:
             return Failed(fault, "that body")
         operator = self._operator(step)
+        self.newton.guess.length = step.dt
         outcome = self._solve(operator)
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason

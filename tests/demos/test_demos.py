@@ -21,7 +21,7 @@ NUMBERS = {
     "column_compaction": ("error", 5.56e-4),
     "footing": ("factor", 5.242),
     "incline": ("way", 2.4285),
-    "plough": ("ratio", 6.0535),
+    "plough": ("ratio", 6.2447),
     "growing_strip": ("angle", 2.3617),
     "new_stabilisation": ("worst", 0.5749),
     "slope_failure": ("limit", 5.4),

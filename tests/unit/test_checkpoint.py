@@ -65,6 +65,21 @@ def hollow():
     return problem, step
 
 
+def pressed():
+    """A wedge in a block: every step begins from what the last one found."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (6, 4)], (12, 8), QUADRILATERAL)
+    points = mpm.fill(grid, mpm.Box((0, 0), (6, 2)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4)
+    shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
+    tool = mpm.RigidBody(shape, velocity=(0.0, -0.05), name="tool")
+    F = mpm.momentum(law, points, V.increment, V.test)
+    F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="aggregation")
+    return problem, problem.step
+
+
 def bits(problem):
     """Fields, loads and records, all but the seconds."""
     return {
@@ -95,6 +110,7 @@ RUNS = {
     "halved steps": (
         lambda: block(mpm.materials.Hencky(E=1e5, nu=0.3), load=20.0, max_iterations=3), 4, (0, 1),
     ),
+    "a tool": (pressed, 5, (2,)),
     "couplings kept": (hollow, 14, (2, 10)),
     "arc length": (arch, 8, (0, 4)),
     "displacement control": (lambda: arch("displacement"), 8, (4,)),

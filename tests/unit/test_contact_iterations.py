@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import unit_grid
+from dolfinx import mesh
+from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm.contact.active import ActiveContact
@@ -80,3 +82,41 @@ def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
     for before, now in zip(kept, (contact.forces, contact.pressures, contact.states)):
         np.testing.assert_array_equal(before, now)
     assert isinstance(contact, ActiveContact)
+
+
+def wedged(**options):
+    """A wedge that is pressed into clay."""
+    ends = [(0.0, -1.5), (4.0, 0.5)]
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, ends, (16, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, -1.5), (4, 0)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    tool = mpm.RigidBody(mpm.Wedge((2.03, 0), 0.6, 3.0), velocity=(0.0, -0.03))
+    F = mpm.momentum(mpm.materials.Tresca(5e6, 0.33, 1e4), points, u, v)
+    F += mpm.contact(tool, points, u, v, corners="material")
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options), tool
+
+
+def test_what_flows_past_a_tool_takes_few_iterations():
+    """From the last increments, and to where others come too."""
+    problem, tool = wedged()
+    for _ in range(10):
+        problem.step()
+    counts = [record.iterations for record in problem.history]
+    assert max(counts) <= 8
+    # as fast at the end as Newton's method is with fresh factors
+    last = problem.history[-1].residuals
+    assert last[-1] < max(1e-2 * last[-2], 1e-12)
+    other, same = wedged(petsc_options={"snes_linesearch_type": "cp"})
+    for _ in range(10):
+        other.step()
+    assert same.force[1] > 1e4
+    np.testing.assert_allclose(tool.force, same.force, rtol=1e-6, atol=1e-6 * same.force[1])
+    assert sum(counts) < 0.8 * sum(record.iterations for record in other.history)
+
+
+def test_nothing_is_kept_to_guess_from_where_no_tool_touches():
+    problem, _ = pressed(False)
+    problem.step()
+    assert not problem.newton.guess.memory()
