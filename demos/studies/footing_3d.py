@@ -5,10 +5,18 @@
 # its corner, drains at its top, and is pressed in deeply: displacement and pore pressure are
 # solved for together, by GMRES with a field split. Its iterations should depend neither on the
 # number of unknowns nor on the permeability.
+#
+# `--compare` solves each size with MUMPS's factors too, each run in a process of its own for its
+# memory, and sets what a step takes beside the error of the settlement.
 
 # %%
 from __future__ import annotations
 
+import json
+import os
+import resource
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -31,6 +39,10 @@ def arguments():
     add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     add("--points-per-cell", type=int, default=2)
     add("--direct", action="store_true", help="factors in place of iterations")
+    add(
+        "--compare", action="store_true",
+        help="with factors and with iterations, one rank; cells in multiples of 5",
+    )  # fmt: skip
     return options.parse_args()
 
 
@@ -62,10 +74,14 @@ def run(cells: int, permeability: float):
         F, [V.increment, Q.increment], points, bcs, stabilisation=["ghost", "ghost"],
         petsc_options=own,
     )  # fmt: skip
-    started = time.perf_counter()
+    clocks = [(time.perf_counter(), time.process_time())]
     for share in mpm.steps(args.steps, f"{cells}³ cells"):
         load.value[2] = -args.load * E * share
         problem.step(share * args.steps)
+        clocks.append((time.perf_counter(), time.process_time()))
+    # the first step compiles
+    first = clocks[min(1, args.steps - 1)]
+    own = (np.array(clocks[-1]) - first) / max(args.steps - 1, 1)
     linear = [count for record in problem.history for count in record.linear_iterations]
     figures = {
         "cells": cells,
@@ -73,13 +89,89 @@ def run(cells: int, permeability: float):
         "settlement": float(-square.mean_displacement()[2]),
         "linear_iterations": linear,
         "mean_iterations": float(np.mean(linear)) if linear else None,
-        "seconds_a_step": (time.perf_counter() - started) / args.steps,
+        "seconds_a_step": float(own[0]),
+        "seconds_processor": comm.allreduce(float(own[1])),
+        "megabytes": comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
         "largest_pressure": comm.allreduce(points["pressure"].max(initial=0.0), op=MPI.MAX),
         **solver_figures(problem),
     }
     return figures, problem
 
 
+# %% [markdown]
+# ## Factors beside iterations
+# The error is that of the settlement against the limit of fine cells, which the two largest sizes
+# tell if it is of first order, as the square's edge makes it. The loaded points have the square's
+# area in numbers of cells that are multiples of 5.
+
+
+# %%
+def alone(cells: int, direct: bool):
+    """One run in a process of its own; None where there is no memory for it."""
+    words = ["--cells", cells, "--permeability", args.permeability[0], "--steps", args.steps]
+    words += ["--load", args.load, "--basis", args.basis, "--points-per-cell", args.points_per_cell]
+    words += ["--json", "-", "--no-plot", *(["--direct"] if direct else [])]
+    # what this process's own MPI put into the environment is not for others
+    own = {k: v for k, v in os.environ.items() if not k.startswith(("PMIX_", "OMPI_COMM_"))}
+    command = [sys.executable, __file__, *map(str, words)]
+    done = subprocess.run(command, env=own, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        say(f"{cells}³ cells, {'factors' if direct else 'iterations'}: code {done.returncode}")
+        return None
+    return json.loads(done.stdout.splitlines()[-1])["runs"][0]
+
+
+def compare():
+    """Rows of all sizes, by both methods."""
+    rows = []
+    for cells in args.cells:
+        row = {"cells": cells, "iterations": alone(cells, False), "factors": alone(cells, True)}
+        both = [row[name] for name in ("iterations", "factors") if row[name]]
+        if both:
+            rows.append(row | {"unknowns": both[0]["unknowns"], "settled": both[0]["settlement"]})
+    limit = None
+    if len(rows) > 1:
+        (n, s), (m, t) = ((row["cells"], row["settled"]) for row in rows[-2:])
+        limit = (m * t - n * s) / (m - n)
+    say("unknowns   error  CPU s a step: factors  iterations  ratio  MB: factors  iterations")
+    for row in rows:
+        row["error"] = None if limit is None else abs(row["settled"] / limit - 1)
+        factors, found = row["factors"], row["iterations"]
+        text = f"{row['unknowns']:8d} {row['error'] or 0:7.4f}"
+        if factors and found:
+            row["ratio"] = factors["seconds_processor"] / found["seconds_processor"]
+            row["apart"] = abs(factors["settlement"] / found["settlement"] - 1)
+            text += f" {factors['seconds_processor']:22.2f} {found['seconds_processor']:11.2f}"
+            text += f" {row['ratio']:6.2f} {factors['megabytes']:12.0f} {found['megabytes']:11.0f}"
+        say(text)
+    return rows, limit
+
+
+def draw_comparison(rows):
+    """Time and memory of a step against the error and the unknowns."""
+    with mpm.figure(args.output / "footing_3d_compared.png", 6.4, 2.6, ncols=2) as (_, axes):
+        left, right = axes
+        for name, mark in (("factors", "s-"), ("iterations", "o-")):
+            own = [row for row in rows if row[name]]
+            cpu = [row[name]["seconds_processor"] for row in own]
+            left.loglog(cpu, [row["error"] for row in own], mark, ms=3, label=name)
+            memory = [row[name]["megabytes"] / 1e3 for row in own]
+            right.loglog([row["unknowns"] for row in own], memory, mark, ms=3, label=name)
+        left.set(xlabel="processor seconds a step", ylabel="error of the settlement")
+        right.set(xlabel="unknowns", ylabel="memory (GB)")
+        left.legend()
+
+
+if args.compare:
+    if comm.size > 1:
+        raise SystemExit("--compare is for one rank")
+    rows, limit = compare()
+    if not args.no_plot and limit is not None:
+        draw_comparison(rows)
+    finish(args, {"rows": rows, "limit": limit})
+    raise SystemExit
+
+# %%
 runs = []
 for permeability in args.permeability:
     for cells in args.cells:

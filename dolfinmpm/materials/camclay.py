@@ -15,6 +15,10 @@ __all__ = ["CamClay"]
 
 Array = npt.NDArray[np.float64]
 _ITERATIONS = 200  # a few as a rule; bisection alone needs 60 and more
+# States beyond the yield surface by less than this, f by pc², have the elastic tangent: where a
+# step starts, rounding would say which of the points that have yielded have a plastic one, and
+# Newton's method be led elsewhere by it where a step has more than one solution
+_TIE = 1e-11
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -111,6 +115,14 @@ def _place(z_trial, y_trial, shear_trial, swelling, compression, M, mu0, alpha):
     return math.nan
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _elastic_tangent(bulk, mu, coupling, e, tangent):
+    for i in range(3):
+        for j in range(3):
+            tangent[3 * i + j] = bulk - 2.0 / 3.0 * mu - coupling * (e[i] + e[j])
+        tangent[4 * i] += 2.0 * mu
+
+
 @law_kernel
 def _cam_clay(parameters, strain, old, new, stress, tangent):
     swelling, compression, M = parameters[0], parameters[1], parameters[2]
@@ -125,22 +137,24 @@ def _cam_clay(parameters, strain, old, new, stress, tangent):
     shear_trial = math.sqrt(2.0 / 3.0) * norm
     y_trial = math.log(parameters[5]) - (volume - parameters[6]) / swelling
     z_trial = math.log(pc) - y_trial
-    if z_trial >= 0.0:
+    tie, mu, p, coupling = False, 0.0, 0.0, 0.0
+    if z_trial >= -_TIE:  # rounded, at the tip
         X = math.exp(y_trial)
         mu = mu0 + alpha * X
         p = X * (1.0 + 1.5 * alpha / swelling * shear_trial * shear_trial)
         ratio = 3.0 * mu * shear_trial / M
-        if ratio * ratio + p * (p - pc) <= 0.0:
+        coupling = 2.0 * alpha * X / swelling
+        f = ratio * ratio + p * (p - pc)
+        if f <= 0.0:
             if p <= 0.0:  # too small for a double
                 return 1
             new[0] = pc
-            coupling = 2.0 * alpha * X / swelling
             for i in range(3):
                 stress[i] = -p + 2.0 * mu * e[i]
-                for j in range(3):
-                    tangent[3 * i + j] = p / swelling - 2.0 / 3.0 * mu - coupling * (e[i] + e[j])
-                tangent[4 * i] += 2.0 * mu
+            _elastic_tangent(p / swelling, mu, coupling, e, tangent)
             return 0
+        tie = f <= _TIE * pc * pc
+    bulk = p / swelling
 
     t = 0.0
     if shear_trial > 0.0:
@@ -194,6 +208,8 @@ def _cam_clay(parameters, strain, old, new, stress, tangent):
     for i in range(3):
         stress[i] = -p + two * q * n[i]
         strain[i] = volume / 3.0 + shear * n[i] / two
+    if tie:
+        _elastic_tangent(bulk, mu, coupling, e, tangent)
     new[0] = pc
     return 0
 

@@ -111,12 +111,13 @@ def poromechanics(
             doi 10.1680/geot.1980.30.4.385), with which waves grow where the water is so easily
             compressed that n0/K_w > (ρ/ρ_w − 1)/M. Of problems with inertia; see `acceleration`.
         suction: Largest suction (Pa) that holds grains together; None for no bound.
-        projection: Factor of the polynomial pressure projection by which a step shorter than
-            h²/(4 c_v) does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
+        projection: Factor f of the polynomial pressure projection by which a step shorter than
+            f/12 h²/c_v does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
             being those of a cell's points (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
-            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = factor/M · (1 − 4 θ c_v Δt/h²)₊.
+            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = (f − 12 θ c_v Δt/h²)₊/M.
             "auto" is 3, with which a step without drainage does not overshoot in one dimension,
-            whatever the pair; "none" leaves it out. h is the size of the pressure's cells.
+            and from 4.5 to 10 where the displacement is of splines on the pressure's cells, see
+            `dolfinmpm.porous.projection`; "none" leaves it out. h is the size of these cells.
         modulus: P-wave modulus M (Pa) that stabilisation is scaled by; the law's by default.
         drained: Surfaces at which the pressure is held: a `Surface`, a pair of one and its
             pressure (Pa, for UFL), or several of these. They move with the body; the condition
@@ -138,8 +139,8 @@ def poromechanics(
             and modulus is missing.
 
     Warns:
-        UnstablePairWarning: u and p are of equal order on the same cells and projection is "none",
-            or u has coarser cells than p; see `dolfinmpm.porous.projection`.
+        UnstablePairWarning: u and p are on the same cells and projection is "none", or u has
+            coarser cells than p, or is of a lower order; see `dolfinmpm.porous.projection`.
     """
     check_points(points)
     u, p, v, q = _fields(points, fields, tests)

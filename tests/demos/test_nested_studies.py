@@ -31,6 +31,19 @@ def test_constants_of_nested_grids():
     np.testing.assert_allclose(two["rows"][0]["betas"], rows["ghost"]["betas"], rtol=1e-9)
 
 
+@pytest.mark.long
+def test_constants_of_quadratic_splines_with_linear_pressures():
+    """They fall with the size of the cells, cut or not, and do not with the projection."""
+    options = "--places", "6", "--cells", "4", "--uncut", "4,8,16", "--remedies", "ghost"
+    pairs = "bspline2-linear", "bspline2-linear-projected"
+    found = study("inf_sup", *options, "--pairs", ",".join(pairs))
+    alone, projected = ([one["beta"] for one in found["whole"][pair]] for pair in pairs)
+    np.testing.assert_allclose(alone, [0.378, 0.267, 0.167], atol=6e-4)
+    assert projected[0] > projected[2] > 0.5
+    for row in found["rows"]:
+        np.testing.assert_allclose(row["betas"], row["beta_uncut"], rtol=0.08)
+
+
 def test_a_layer_on_nested_grids_consolidates():
     options = "--pair", "nested", "--h", "0.0625", "--steps", "60", "--load", "0.2"
     figures = study("consolidation", *options, "--times", "0.2,0.5,1")

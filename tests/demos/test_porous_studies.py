@@ -23,8 +23,8 @@ COLUMN = ("--h", "0.0625", "--steps", "100")
         (("--load", "0.3"), 0.02, 0.01),
         pytest.param(("--load", "0.3", "--law", "xie-leo"), 0.02, 0.01, marks=pytest.mark.long),
         pytest.param(
-            ("--load", "0.2", "--permeability", "kozeny-carman", "--pair", "bspline2-linear"),
-            0.02, 0.01, marks=pytest.mark.long,
+            ("--load", "0.2", "--permeability", "kozeny-carman", "--pair", "bspline2-linear",
+             "--h", "0.05"), 0.02, 0.01, marks=pytest.mark.long,
         ),
         (("--scene", "self-weight", "--load", "0.3", "--porosity", "0.4", "--permeability",
           "kozeny-carman"), 0.02, 0.01),

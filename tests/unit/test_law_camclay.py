@@ -61,6 +61,24 @@ def hyperelastic(law, strain):
 
 
 @ANY
+def test_rounding_does_not_say_whether_a_tangent_is_elastic(law):
+    """That of states on the yield surface, as points that have yielded start the next step."""
+    first = law.respond(states(2_000))
+    moved = first.internal[:, 0] != law.values["preconsolidation"]
+    strain, internal = first.strain[moved], first.internal[moved]
+    assert moved.sum() > 100
+    on = law.respond(strain, internal)
+    # well within the surface
+    within = law.respond(strain, internal * (1 + 1e-6))
+    for share in (-1e-15, 0.0, 1e-15):
+        again = law.respond(strain * (1 + share), internal)
+        size = np.abs(on.tangent).max(axis=(1, 2), keepdims=True)
+        assert (np.abs(again.tangent - within.tangent) <= 1e-9 * size).all()
+        f = law.yield_function(again.stress, again.internal, law.parameter_array())
+        assert (f <= 1e-13 * again.internal[:, 0] ** 2).all()
+
+
+@ANY
 def test_every_state_meets_the_local_equations(law):
     strain = states(100_000)
     answer = law.respond(strain)
