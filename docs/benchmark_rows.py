@@ -105,6 +105,14 @@ def cases(key: str, *names: str) -> Callable[[Answer], list[float]]:
     return lambda answer: [answer["cases"][name][key] for name in names]
 
 
+def pace(basis: str) -> Callable[..., list[float]]:
+    """Reads best million points a second of all laws from every answer in turn."""
+    return lambda *answers: [
+        case["best"] for answer in answers for name, case in answer["cases"].items()
+        if f" {basis} " in name
+    ]  # fmt: skip
+
+
 def exponents(*names: str) -> Callable[[Answer], list[float]]:
     """Reads fitted exponents of series of `benchmark.py`."""
     return lambda answer: [answer["growth"][name]["exponent"] for name in names]
@@ -340,6 +348,19 @@ ROWS = (
         "quadratic, cubic splines (µs)",
         each("benchmark", f"--cases= {ALONE} --facets --bases linear,gimp,bspline2,bspline3"),
         lambda a: a["facets"].values(), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("explicit", SPEED, "explicit steps, quadratic splines, 99 856 points, all of "
+        "which strain and yield, million points a second: neo-Hookean, Hencky, von Mises, "
+        "Mohr–Coulomb",
+        each("explicit_speed", "--repeat 3"), pace("bspline2"), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("explicit-gimp", SPEED, "the same, GIMP", each("explicit_speed", "--bases gimp --repeat 3"),
+        pace("gimp"), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
+    Row("explicit-3d", SPEED, "the same in 3D, quadratic splines, 97 336 points: neo-Hookean, "
+        "Mohr–Coulomb", each("explicit_speed", "--dimension 3 --laws neo-hookean,mohr-coulomb"),
+        pace("bspline2"), "{:.1f}, {:.1f}"),
+    Row("explicit-ranks", SPEED, "399 424 points, neo-Hookean, Mohr–Coulomb, in 2D: one rank; two",
+        tuple(f"{launch}demos/studies/explicit_speed.py --laws neo-hookean,mohr-coulomb "
+              "--points 400000 --steps 50" for launch in ("", "mpirun -n 2 python3 ")),
+        pace("bspline2"), "{:.1f}, {:.1f}; {:.1f}, {:.1f}"),
     Row("precision", SPEED, "least errors within 2 s: column, cantilever, footing, collapse, "
         "vortex (%)", each("benchmark", "--cases= --growth="), least_error,
         "{:.2g}, {:.2g}, {:.2g}, {:.2g}, {:.2g}"),

@@ -39,8 +39,8 @@ HEAD = """\
 # Benchmarks
 
 Written by `docker/run python3 docs/benchmarks.py` from the JSON of `demos/studies`, not by hand.
-Every command stands behind `docker/run python3` and takes `--help`. Times are for one process on a
-machine with nothing else to do.
+Every command stands behind `docker/run python3` (`docker/run` where it begins with `mpirun`) and
+takes `--help`. Times are for one process on a machine with nothing else to do.
 """
 
 
@@ -64,20 +64,22 @@ def run(command: str, fresh: bool = False) -> dict[str, Any]:
     """The JSON of a study, with the seconds that it took from start to end as `seconds_whole`.
 
     Args:
-        command: File and options.
+        command: File and options, perhaps behind `mpirun -n N python3`.
         fresh: Whether it must compile everything anew.
 
     Raises:
         RuntimeError: It did not end well.
     """
-    script, *options = command.split()
+    launch, _, rest = command.rpartition("python3 ")
+    script, *options = rest.split()
     environment = dict(os.environ)
     with tempfile.TemporaryDirectory() as empty:
         if fresh:
             environment |= {"NUMBA_CACHE_DIR": f"{empty}/numba", "XDG_CACHE_HOME": empty}
         started = time.perf_counter()
         done = subprocess.run(
-            [sys.executable, str(ROOT / script), *options, "--no-plot", "--json", "-"],
+            [*launch.split(), sys.executable, str(ROOT / script), *options,
+             "--no-plot", "--json", "-"],
             env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         seconds = time.perf_counter() - started
@@ -159,9 +161,14 @@ def render(taken: dict[str, Taken], latest: str | None = None) -> str:
             one = taken[row.name]
             ours = shown(row, one.figures) + marks[one.commit, one.machine]
         first, *others = row.commands
-        commands = [f"`{first}`", *(f"`… {c.partition(' ')[2]}`" for c in others)]
+        commands = [f"`{first}`", *(f"`{_shortened(c)}`" for c in others)]
         text += f"| {row.claim} | {ours} | {row.reference} | {', '.join(commands)} |\n"
     return text
+
+
+def _shortened(command: str) -> str:
+    """A further command of a row: its options, unless it is launched otherwise."""
+    return command if command.startswith("mpirun") else f"… {command.partition(' ')[2]}"
 
 
 def measure(row: Row) -> list[float]:
