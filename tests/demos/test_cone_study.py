@@ -8,10 +8,9 @@ from test_studies import run
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_a_cone_in_clay(tmp_path, ranks):
+def test_a_cone_in_clay(tmp_path):
     options = "--h", "0.5", "--step", "0.1", "--depth", "8.5", "--width", "15"
-    found = run("cone_penetration", *options, "--output", str(tmp_path), ranks=ranks)
+    found = run("cone_penetration", *options, "--output", str(tmp_path), ranks=2)
     assert not found["reason"]
     assert found["reached"] == pytest.approx(8.5)
     # cells of half the radius are coarse
@@ -52,21 +51,24 @@ def test_a_quarter_of_a_cone_in_three_dimensions(tmp_path):
 @pytest.mark.long
 def test_drainage_decides_what_a_cone_carries(tmp_path):
     """Between what is drained and Teh & Houlsby's factor, half of it near v d/c_v = 3."""
-    options = "--curve", "--velocities", "0.01,3,30,1000", "--depth", "8"
+    options = "--curve", "--velocities", "0.01,3,1000", "--depth", "8"
     found = run("cone_penetration", *options, "--output", str(tmp_path))
     assert not any(one["reason"] for one in found["runs"])
     assert 1.3 < found["drained_ratio"] < 4
     assert 1 < found["V50"] < 15
+    assert abs(found["runs"][-1]["error"]) < 0.15
+    assert found["runs"][-1]["pore_ratio"] > 0.5
     for name, way in (("factor", -1), ("pore_ratio", 1)):
         assert np.all(way * np.diff([one[name] for one in found["runs"]]) > 0)
     assert (tmp_path / "cone_penetration_curve.png").stat().st_size > 0
 
 
 @pytest.mark.long
-def test_a_cone_in_clay_whose_water_stays(tmp_path):
-    """Teh & Houlsby's factor of the strength that the clay has in closed form."""
-    found = run("cone_penetration", "--undrained", "--output", str(tmp_path))
-    assert not found["reason"]
-    assert abs(found["error"]) < 0.15
-    assert found["pore_ratio"] > 0.5
-    assert (tmp_path / "cone_penetration_cam-clay_axisymmetric.png").stat().st_size > 0
+def test_a_cone_in_water_is_the_same_on_two_ranks():
+    """A step may have two solutions, as corners pass the tip; rounding does not choose of them."""
+    options = "--partly", "--depth", "5", "--no-plot"
+    one, two = (run("cone_penetration", *options, ranks=ranks) for ranks in (1, 2))
+    assert not one["reason"]
+    assert one["halvings"] == two["halvings"] == 0
+    assert one["newton_iterations"] == two["newton_iterations"] <= 60
+    np.testing.assert_allclose(two["factors"], one["factors"], rtol=1e-8)

@@ -39,10 +39,9 @@ def test_vibrating_bar_otherwise(options, kept):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_bar_that_moves(ranks):
+def test_a_bar_that_moves():
     options = "--moving --length 10 --h 0.5 --duration 4"
-    figures = run("vibrating_bar", "--no-plot", *options.split(), ranks=ranks)
+    figures = run("vibrating_bar", "--no-plot", *options.split(), ranks=2)
     assert figures["energy"] == pytest.approx([1.0, 0.99878, 0.99739], abs=2e-5)
     assert abs(figures["momentum_drift"]) < 1e-13
     assert figures["momentum_zeros"] == pytest.approx(figures["momentum_zeros_exact"], rel=3e-3)
@@ -112,10 +111,9 @@ def test_expansion_of_any_matrix(matrix):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_rotating_disc(tmp_path, ranks):
+def test_rotating_disc(tmp_path):
     options = "--compare", "--revolutions", "0.1", "--output", str(tmp_path)
-    runs = {row["name"]: row for row in run("rotating_disc", *options, ranks=ranks)["runs"]}
+    runs = {row["name"]: row for row in run("rotating_disc", *options, ranks=2)["runs"]}
     assert len(runs) == 9
     assert not any(row["stopped"] for row in runs.values())
     assert runs["lumped pic"]["angular_momentum"] < 0.2
@@ -166,12 +164,11 @@ def test_column_collapse(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_column_collapse_implicit(ranks):
+def test_column_collapse_implicit():
     options = (
         "--integrator implicit --basis bspline2 --h 0.02 --dt 2e-3 --times 0.1 --duration 0.15"
     )
-    figures = run("column_collapse", "--no-plot", *options.split(), ranks=ranks)
+    figures = run("column_collapse", "--no-plot", *options.split(), ranks=2)
     assert figures["completed"]
     assert figures["x99"][0] == pytest.approx(0.225, rel=0.1)
     assert figures["newton_iterations"] > 100
@@ -179,9 +176,9 @@ def test_column_collapse_implicit(ranks):
 
 @pytest.mark.long
 def test_column_collapse_variants(tmp_path):
-    options = "--variants --h 0.02 --duration 0.05 --dt 5e-3 --bases gimp --strains large,small"
+    options = "--variants --h 0.02 --duration 0.05 --dt 5e-3 --bases gimp --strains large"
     figures = run("column_collapse", *options.split(), "--output", str(tmp_path))
-    assert len(figures["runs"]) == 8
+    assert len(figures["runs"]) == 4
     assert all(r["completed"] for r in figures["runs"])
     assert (tmp_path / "column_collapse_variants.png").stat().st_size > 0
 
