@@ -60,11 +60,5 @@ def _add(
                         if column < 0:
                             lift[a_nodes[a], i] += value * prescribed[b_nodes[b], k]
                             continue
-                        low, high = indptr[row], indptr[row + 1]
-                        while low < high:
-                            middle = (low + high) // 2
-                            if indices[middle] < column:
-                                low = middle + 1
-                            else:
-                                high = middle
-                        data[low] += value
+                        begin, end = indptr[row], indptr[row + 1]
+                        data[begin + np.searchsorted(indices[begin:end], column)] += value
