@@ -23,6 +23,7 @@ class Row:
         reference: What they are compared with, and where that is from.
         quick: Whether it takes seconds and does not measure time.
         fresh: Whether everything must be compiled anew.
+        picture: Name of a picture of the study that is kept beside this file.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Row:
     reference: str = ""
     quick: bool = False
     fresh: bool = False
+    picture: str = ""
 
 
 def keys(*names: str) -> Callable[..., list[float]]:
@@ -125,6 +127,12 @@ def least_error(answer: Answer) -> list[float]:
         if run["error"] is not None and run["seconds"] <= 2.0:
             errors.setdefault(run["scene"], []).append(run["error"])
     return [100 * min(values) for values in errors.values()]
+
+
+def peer_ratios(answer: Answer) -> list[float]:
+    """How many times faster than Kratos the columns are, and a whole process of the small one."""
+    large, small = (answer["peer_cases"][case]["ratios"] for case in ("16x256", "1x64"))
+    return [large["gimp"], large["linear"], small["gimp"], small["gimp, whole"]]
 
 
 def beam(depth: int) -> Callable[[Answer], list[float]]:
@@ -329,15 +337,16 @@ ROWS = (
         keys("kinetic_below_99_percent", "min_kinetic", "rebound"), "{:.3f}, {:.3f}, {:.3f}",
         "conforming elements: 1.586, 0.053, 0.908"),
     Row("time-small", SPEED, "column, 64 elements, 256 points, 40 steps, GIMP (s)", TIMES,
-        cases("seconds", "gimp 1x64"), "{:.2f}",
-        "Kratos MPM 10.4, neo-Hookean, in the same minutes at f42d26b: 0.395"),
+        cases("seconds", "gimp 1x64"), "{:.2f}"),
     Row("time-large", SPEED, "column, 16 × 256 elements, 16 384 points, 40 steps: GIMP, standard "
-        "MPM (s)", TIMES, cases("seconds", "gimp 16x256", "linear 16x256"), "{:.1f}, {:.1f}",
-        "Kratos, likewise: 31.0"),
+        "MPM (s)", TIMES, cases("seconds", "gimp 16x256", "linear 16x256"), "{:.1f}, {:.1f}"),
     Row("time-point", SPEED, "of that, a point and Newton iteration: GIMP, standard MPM (µs)",
         TIMES,
         cases("microseconds_per_point_and_iteration", "gimp 16x256", "linear 16x256"),
-        "{:.1f}, {:.1f}", "Kratos, likewise: 11.9"),
+        "{:.1f}, {:.1f}"),
+    Row("kratos", SPEED, "times as fast as Kratos MPM 10.4 (neo-Hookean, standard MPM), in turn "
+        "with it: 16 × 256 elements, GIMP, standard MPM; 64 elements, steps, whole process (GIMP)",
+        each("benchmark", f"{ALONE} --peers"), peer_ratios, "{:.1f}, {:.1f}; {:.1f}, {:.1f}"),
     Row("memory", SPEED, "memory beyond a small run, 16 384 points, GIMP (kB a point)", TIMES,
         lambda a: [1e-3 * a["cases"]["gimp 16x256"]["bytes_per_point"]], "{:.1f}"),
     Row("time-laws", SPEED, "laws with their tangents, million points a second, all yielding: "
@@ -362,8 +371,9 @@ ROWS = (
               "--points 400000 --steps 50" for launch in ("", "mpirun -n 2 python3 ")),
         pace("bspline2"), "{:.1f}, {:.1f}; {:.1f}, {:.1f}"),
     Row("precision", SPEED, "least errors within 2 s: column, cantilever, footing, collapse, "
-        "vortex (%)", each("benchmark", "--cases= --growth="), least_error,
-        "{:.2g}, {:.2g}, {:.2g}, {:.2g}, {:.2g}"),
+        "vortex (%)", each("benchmark", "--cases= --growth= --refinements 3 --densities 1 "
+        "--repeat 1 --peers"), least_error, "{:.2g}, {:.2g}, {:.2g}, {:.2g}, {:.2g}",
+        picture="benchmark_precision.png"),
     Row("growth", SPEED, "exponents of processor time a step: points, explicit and implicit; cells "
         "around a body, explicit and implicit", each("benchmark", "--cases= --scenes="),
         exponents("points, explicit", "points, implicit", "cells, explicit", "cells, implicit"),

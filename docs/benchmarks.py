@@ -19,6 +19,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -60,12 +61,13 @@ class Taken:
 
 
 @functools.cache
-def run(command: str, fresh: bool = False) -> dict[str, Any]:
+def run(command: str, fresh: bool = False, picture: str = "") -> dict[str, Any]:
     """The JSON of a study, with the seconds that it took from start to end as `seconds_whole`.
 
     Args:
         command: File and options, perhaps behind `mpirun -n N python3`.
         fresh: Whether it must compile everything anew.
+        picture: Name of a picture that it draws and that is to be kept beside this file.
 
     Raises:
         RuntimeError: It did not end well.
@@ -78,11 +80,13 @@ def run(command: str, fresh: bool = False) -> dict[str, Any]:
             environment |= {"NUMBA_CACHE_DIR": f"{empty}/numba", "XDG_CACHE_HOME": empty}
         started = time.perf_counter()
         done = subprocess.run(
-            [*launch.split(), sys.executable, str(ROOT / script), *options,
-             "--no-plot", "--json", "-"],
+            [*launch.split(), sys.executable, str(ROOT / script), *options, "--json", "-",
+             *(["--output", empty] if picture else ["--no-plot"])],
             env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         seconds = time.perf_counter() - started
+        if picture and done.returncode == 0:
+            shutil.copy(Path(empty, picture), HERE)
     if done.returncode != 0:
         raise RuntimeError(f"{command}: {done.stdout[-1000:]}{done.stderr[-3000:]}")
     return {**json.loads(done.stdout.strip().splitlines()[-1]), "seconds_whole": seconds}
@@ -173,7 +177,7 @@ def _shortened(command: str) -> str:
 
 def measure(row: Row) -> list[float]:
     """Run a row's commands and read its figures from them."""
-    answers = [run(command, row.fresh) for command in row.commands]
+    answers = [run(command, row.fresh, row.picture) for command in row.commands]
     return [float(figure) for figure in row.read(*answers)]
 
 

@@ -8,9 +8,9 @@
 # - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
 #   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
 #   DOLFINx send by MPI themselves is not counted.
-# - **Other codes** (`--peers`): Kratos on the column, in turn with ours, medians of five. Where pip
-#   put it in a folder of its own, the variable `PEERS` names it. For explicit steps see
-#   `explicit_speed.py --peers`.
+# - **Other codes** (`--peers`): Kratos on the column, in turn with ours, medians of five: one
+#   element wide among the scenes, and as the cases are. Where pip put it in a folder of its own,
+#   the variable `PEERS` names it. For explicit steps see `explicit_speed.py --peers`.
 # - **Cases** (`--cases`): the column in 40 steps, one element wide and 64 high, and 16 wide and
 #   256 high. Memory is the largest that the process ever held less what it held after a small
 #   run, for each point. `--remedies all` solves each case with every remedy against small cuts as
@@ -105,8 +105,13 @@ scenes.measure(runs, 1 if args.quick else given or 3)
 peers = []
 if args.peers:
     levels = (8, 16) if args.quick else (16, 32, 64, 128)
+    levels = levels if "column" in args.scenes else ()
     peers = benchmark_peers.compare(levels, 1 if args.quick else max(5, args.repeat))
 figures |= {"runs": [run.figures() for run in runs], "peers": peers}
+figures["peer_cases"] = {}
+if args.peers:
+    sizes = args.cases.split(",") if args.cases else []
+    figures["peer_cases"] = benchmark_peers.cases(sizes, args.repeat)
 
 # %% [markdown]
 # ## Growth

@@ -8,9 +8,11 @@ import os
 import statistics
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
+from benchmark_costs import column as compact
 from benchmark_scenes import Run, column
 from scene import say
 
@@ -44,13 +46,65 @@ def kratos(elements: int, columns: int = 1) -> dict[str, Any]:
     return json.loads(found[-1])
 
 
+def _missing() -> bool:
+    """Whether there is no Kratos to compare with; says so."""
+    if there("KratosMultiphysics"):
+        return False
+    say(
+        "Kratos is not installed: pip install KratosMPMApplication "
+        f"KratosLinearSolversApplication, and with --target FOLDER say {FOLDER}=FOLDER"
+    )
+    return True
+
+
+def whole(elements: int) -> float:
+    """Seconds of a process of ours that starts, solves the column in GIMP, and ends."""
+    command = [sys.executable, str(HERE / "column_compaction.py"), "--elements", str(elements)]
+    started = time.perf_counter()
+    subprocess.run([*command, "--no-plot"], capture_output=True, check=True)
+    return time.perf_counter() - started
+
+
+def cases(sizes: list[str], repeat: int) -> dict[str, Any]:
+    """Columns of several elements across in Kratos and here, in turn; medians of ratios.
+
+    Args:
+        sizes: As "16x256", elements across and high; of those that are one across the whole
+            processes are timed too.
+        repeat: How often.
+    """
+    found: dict[str, Any] = {}
+    if not sizes or _missing():
+        return found
+    for case in sizes:
+        columns, elements = (int(n) for n in case.split("x"))
+        seconds: dict[str, list[float]] = {"kratos": [], "gimp": [], "linear": []}
+        for _ in range(repeat):
+            started = time.perf_counter()
+            seconds["kratos"].append(kratos(elements, columns)["seconds"])
+            if columns == 1:
+                seconds.setdefault("kratos, whole", []).append(time.perf_counter() - started)
+                seconds.setdefault("gimp, whole", []).append(whole(elements))
+            for basis in ("gimp", "linear"):
+                seconds[basis].append(compact(columns, elements, basis)[0])
+        found[case] = {name: statistics.median(values) for name, values in seconds.items()}
+        found[case]["ratios"] = {
+            name: statistics.median(
+                k / own
+                for k, own in zip(seconds["kratos, whole" if "whole" in name else "kratos"], values)
+            )
+            for name, values in seconds.items()
+            if "kratos" not in name
+        }
+        say(f"column {case}: Kratos {found[case]['kratos']:.3f} s; times as fast: " + ", ".join(
+            f"{name} {ratio:.2f}" for name, ratio in found[case]["ratios"].items()
+        ))  # fmt: skip
+    return found
+
+
 def compare(levels: tuple[int, ...], repeat: int) -> list[dict[str, Any]]:
     """The column in Kratos, and in GIMP and linear functions here, in turn; medians."""
-    if not there("KratosMultiphysics"):
-        say(
-            "Kratos is not installed: pip install KratosMPMApplication "
-            f"KratosLinearSolversApplication, and with --target FOLDER say {FOLDER}=FOLDER"
-        )
+    if _missing():
         return []
     rows = []
     for elements in levels:
