@@ -55,6 +55,7 @@ def arguments(words=None):
     options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
     options.add_argument("--fbar", choices=("on", "off"), default="off")
     options.add_argument("--penalty", type=float, default=50.0, help="κ/E (1/m)")
+    options.add_argument("--domains", choices=("stretch", "volume"), default="stretch")
     options.add_argument("--corners", choices=("domains", "material"), default="material")
     given = options.parse_args(words)
     if not 5 <= given.semi_angle < 85:
@@ -114,7 +115,8 @@ class Scene:
         clay = mpm.materials.Tresca(args.E_over_cu * COHESION, 0.33, COHESION)
         ground = mpm.Box((0.0, up[0]), (across[-1], 0.0))
         self.points = points = mpm.fill(grid, ground, args.points_per_cell, 1000.0)
-        V = mpm.Space(grid, args.basis)
+        grown = {} if args.basis == "linear" else {"domains": args.domains}
+        V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
         self.wedge = mpm.RigidBody(
             mpm.Wedge((0.0, 0.0), theta, 3.0 * c), velocity=(0.0, -c / args.steps), name="wedge"
