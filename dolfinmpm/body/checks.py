@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
 )
 from dolfinmpm.body.location import bounds, destinations, outside_cells
+from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["astray", "checked", "checked_rows", "checked_tag", "fault", "require_grid"]
 
@@ -151,7 +152,7 @@ def fault(points) -> DolfinMPMError | None:
         error = _not_finite(fields) or _impossible_size(fields)
         if error is not None:
             return error
-    inverted = np.flatnonzero(~(_determinant(fields["F"]) > 0))
+    inverted = np.flatnonzero(~(determinants(fields["F"]) > 0))
     if inverted.size:
         p = inverted[0]
         return ParameterError(
@@ -192,20 +193,6 @@ def astray(points) -> PointsOutsideGridError | None:
 
 def _place(fields: dict, p: int) -> str:
     return f"point {fields['id'][p]} at {fields['x'][p]} m"
-
-
-def _determinant(F: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    # ten times as fast as LAPACK one by one
-    if F.shape[1] == 1:
-        return F[:, 0, 0]
-    if F.shape[1] == 2:
-        return F[:, 0, 0] * F[:, 1, 1] - F[:, 0, 1] * F[:, 1, 0]
-    a, b, c = (F[:, i] for i in range(3))
-    return (
-        a[:, 0] * (b[:, 1] * c[:, 2] - b[:, 2] * c[:, 1])
-        + a[:, 1] * (b[:, 2] * c[:, 0] - b[:, 0] * c[:, 2])
-        + a[:, 2] * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
-    )
 
 
 def _not_finite(fields: dict) -> ParameterError | None:

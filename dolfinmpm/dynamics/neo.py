@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinmpm.dynamics.lanes import logarithm
 from dolfinmpm.dynamics.passes import FAST
+from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["kirchhoff", "stored_energy"]
 
@@ -62,7 +63,7 @@ def kirchhoff(F, numbers, which, pairs):
         The components, shape (n, components).
     """
     lmbda, mu = numbers[which if len(which) > 1 else np.zeros(len(F), int)].T
-    volumetric = lmbda * np.log(np.linalg.det(F))
+    volumetric = lmbda * np.log(determinants(F))
     tau = np.empty((len(F), len(pairs[0])))
     for k, (i, j) in enumerate(zip(*pairs)):
         tau[:, k] = mu * np.sum(F[:, i] * F[:, j], axis=1)

@@ -12,6 +12,7 @@ from dolfinmpm.dynamics.fusable import Laws
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import kirchhoff
 from dolfinmpm.dynamics.passes import LAW, NEO, SMALL
+from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["PointArrays"]
 
@@ -68,7 +69,7 @@ class PointArrays:
         """Give the fields what steps without a record keep for themselves and go on with."""
         points, (tau, e_out) = self._points, self.data[-2:]
         small = self._laws.kind == SMALL
-        J = np.linalg.det(points["F"])
+        J = determinants(points["F"])
         points["V"][:] = J * points["V0"]
         i, j = _PAIRS[points.gdim]
         self.strain()
