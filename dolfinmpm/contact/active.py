@@ -10,21 +10,23 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
-from dolfinmpm.contact.corners import Sites
+from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
+from dolfinmpm.contact.surfaces import Surface
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
-__all__ = ["ActiveContact"]
+__all__ = ["MARGIN", "ActiveContact", "within"]
 
 Array = npt.NDArray[np.float64]
+Chosen = npt.NDArray[np.bool_]
 
 # How far around a body points are looked at, besides its way in a step, in half-lengths of domains
-_MARGIN = 4.0
+MARGIN = 4.0
 
 
 class ActiveContact:
@@ -32,13 +34,14 @@ class ActiveContact:
 
     Args:
         contact: The contact.
-        here: What is active.
+        sight: How the points see the displacement.
+        field: Number of its field.
+        among: The points that are looked at, increasing, where others are known to be far away.
 
     Attributes:
-        contact: The argument.
+        contact, field: The arguments.
         clings: Whether corners that touched before are held where nothing has moved yet, so that
             the first iteration of Newton's method takes them along with a body that goes away.
-        field: Number of the displacement's field.
         corners: Corners that may touch in this step.
         x: Where they were moved to last (m), shape (m, gdim).
         forces: Forces on them there (N), likewise.
@@ -47,16 +50,14 @@ class ActiveContact:
         states: Whether they are free, stick or slip, likewise.
     """
 
-    def __init__(self, contact: Contact, here: Participants):
-        self.contact, self.clings = contact, False
+    def __init__(self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None):
+        self.contact, self.clings, self.field = contact, False, field
         points, body = contact.points, contact.body
-        fields = here.fields
-        self.field = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
-        self._sites = Sites(
-            points, fields[self.field], here.total, contact.surface, contact.material
-        )
+        self._sites = Sites(points, sight, contact.surface, contact.material)
+        self._among: Which = ALL if among is None else among
         self._near = self._candidates()
-        self.corners = c = self._sites.corners(np.flatnonzero(self._near))
+        near = np.flatnonzero(self._near)
+        self.corners = c = self._sites.corners(near if among is None else among[near])
         m, d = c.x.shape
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
@@ -75,29 +76,43 @@ class ActiveContact:
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
+    @staticmethod
+    def on(contact: Contact, here: Participants) -> ActiveContact:
+        """A contact on what is active in a step. Collective."""
+        fields = here.fields
+        k = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
+        return ActiveContact(contact, Sight.of(fields[k], here.total, len(contact.points)), k)
+
     # -- which points may touch -----------------------------------------------
 
-    def _candidates(self) -> npt.NDArray[np.bool_]:
-        """Which points may touch in this step, shape (points,). Collective.
+    def _touchable(self, among: Which) -> Chosen | None:
+        """Which of some points can touch at all, or None if all can."""
+        can = self._sites.marked(among)
+        if self.contact.tags is None:
+            return can
+        chosen = self.contact.chosen(among)
+        return chosen if can is None else chosen & can
+
+    def _candidates(self) -> Chosen:
+        """Which of the points that are looked at may touch in this step. Collective.
 
         Raises:
             ParameterError: Points are inside the body before the first step.
         """
-        contact, body, points = self.contact, self.contact.body, self.contact.points
+        body, points = self.contact.body, self.contact.points
+        x, l0 = points["x"][self._among], points["l0"][self._among]
         # points that come from further away in one step are missed, and the step is halved
-        reach = self._sites.reach() + _MARGIN * points["l0"].max(axis=1, initial=0.0)
+        reach = self._sites.reach(self._among) + MARGIN * l0.max(axis=1, initial=0.0)
         poses = [body.start, body.pose]
-        near = _within(poses, body.surface.low, body.surface.high, points["x"], reach)
-        if contact.tags is not None:
-            near &= contact.chosen()
-        marked = self._sites.marked()
-        if marked is not None:
-            near &= marked
+        near = within(poses, body.surface, x, reach[:, None])
+        can = self._touchable(self._among)
+        if can is not None:
+            near &= can
         rows = np.flatnonzero(near)
         gap = np.full(rows.size, np.inf)
         if rows.size:
             for k, pose in enumerate(poses):
-                found = body.surface.probe(pose.back(points["x"][rows]))[0]
+                found = body.surface.probe(pose.back(x[rows]))[0]
                 gap = np.minimum(gap, found)
                 if k == 0:
                     first = found
@@ -108,29 +123,30 @@ class ActiveContact:
                 p = rows[np.argmin(first)]
                 error = ParameterError(
                     f"{np.count_nonzero(first < 0)} material points are inside '{body.name}' "
-                    f"before the first step; that at {points['x'][p]} m is so by "
+                    f"before the first step; that at {x[p]} m is so by "
                     f"{-first.min():.4g} m: fill the body beside it, or make the rigid body outside"
                 )
             raise_together(points.comm, error)
         return near
 
-    def missed(self, x: Array) -> bool:
+    def missed(self, x: Array, anywhere: bool = False) -> bool:
         """Whether points that were not looked at have got into the body. Collective.
 
         Args:
             x: Positions of all points at the end of the step (m), shape (points, gdim).
+            anywhere: Whether they may be others than those that may touch, too.
         """
-        body = self.contact.body
-        far = ~self._near
-        if self.contact.tags is not None:
-            far &= self.contact.chosen()
-        marked = self._sites.marked()
-        if marked is not None:
-            far &= marked
-        surface, nowhere = body.surface, np.zeros(len(x))
-        far &= _within([body.pose], surface.low, surface.high, x, nowhere)
+        body, among, far = self.contact.body, self._among, ~self._near
+        if anywhere:
+            among, far = ALL, np.ones(len(x), bool)
+            far[self.corners.rows] = False
+        x = x[among]
+        far &= within([body.pose], body.surface, x, 0.0)
+        can = self._touchable(among)
+        if can is not None:
+            far &= can
         rows = np.flatnonzero(far)
-        inside = bool(rows.size) and surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
+        inside = bool(rows.size) and body.surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
         return self.contact.points.comm.allreduce(inside, op=MPI.LOR)
 
     # -- forces ---------------------------------------------------------------
@@ -141,13 +157,22 @@ class ActiveContact:
         Args:
             u: Increments (m), shape (nodes, gdim).
         """
-        if not len(self.x):
-            return
+        if len(self.x):
+            clings = self.clings and not u.any()
+            self.shift(self.corners.displacement(u), clings)
+
+    def shift(self, way: Array, clings: bool = False) -> None:
+        """Find the forces on corners that have moved, with the body where it has been put.
+
+        Args:
+            way: How far since the start of the step (m), shape (m, gdim).
+            clings: Whether corners that touched before are held.
+        """
         contact, pose = self.contact, self.contact.body.pose
-        self.x = self.corners.x + self.corners.displacement(u)
+        self.x = self.corners.x + way
         at = pose.back(self.x)
         holds = self._pressed > 0.0
-        if not self.clings or u.any():
+        if not clings:
             holds[:] = False
         # a corner comes no nearer than it goes
         far = self._first > np.linalg.norm(at - self._start, axis=1)
@@ -179,6 +204,11 @@ class ActiveContact:
         """Add the nodal forces, as internal forces count, which resist: −f (N)."""
         if self.pressures.any():
             self.corners.add(-self.forces, out)
+
+    def add_forces(self, out: Array) -> None:
+        """Add the nodal forces (N)."""
+        if self.pressures.any():
+            self.corners.add(self.forces, out)
 
     def add_tangent(self, to: Entries) -> None:
         """Add the derivative of `add_internal` by the increments to the matrix."""
@@ -281,6 +311,14 @@ class ActiveContact:
             new[name][c.rows, c.which] = values
         return new
 
+    def keep(self) -> None:
+        """Give the points what they keep of it at the end of the step."""
+        points, c = self.contact.points, self.corners
+        for name, values in zip(self.contact.names, (self._traction, self.pressures)):
+            field = points[name]
+            field[self._among] = 0.0
+            field[c.rows, c.which] = values
+
     def dissipated(self) -> float:
         """Work that friction takes in this step (J), on all ranks. Collective."""
         slips = self.states == SLIPS
@@ -303,13 +341,19 @@ class ActiveContact:
         return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
 
 
-def _within(poses: list[Pose], low: Array, high: Array, x: Array, reach: Array):
-    """Which positions are within their reach of a box around a body, in any pose."""
-    if not np.isfinite(low).all():
+def within(poses: list[Pose], surface: Surface, x: Array, reach: Array | float) -> Chosen:
+    """Which positions are within a reach of a box around a surface, in any pose.
+
+    Args:
+        poses: The poses.
+        surface: The surface; all are near to one that has no end.
+        x: Positions (m), shape (n, gdim).
+        reach: How far (m), a number or shape (n, 1).
+    """
+    if not np.isfinite(surface.low).all():
         return np.ones(len(x), bool)
-    corners = np.concatenate([pose.forth(box_corners(low, high)) for pose in poses])
+    corners = np.concatenate([p.forth(box_corners(surface.low, surface.high)) for p in poses])
     first, last = corners.min(axis=0), corners.max(axis=0)
-    reach = reach[:, None]
     return np.all((x + reach >= first) & (x - reach <= last), axis=1)
 
 

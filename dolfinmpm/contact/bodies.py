@@ -71,6 +71,20 @@ class Bodies:
                 )
         return None
 
+    def followed(self, dt: float, count: int) -> int:
+        """How many steps of that length (s) can follow each other before one is too long.
+
+        That the first one is not has been asked `fault`.
+
+        Args:
+            dt: The length.
+            count: At most so many.
+        """
+        if count > 1:
+            for body in self.all:
+                count = min(count, body.ahead(dt, count, self._limit))
+        return count
+
     def push(self, contacts: Sequence[ActiveContact]) -> None:
         """Let forces at the start of an explicit step move the free bodies in it. Collective."""
         for body in self.free:

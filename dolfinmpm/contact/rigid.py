@@ -206,6 +206,35 @@ class RigidBody:
         """How far any part of it, but of a plane its centre, goes in this step (m)."""
         return travelled(self.surface, self.start, self.at(1.0))
 
+    def ahead(self, dt: float, count: int, limit: float) -> int:
+        """How many steps of a length follow each other in which it goes no further than a limit.
+
+        Of free components, which forces decide, nothing is known. What prescribes the motion, or
+        loads, in time may raise at later times: then the steps end before.
+
+        Args:
+            dt: The length (s).
+            count: At most so many, of which the first one is not looked at.
+            limit: The limit (m).
+        """
+        kept = self.start, self.pose, self.time
+        try:
+            for k in range(count):
+                self.begin(dt)
+                end = self.at(1.0)
+                if self.freedom is not None:
+                    self.freedom.external(self.time)
+                if k and travelled(self.surface, self.start, end) > limit:
+                    return k
+                self.start, self.time = end, self.time + dt
+        except Exception:
+            if not k:
+                raise
+            return k
+        finally:
+            self.start, self.pose, self.time = kept
+        return count
+
     def record(self) -> dict[str, list[float]]:
         """Position, angle, force and moment, as records of steps have them."""
         parts = {

@@ -104,9 +104,9 @@ class Contact:
             )
         raise_together(points.comm, error)
 
-    def chosen(self) -> npt.NDArray[np.bool_]:
-        """Which points have its tags."""
-        return np.isin(self.points["tag"], self.tags)
+    def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
+        """Which points, of some rows or of all, have its tags."""
+        return np.isin(self.points["tag"][rows], self.tags)
 
     def rate(self) -> float:
         """Largest square of a frequency that contact gives the body (1/s²). Collective.

@@ -32,6 +32,7 @@ from dolfinmpm.dynamics.energies import Balance, Energies, angular_momentum, mom
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
 from dolfinmpm.dynamics.fused import Fused
+from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import General
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
@@ -214,7 +215,10 @@ class Explicit(Problem):
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
-        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains)
+        contacts, rigid = self.form.parts.contacts, None
+        if contacts:
+            rigid = RigidContacts(contacts, self.bodies, self.points)
+        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains, rigid)
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
@@ -289,6 +293,7 @@ class Explicit(Problem):
             dt = left / count if not single else min(left, longest)
             now = 1 if single else min(count, self._loop.at_once)
             raise_together(self.comm, self._too_fast(dt))
+            now = self.bodies.followed(dt, now)
             self._advance(now, dt, whole, now < count and not single, record)
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step

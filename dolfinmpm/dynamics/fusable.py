@@ -15,7 +15,7 @@ from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.forms.terms import contact_of, depends_on, summands
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -51,11 +51,9 @@ def why_not(form: WeakForm) -> str | None:
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
         return "a neo-Hookean law that varies"
-    if form.parts.contacts:
-        return "contact with rigid bodies"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
-        if any(integral.integrand() is term for term in own):
+        if contact_of(integral) or any(integral.integrand() is term for term in own):
             continue
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):

@@ -1,0 +1,95 @@
+"""The points that are near a rigid body, listed once for many steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.contact.active import MARGIN, within
+from dolfinmpm.contact.corners import Rows, Sight, Sites
+from dolfinmpm.contact.rigid import travelled
+from dolfinmpm.contact.terms import Contact
+
+__all__ = ["Nearby"]
+
+
+class Nearby:
+    """Points that may touch a body until it and they have gone a cell further.
+
+    All that `ActiveContact` has to look at in one of these steps are among them.
+
+    Args:
+        contact: The contact.
+
+    Attributes:
+        contact: The argument.
+    """
+
+    _rows: Rows | None = None
+    _left = 0.0
+
+    def __init__(self, contact: Contact):
+        self.contact = contact
+
+    def forget(self, sight: Sight, cell: npt.NDArray[np.float64]) -> None:
+        """List the points anew before the next step: they are others, or in another order.
+
+        Args:
+            sight: How they see the displacement.
+            cell: Size of the smallest cell (m), shape (gdim,).
+        """
+        self._sight, self._rows = sight, None
+        # the most that a point moves which crosses a cell in one direction
+        self._cell = float(np.linalg.norm(cell))
+
+    def rows(self) -> Rows:
+        """The points, increasing, in a step that the body has been put to the end of."""
+        if self._rows is None or self._left < self._way():
+            first = self._rows is None
+            self._rows, self._left = self._listed(), self._cell
+            if first:
+                self._release(self._rows)
+        return self._rows
+
+    def travelled(self, way: float) -> bool:
+        """Take note of how far points and body have gone in a step.
+
+        Args:
+            way: Cells that the fastest point has crossed.
+
+        Returns:
+            Whether none that is not listed can have got to the body.
+        """
+        self._left -= way * self._cell + self._way()
+        return self._left >= 0.0
+
+    def _way(self) -> float:
+        """How far the body goes in the step at most (m)."""
+        body = self.contact.body
+        endless = not np.isfinite(body.surface.low).all()
+        if endless and np.any(body.pose.turn != body.start.turn):
+            # far away it goes as far as one likes
+            return math.inf
+        return travelled(body.surface, body.start, body.pose)
+
+    def _listed(self) -> Rows:
+        contact, points = self.contact, self.contact.points
+        body, x = contact.body, points["x"]
+        reach = Sites(points, self._sight, contact.surface, contact.material).reach()
+        # corners that follow the material get further away as it is stretched
+        reach = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self._cell
+        poses = [body.start, body.pose]
+        rows = np.flatnonzero(within(poses, body.surface, x, reach[:, None]))
+        gaps = [body.surface.probe(pose.back(x[rows]))[0] for pose in poses]
+        return rows[np.minimum(*gaps) < reach[rows]]
+
+    def _release(self, rows: Rows) -> None:
+        """Let points go that the body touched and that have been taken elsewhere since."""
+        points = self.contact.points
+        traction, pressure, _ = self.contact.names
+        held = np.flatnonzero(points[pressure].any(axis=1))
+        gone = np.setdiff1d(held, rows, assume_unique=True)
+        points[traction][gone] = 0.0
+        points[pressure][gone] = 0.0

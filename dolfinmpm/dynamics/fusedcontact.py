@@ -1,0 +1,146 @@
+"""Contact with rigid bodies in fused steps.
+
+Few points are near a body. They are listed once for many steps; in each of these the corners of
+those on the list feel what they feel in general steps, see `dolfinmpm.contact.active`, and their
+forces are added to what the loops have summed up at the nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform import stages
+from dolfinmpm.basis.stencils import Stencils
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.corners import Rows, Sight
+from dolfinmpm.contact.nearby import Nearby
+from dolfinmpm.contact.terms import Contact
+from dolfinmpm.dynamics.passes import COLUMNS
+from dolfinmpm.dynamics.window import Exchange, Window
+
+__all__ = ["RigidContacts"]
+
+Array = npt.NDArray[np.float64]
+
+
+class RigidContacts:
+    """The contacts of a form in the steps of fused loops.
+
+    In a step `begin`, `press`, `follow` and `end` are called in this order.
+
+    Args:
+        contacts: The contacts, at least one.
+        bodies: The bodies that they are with.
+        points: Material points.
+    """
+
+    _window: Window
+    _sight: Sight
+    _exchange: Exchange | None
+    _sums: Array
+
+    def __init__(self, contacts: Sequence[Contact], bodies: Bodies, points: MaterialPoints):
+        self._bodies, self._points = bodies, points
+        self._near = [Nearby(contact) for contact in contacts]
+        self._active: list[ActiveContact] = []
+        self._known: Window | None = None
+
+    def surround(self, window: Window) -> None:
+        """Take the nodes of a window; points have come or gone. Collective."""
+        if window is not self._known:
+            self._known = self._window = window
+            self._exchange = window.exchange(self._points.gdim)
+            self._sums = np.zeros((len(window.nodes), self._points.gdim))
+            self._sight = Sight(window.basis, False, None, self._stencils, window.place)
+        cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
+        for near in self._near:
+            near.forget(self._sight, cell)
+
+    def _stencils(self, rows: Rows) -> Stencils:
+        """Stencils of some points as the loops have them: on a grid line of its upper cell."""
+        points, basis = self._points, self._window.basis
+        x, half = points["x"][rows], points["l"][rows]
+        if not basis.averaged:
+            half = np.zeros_like(x)
+        found = basis.stencils_in(x, half, *basis.spans(x, half))
+        # points are given to other ranks before they get to the window's edge
+        assert found is not None
+        return found
+
+    @stages.activate
+    def begin(self, dt: float) -> None:
+        """Begin a step of that length (s): find corners that may touch in it. Collective.
+
+        Raises:
+            ParameterError: Points are inside a body before the first step.
+        """
+        self._bodies.begin(dt)
+        self._dt = dt
+        self._active = [
+            ActiveContact(near.contact, self._sight, among=near.rows()) for near in self._near
+        ]
+
+    @stages.assemble
+    def press(self, out: Array, moved: bool) -> None:
+        """Add forces on the nodes at the start of the step, and push free bodies. Collective.
+
+        Args:
+            out: Sums at the window's nodes, summed over ranks.
+            moved: Whether corners have moved by the velocities that strain.
+        """
+        self._bodies.put(0.0)
+        for active in self._active:
+            active.shift(self._ways(active) if moved else np.zeros_like(active.x))
+        d = self._points.gdim
+        force = out[:, COLUMNS[d].force : COLUMNS[d].force + d]
+        if self._exchange is None:
+            for active in self._active:
+                active.add_forces(force)
+        else:
+            self._sums[:] = 0.0
+            for active in self._active:
+                active.add_forces(self._sums)
+            self._exchange.add_up(self._sums)
+            force += self._sums
+        self._bodies.push(self._active)
+
+    def _ways(self, active: ActiveContact) -> Array:
+        """How far corners go in the step by the velocities that strain (m), shape (m, d)."""
+        d = self._points.gdim
+        first = COLUMNS[d].strain
+        corners = active.corners
+        velocities = self._window.nodes[corners.nodes, first : first + d]
+        return np.asarray(corners.N @ (self._dt * velocities))
+
+    @stages.assemble
+    def follow(self) -> None:
+        """Find the forces at the end of the step."""
+        self._bodies.put(1.0)
+        for active in self._active:
+            active.shift(self._ways(active))
+
+    @stages.commit
+    def end(self, way: float) -> str | None:
+        """Take where the bodies are, and what the points keep of the contacts. Collective.
+
+        Args:
+            way: Cells that the fastest point has crossed in the step, on any rank.
+
+        Returns:
+            What is wrong with where points have got to, or None.
+        """
+        missed = False
+        for near, active in zip(self._near, self._active):
+            sure = near.travelled(way)
+            missed = active.missed(self._points["x"], not sure) or missed
+        if missed:
+            return "material points got into a rigid body from further away than was looked at"
+        for active in self._active:
+            active.keep()
+        self._bodies.commit(self._active)
+        return None
