@@ -94,8 +94,12 @@ class Bodies:
                     force += np.concatenate(active.totals())
             body.push(force)
 
-    def commit(self, contacts: Sequence[ActiveContact]) -> None:
-        """Take where the bodies are, and what acts on them. Collective."""
+    def commit(self, contacts: Sequence[ActiveContact]) -> float:
+        """Take where the bodies are, and what acts on them. Collective.
+
+        Returns:
+            The work that they have done in the step (J), by its mean forces.
+        """
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
         }
@@ -105,8 +109,7 @@ class Bodies:
             both[0] = both[0] + force
             both[1] = both[1] + moment
             active.contact.dissipated += active.dissipated()
-        for body in self.all:
-            body.commit(*sums[id(body)])
+        return sum(body.commit(*sums[id(body)]) for body in self.all)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
         """What records of steps have of the bodies, by name."""

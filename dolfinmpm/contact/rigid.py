@@ -197,10 +197,22 @@ class RigidBody:
         free.increment = np.zeros_like(free.velocity)
         free.increment[own] = self.dt * free.velocity[own]
 
-    def commit(self, force: Array, moment: Array) -> None:
-        """Take where it has been put for where it is, and what acts on it there."""
+    def commit(self, force: Array, moment: Array) -> float:
+        """Take where it has been put for where it is, and what acts on it there.
+
+        Returns:
+            The work that it has done on what it touches (J), by the means of forces before and
+            after.
+        """
+        before, after = self.start, self.pose
+        turned = after.rotation @ before.rotation.T
+        # of a small rotation
+        W = 0.5 * (turned - turned.T)
+        spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
+        work = (self.force + force) @ (after.shift - before.shift) + (self.moment + moment) @ spin
         self.start, self.time = self.pose, self.time + self.dt
         self.force, self.moment = force, moment
+        return -0.5 * float(work)
 
     def travel(self) -> float:
         """How far any part of it, but of a plane its centre, goes in this step (m)."""

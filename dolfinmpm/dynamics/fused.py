@@ -94,6 +94,8 @@ class Fused:
             self.done[0] = self._stored - before
         internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
         self.done[:2] = 0.0
+        if self._rigid is not None:
+            external, self._rigid.work = external + self._rigid.work, 0.0
         return float(internal), float(external)
 
     @stages.activate

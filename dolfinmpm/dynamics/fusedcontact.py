@@ -37,6 +37,9 @@ class RigidContacts:
         contacts: The contacts, at least one.
         bodies: The bodies that they are with.
         points: Material points.
+
+    Attributes:
+        work: Work that the bodies have done since it was last set (J), on all ranks.
     """
 
     _window: Window
@@ -45,7 +48,7 @@ class RigidContacts:
     _sums: Array
 
     def __init__(self, contacts: Sequence[Contact], bodies: Bodies, points: MaterialPoints):
-        self._bodies, self._points = bodies, points
+        self._bodies, self._points, self.work = bodies, points, 0.0
         self._near = [Nearby(contact) for contact in contacts]
         self._active: list[ActiveContact] = []
         self._known: Window | None = None
@@ -95,7 +98,7 @@ class RigidContacts:
         """
         self._bodies.put(0.0)
         for active in self._active:
-            active.shift(self._ways(active) if moved else np.zeros_like(active.x))
+            active.shift(self._way(active) if moved else np.zeros_like(active.x))
         d = self._points.gdim
         force = out[:, COLUMNS[d].force : COLUMNS[d].force + d]
         if self._exchange is None:
@@ -109,11 +112,10 @@ class RigidContacts:
             force += self._sums
         self._bodies.push(self._active)
 
-    def _ways(self, active: ActiveContact) -> Array:
+    def _way(self, active: ActiveContact) -> Array:
         """How far corners go in the step by the velocities that strain (m), shape (m, d)."""
-        d = self._points.gdim
+        d, corners = self._points.gdim, active.corners
         first = COLUMNS[d].strain
-        corners = active.corners
         velocities = self._window.nodes[corners.nodes, first : first + d]
         return np.asarray(corners.N @ (self._dt * velocities))
 
@@ -122,7 +124,7 @@ class RigidContacts:
         """Find the forces at the end of the step."""
         self._bodies.put(1.0)
         for active in self._active:
-            active.shift(self._ways(active))
+            active.shift(self._way(active))
 
     @stages.commit
     def end(self, way: float) -> str | None:
@@ -142,5 +144,5 @@ class RigidContacts:
             return "material points got into a rigid body from further away than was looked at"
         for active in self._active:
             active.keep()
-        self._bodies.commit(self._active)
+        self.work += self._bodies.commit(self._active)
         return None
