@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class ActiveContact:
         sight: How the points see the displacement.
         field: Number of its field.
         among: The points that are looked at, increasing, where others are known to be far away.
+        distance: How near to the body corners are that can touch in this step (m).
 
     Attributes:
         contact, field: The arguments.
@@ -50,14 +52,22 @@ class ActiveContact:
         states: Whether they are free, stick or slip, likewise.
     """
 
-    def __init__(self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None):
+    def __init__(
+        self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None,
+        distance: float = math.inf,
+    ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
         points, body = contact.points, contact.body
         self._sites = Sites(points, sight, contact.surface, contact.material)
         self._among: Which = ALL if among is None else among
         self._near = self._candidates()
         near = np.flatnonzero(self._near)
-        self.corners = c = self._sites.corners(near if among is None else among[near])
+        rows = near if among is None else among[near]
+        if math.isinf(distance):
+            self.corners = self._sites.corners(rows)
+        else:
+            self.corners = self._sites.corners(rows, lambda x: self._within(x, rows, distance))
+        c = self.corners
         m, d = c.x.shape
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
@@ -75,6 +85,14 @@ class ActiveContact:
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
+
+    def _within(self, x: Array, rows: Rows, distance: float) -> Rows:
+        """Which corners of points are so near to the body (m), or were pressed by it."""
+        contact, body = self.contact, self.contact.body
+        near = body.surface.probe(body.start.back(x))[0] <= distance
+        # multipliers act at any distance
+        pressed = contact.points[contact.names[1]][rows] > 0.0
+        return np.flatnonzero(near | pressed[:, self._sites.which].ravel())
 
     @staticmethod
     def on(contact: Contact, here: Participants) -> ActiveContact:

@@ -25,6 +25,7 @@ class Nearby:
 
     Attributes:
         contact: The argument.
+        cell: The most that a point moves which crosses a cell in one direction (m).
     """
 
     _rows: Rows | None = None
@@ -41,14 +42,13 @@ class Nearby:
             cell: Size of the smallest cell (m), shape (gdim,).
         """
         self._sight, self._rows = sight, None
-        # the most that a point moves which crosses a cell in one direction
-        self._cell = float(np.linalg.norm(cell))
+        self.cell = float(np.linalg.norm(cell))
 
     def rows(self) -> Rows:
         """The points, increasing, in a step that the body has been put to the end of."""
-        if self._rows is None or self._left < self._way():
+        if self._rows is None or self._left < self.way():
             first = self._rows is None
-            self._rows, self._left = self._listed(), self._cell
+            self._rows, self._left = self._listed(), self.cell
             if first:
                 self._release(self._rows)
         return self._rows
@@ -62,10 +62,10 @@ class Nearby:
         Returns:
             Whether none that is not listed can have got to the body.
         """
-        self._left -= way * self._cell + self._way()
+        self._left -= way * self.cell + self.way()
         return self._left >= 0.0
 
-    def _way(self) -> float:
+    def way(self) -> float:
         """How far the body goes in the step at most (m)."""
         body = self.contact.body
         endless = not np.isfinite(body.surface.low).all()
@@ -79,7 +79,7 @@ class Nearby:
         body, x = contact.body, points["x"]
         reach = Sites(points, self._sight, contact.surface, contact.material).reach()
         # corners that follow the material get further away as it is stretched
-        reach = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self._cell
+        reach = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
         poses = [body.start, body.pose]
         rows = np.flatnonzero(within(poses, body.surface, x, reach[:, None]))
         gaps = [body.surface.probe(pose.back(x[rows]))[0] for pose in poses]

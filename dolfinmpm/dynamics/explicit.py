@@ -7,6 +7,7 @@ A step itself is that of `dolfinmpm.dynamics.general`, or of the loops of
 from __future__ import annotations
 
 import math
+import os
 import time as clock
 from collections.abc import Sequence
 from typing import Any
@@ -154,7 +155,7 @@ class Explicit(Problem):
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
-        self._kept_state = Snapshot(points)
+        self._kept_state = Snapshot(points, self.bodies)
         sides = Sides(faces, points)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -368,12 +369,19 @@ class Explicit(Problem):
 
     def _go_back(self) -> None:
         """To the last state that was kept. Collective."""
+        self.bodies.reset()
         if math.isnan(self._kept_state.time):
             # nothing has moved yet
             return
         self._kept_state.put(self.balance.work)
         self.balance.forget()
         self.time = self._kept_state.time
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """See `Problem.save`. Collective."""
+        super().save(path)
+        # what goes on from the file begins with points in order, and so does this run
+        self._loop.renew()
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

@@ -98,6 +98,10 @@ class Fused:
             external, self._rigid.work = external + self._rigid.work, 0.0
         return float(internal), float(external)
 
+    def renew(self) -> None:
+        """Begin the next call as the first one: with a window anew, and points put in order."""
+        self._window = None
+
     @stages.activate
     def start(self, rate: float) -> None:
         """Take the points as they are now, before steps that follow each other. Collective.
@@ -281,7 +285,7 @@ class Fused:
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
         rigid = self._rigid
         if rigid is not None:
-            rigid.begin(dt)
+            rigid.begin(dt, usf)
         # forces alone make the points' acceleration, not what moves or stops nodes
         apart = record and (prescribed.driven or len(self._sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))

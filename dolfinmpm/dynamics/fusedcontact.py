@@ -7,25 +7,32 @@ forces are added to what the loops have summed up at the nodes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.active import MARGIN, ActiveContact
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.corners import Rows, Sight
+from dolfinmpm.contact.corners import Rows, Sight, Sites
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.terms import Contact
+from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
 
 __all__ = ["RigidContacts"]
 
 Array = npt.NDArray[np.float64]
+
+# How much more than what corners and bodies went in a step they may go in the next one before
+# corners are looked for anew
+_SPARE = 2.0
 
 
 class RigidContacts:
@@ -51,6 +58,10 @@ class RigidContacts:
         self._bodies, self._points, self.work = bodies, points, 0.0
         self._near = [Nearby(contact) for contact in contacts]
         self._active: list[ActiveContact] = []
+        # whether corners go no further than nodes, and how near are those looked at (m), by contact
+        self._bounded, self._distances = [False] * len(contacts), [math.inf] * len(contacts)
+        # how far nodes went in the last step at most, with some to spare (m)
+        self._nodes_go = 0.0
         self._known: Window | None = None
 
     def surround(self, window: Window) -> None:
@@ -60,9 +71,14 @@ class RigidContacts:
             self._exchange = window.exchange(self._points.gdim)
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
             self._sight = Sight(window.basis, False, None, self._stencils, window.place)
+        points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
-        for near in self._near:
+        for k, near in enumerate(self._near):
             near.forget(self._sight, cell)
+            contact = near.contact
+            self._bounded[k] = Sites(points, self._sight, contact.surface, contact.material).boxes
+        margin = MARGIN * float(points["l0"].max(axis=1, initial=0.0).min(initial=math.inf))
+        self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
     def _stencils(self, rows: Rows) -> Stencils:
         """Stencils of some points as the loops have them: on a grid line of its upper cell."""
@@ -76,17 +92,29 @@ class RigidContacts:
         return found
 
     @stages.activate
-    def begin(self, dt: float) -> None:
+    def begin(self, dt: float, all_corners: bool) -> None:
         """Begin a step of that length (s): find corners that may touch in it. Collective.
+
+        Args:
+            dt: The length.
+            all_corners: Whether all corners of points near the bodies are to be looked at, since
+                the points' fields change before it is known how far they go.
 
         Raises:
             ParameterError: Points are inside a body before the first step.
         """
         self._bodies.begin(dt)
         self._dt = dt
-        self._active = [
-            ActiveContact(near.contact, self._sight, among=near.rows()) for near in self._near
-        ]
+        self._active = [self._made(k, all_corners) for k in range(len(self._near))]
+
+    def _made(self, k: int, all_corners: bool = False) -> ActiveContact:
+        """A contact of the corners that may touch. Collective before the first step."""
+        near, contact = self._near[k], self._near[k].contact
+        distance = near.way() * _SPARE + self._nodes_go
+        if all_corners or not self._bounded[k] or contact.body.time == 0.0:
+            distance = math.inf
+        self._distances[k] = distance
+        return ActiveContact(contact, self._sight, 0, near.rows(), distance)
 
     @stages.assemble
     def press(self, out: Array, moved: bool) -> None:
@@ -123,8 +151,14 @@ class RigidContacts:
     def follow(self) -> None:
         """Find the forces at the end of the step."""
         self._bodies.put(1.0)
-        for active in self._active:
-            active.shift(self._way(active))
+        d = self._points.gdim
+        speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].strain, d)
+        # corners of domains are between the nodes that they see, and go no further than these
+        self._nodes_go = _SPARE * self._dt * speed
+        for k, near in enumerate(self._near):
+            if near.way() + self._dt * speed > self._distances[k]:
+                self._active[k] = self._made(k)
+            self._active[k].shift(self._way(self._active[k]))
 
     @stages.commit
     def end(self, way: float) -> str | None:
@@ -138,8 +172,11 @@ class RigidContacts:
         """
         missed = False
         for near, active in zip(self._near, self._active):
+            gone = way * near.cell + near.way()
             sure = near.travelled(way)
-            missed = active.missed(self._points["x"], not sure) or missed
+            # what has gone less cannot have got there
+            if gone >= self._margin or not sure:
+                missed = active.missed(self._points["x"], not sure) or missed
         if missed:
             return "material points got into a rigid body from further away than was looked at"
         for active in self._active:
