@@ -4,96 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import ufl
-from conftest import COMM
-from dolfinx import mesh
+from contactscenes import ELASTIC, body, falls, grid_of, is_hit, is_ploughed, is_pressed
 
 import dolfinmpm as mpm
+from dolfinmpm._platform.errors import InstabilityError, ParameterError, PointsOutsideGridError
 
 LONG = pytest.mark.long
-ELASTIC = mpm.materials.Hencky(E=1e5, nu=0.3)
-CLAY = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=5e3)
-
-
-def grid_of(low, high, n):
-    """A rectangular grid."""
-    if len(n) == 2:
-        return mesh.create_rectangle(COMM, [low, high], n, mesh.CellType.quadrilateral)
-    return mesh.create_box(COMM, [low, high], n, mesh.CellType.hexahedron)
-
-
-def body(grid, shape, law, basis, averaged=None, tags=False):
-    """Points of a shape, their space, and the form of their momentum and weight."""
-    points = mpm.fill(grid, shape, 2, 1000.0)
-    V = mpm.Space(grid, basis, **({} if averaged is None else {"averaged": averaged}))
-    if tags:
-        points["tag"][:] = np.where(points["x"][:, 0] < 0.0, 1, 2)
-    F = mpm.momentum(law, points, V.increment, V.test)
-    weight = (0.0,) * (points.gdim - 1) + (-10.0,)
-    F -= ufl.inner(points.density * ufl.as_vector(weight), V.test) * points.dX
-    points.add_field("velocity", (points.gdim,), "m/s")
-    return points, V, F
-
-
-def falls(basis="gimp", averaged=None, corners=None, surface=False, law=ELASTIC, **options):
-    """A disc falls on a slope, and rolls."""
-    grid = grid_of((-1, -0.5), (1, 1.5), (16, 16))
-    points, V, F = body(grid, mpm.Disc((0.013, 0.45), 0.4), law, basis, averaged)
-    points["velocity"][:] = 0.5, -2.0
-    slope = mpm.RigidBody(mpm.Plane((0, 0.03), (0.1, 1)), name="slope")
-    face = None
-    if surface:
-        r = points["x"] - (0.013, 0.45)
-        area = np.where(np.linalg.norm(r, axis=1)[:, None] > 0.33, 0.05 * r / 0.4, 0.0)
-        face = mpm.Surface.from_arrays(points, np.where(area != 0, 0.06 * r, 0.0), area)
-    F += mpm.contact(
-        slope, points, V.increment, V.test, friction=0.3, corners=corners, surface=face
-    )
-    return mpm.Explicit(F, V.increment, points, **options)
-
-
-def is_hit(law=ELASTIC, **options):
-    """A free disc hits a block, turning, between two walls of which one is the block's alone."""
-    grid = grid_of((-1, 0), (1, 1.5), (16, 12))
-    block = mpm.Box((-0.75, 0), (0.75, 0.75))
-    points, V, F = body(grid, block, law, "gimp", tags=True)
-    u, v = V.increment, V.test
-    ball = mpm.RigidBody(
-        mpm.Disc((-0.1, 1.07), 0.3), velocity=(1.0, -3.0), angular_velocity=-4.0, mass=400.0,
-        inertia=18.0, gravity=(0.0, -10.0), name="ball",
-    )  # fmt: skip
-    left = mpm.RigidBody(mpm.Plane((-0.76, 0), (1, 0)), name="left")
-    right = mpm.RigidBody(mpm.Box((0.76, -1), (1.5, 3)), velocity=(-0.3, 0.0), name="right")
-    F += mpm.contact(ball, points, u, v, friction=0.4)
-    F += mpm.contact(left, points, u, v, friction=0.1, tag=1)
-    F += mpm.contact(right, points, u, v, tag=2) + mpm.contact(left, points, u, v, tag=2)
-    return mpm.Explicit(F, u, points, mpm.fixed(V, "bottom"), **options)
-
-
-def is_ploughed(law=CLAY, **options):
-    """A wedge is pushed into clay and dragged through it, turning."""
-    grid = grid_of((-1, 0), (1, 1.25), (16, 10))
-    points, V, F = body(grid, mpm.Box((-1, 0), (1, 0.75)), law, "gimp")
-    wedge = mpm.RigidBody(
-        mpm.Wedge((-0.3, 0.76), 0.6, 0.6), fillet=0.03, angular_velocity=0.5, name="wedge",
-        velocity=lambda t: (0.0, -4.0) if t < 0.02 else (4.0, 0.0),
-    )  # fmt: skip
-    F += mpm.contact(wedge, points, V.increment, V.test, friction=0.3)
-    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    return mpm.Explicit(F, V.increment, points, bcs, **options)
-
-
-def is_pressed(free=False, basis="gimp", averaged=None, law=CLAY, **options):
-    """A box is pressed askew into a block in three dimensions, or falls on it."""
-    grid = grid_of((-0.75,) * 3, (0.75, 0.75, 0.5), (6, 6, 5))
-    points, V, F = body(grid, mpm.Box((-0.75,) * 3, (0.75, 0.75, 0)), law, basis, averaged)
-    mass = {"mass": 300.0, "inertia": (20.0, 25.0, 30.0), "gravity": (0, 0, -10)} if free else {}
-    box = mpm.RigidBody(
-        mpm.TurnedBox((-0.3, -0.25, 0.07), (0.3, 0.35, 0.5), 0.3), fillet=0.03,
-        velocity=(0.4, 0.2, -3.0), angular_velocity=(0.3, -0.4, 0.5), name="box", **mass,
-    )  # fmt: skip
-    F += mpm.contact(box, points, V.increment, V.test, friction=0.3)
-    return mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), **options)
 
 
 def alike(scene, end, calls=2, steps=50, touches=True, **options):
@@ -167,3 +83,125 @@ def test_a_wedge_is_dragged_through_clay():
 @pytest.mark.parametrize("free", [False, pytest.param(True, marks=LONG)])
 def test_a_box_is_pressed_into_a_block(free):
     alike(is_pressed, 0.05, free=free, courant=0.4)
+
+
+def test_a_call_for_each_step():
+    """Lists of near points, bodies and slips go on from call to call."""
+    problem = alike(is_hit, 0.1, calls=60)
+    assert max(record.parts for record in problem.history) == 1
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_run_that_goes_back_takes_its_bodies_along(fused):
+    problem = is_hit(fused=fused)
+    problem.step(0.08)
+    (ball, *_), points = problem.bodies.all, problem.points
+    (first, *_) = problem.form.parts.contacts
+    fields = {name: values.copy() for name, values in points.fields.items()}
+    kept = ball.memory(), first.dissipated, problem.energies()
+    assert ball.force[1] > 0
+    problem.courant = 40.0
+    with pytest.raises(InstabilityError):
+        problem.step(0.2)
+    assert problem.time == 0.08
+    np.testing.assert_array_equal(ball.memory(), kept[0])
+    np.testing.assert_array_equal(ball.position, ball.start.centre)
+    assert first.dissipated == kept[1]
+    assert problem.energies() == kept[2]
+    order = np.argsort(fields["id"])
+    for name in ("x", "velocity", first.names[0]):
+        now = points[name][np.argsort(points["id"])]
+        np.testing.assert_array_equal(now, fields[name][order], err_msg=name)
+    # and goes on as one that has not tried
+    problem.courant = 0.8
+    problem.step(0.1)
+    other = is_hit(fused=fused)
+    other.step(0.08)
+    other.step(0.1)
+    np.testing.assert_allclose(ball.position, other.bodies.all[0].position, rtol=1e-12)
+
+
+def test_what_a_tool_does_is_work():
+    """A plate presses an elastic block by 5 %, and what it has done is stored."""
+    grid, found = grid_of((0, 0), (1, 1.25), (4, 5)), []
+    for fused in (True, False):
+        points, V, F = body(grid, mpm.Box((0, 0), (1, 1)), ELASTIC, "gimp", weight=False)
+        plate = mpm.RigidBody(
+            mpm.Plane((0, 1), (0, -1)), name="plate",
+            displacement=lambda t: (0, -0.05 * np.sin(0.5 * np.pi * t) ** 2),
+        )  # fmt: skip
+        F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        problem = mpm.Explicit(F, V.increment, points, bcs, fused=fused, scheme="usl", courant=0.4)
+        problem.step(1.0)
+        found.append(problem.energies())
+    work = found[0].external
+    stored = 0.5 * (1e5 * 0.7 / (1.3 * 0.4)) * np.log(0.95) ** 2
+    assert work == pytest.approx(stored, rel=0.03)
+    assert found[0].strain + found[0].kinetic == pytest.approx(work, rel=0.02)
+    assert work == pytest.approx(found[1].external, rel=1e-9)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+class TestWhatCannotBe:
+    """The same named errors on both paths, and a state to go on from."""
+
+    def block(self, fused, shape=None, law=ELASTIC, **motion):
+        grid = grid_of((0, 0), (1, 1.25), (8, 10))
+        points, V, F = body(grid, mpm.Box((0, 0), (1, 1)), law, "gimp")
+        tool = mpm.RigidBody(shape or mpm.Disc((0.5, 1.3), 0.3), name="tool", **motion)
+        F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
+        return mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), fused=fused), tool
+
+    def test_a_tool_outside_of_the_grid(self, fused):
+        problem, tool = self.block(fused, mpm.Disc((9, 12), 0.3), velocity=(1.0, 0.0))
+        problem.step(0.05)
+        np.testing.assert_array_equal(tool.force, 0.0)
+        assert tool.position[0] == pytest.approx(9.05)
+        assert problem.unfused == ("" if fused else "it was not to be")
+
+    def test_points_within_the_body(self, fused):
+        problem, tool = self.block(fused, mpm.Disc((0.5, 1.0), 0.3))
+        for _ in range(2):
+            with pytest.raises(ParameterError, match="material points are inside 'tool' before"):
+                problem.step(0.05)
+            np.testing.assert_array_equal(problem.points["x"], problem.points["x0"])
+            assert problem.time == tool.time == 0.0
+
+    def test_a_tool_that_is_too_fast_at_once(self, fused):
+        problem, tool = self.block(fused, velocity=(0.0, -1e6))
+        with pytest.raises(ParameterError, match=r"'tool' moves .* m at once, more than a cell"):
+            problem.step(0.05)
+        assert problem.time == tool.time == 0.0
+
+    def test_a_tool_that_becomes_too_fast(self, fused):
+        """The steps before it are whole."""
+        problem, tool = self.block(fused, velocity=lambda t: (0.0, 0.0 if t < 0.1 else 1e4))
+        with pytest.raises(ParameterError, match=r"'tool' moves .* more than a cell"):
+            problem.step(0.2)
+        assert 0.09 < problem.time < 0.1
+        assert tool.time == pytest.approx(problem.time)
+        # what had been taken is the points' state, its stress and volume too
+        J = np.linalg.det(problem.points["F"])
+        np.testing.assert_allclose(problem.points["V"], J * problem.points["V0"], rtol=1e-13)
+        np.testing.assert_array_equal(tool.position, (0.5, 1.3))
+
+    def test_a_motion_that_is_no_number_later_on(self, fused):
+        problem, tool = self.block(
+            fused, velocity=lambda t: (0.0, 0.0 if t < 0.1 else float("nan"))
+        )
+        with pytest.raises(ParameterError, match="2 finite numbers"):
+            problem.step(0.2)
+        assert 0.09 < problem.time < 0.1
+        assert tool.time == pytest.approx(problem.time)
+
+    def test_a_point_that_is_thrown_into_the_body(self, fused):
+        problem, tool = self.block(fused, mpm.Box((-1, 1.05), (2, 3)))
+        problem.step(0.02)
+        inner = problem.points["x"][:, 1] < 0.8
+        # further in one step than the margin that is looked at
+        problem.points["velocity"][inner] = 0.0, 900.0
+        problem.courant = 60.0
+        with pytest.raises((InstabilityError, ParameterError, PointsOutsideGridError)):
+            problem.step(0.05)
+        assert problem.time == pytest.approx(tool.time)
