@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments
+from ufl.constantvalue import Zero
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics import fused2d, fused3d
@@ -57,7 +58,7 @@ def why_not(form: WeakForm) -> str | None:
             continue
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):
-            if inside is None:
+            if inside is None or isinstance(term, Zero):
                 # penalties on the increment vanish where there is none
                 continue
             if inside != points.number or depends_on(term, [space.increment]):
