@@ -57,16 +57,16 @@ class Nearby:
         """Take note of how far points and body have gone in a step.
 
         Args:
-            way: Cells that the fastest point has crossed.
+            way: How far any of them has gone together with the body (m).
 
         Returns:
             Whether none that is not listed can have got to the body.
         """
-        self._left -= way * self.cell + self.way()
+        self._left -= way
         return self._left >= 0.0
 
     def way(self) -> float:
-        """How far the body goes in the step at most (m)."""
+        """How far the body goes in the step, as it has been put now, at most (m)."""
         body = self.contact.body
         endless = not np.isfinite(body.surface.low).all()
         if endless and np.any(body.pose.turn != body.start.turn):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -116,7 +117,9 @@ class Contact:
         """
         points = self.points
         rows = np.arange(len(points))
-        area = np.prod(2 * points["l0"], axis=1) / (2 * points["l0"].min(axis=1, initial=np.inf))
+        # by columns: NumPy's reductions of short rows are ten times slower
+        sides = [2 * points["l0"][:, k] for k in range(points.gdim)]
+        area = functools.reduce(np.multiply, sides) / functools.reduce(np.minimum, sides)
         if points.axisymmetric:
             area = ring(points["x"][:, 0], area)
         mass = points["density"] * points["V0"]

@@ -31,8 +31,8 @@ __all__ = ["RigidContacts"]
 Array = npt.NDArray[np.float64]
 
 # How much more than what corners and bodies went in a step they may go in the next one before
-# corners are looked for anew
-_SPARE = 2.0
+# corners are looked for anew, and how far at least, in cells
+_SPARE, _LEAST = 2.0, 0.04
 
 
 class RigidContacts:
@@ -60,8 +60,8 @@ class RigidContacts:
         self._active: list[ActiveContact] = []
         # whether corners go no further than nodes, and how near are those looked at (m), by contact
         self._bounded, self._distances = [False] * len(contacts), [math.inf] * len(contacts)
-        # how far nodes went in the last step at most, with some to spare (m)
-        self._nodes_go = 0.0
+        # how far nodes went in the last step at most (m), and each body
+        self._nodes_go, self._ways = 0.0, [0.0] * len(contacts)
         self._known: Window | None = None
 
     def surround(self, window: Window) -> None:
@@ -110,7 +110,7 @@ class RigidContacts:
     def _made(self, k: int, all_corners: bool = False) -> ActiveContact:
         """A contact of the corners that may touch. Collective before the first step."""
         near, contact = self._near[k], self._near[k].contact
-        distance = near.way() * _SPARE + self._nodes_go
+        distance = _SPARE * (near.way() + self._nodes_go) + _LEAST * near.cell
         if all_corners or not self._bounded[k] or contact.body.time == 0.0:
             distance = math.inf
         self._distances[k] = distance
@@ -154,9 +154,10 @@ class RigidContacts:
         d = self._points.gdim
         speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].strain, d)
         # corners of domains are between the nodes that they see, and go no further than these
-        self._nodes_go = _SPARE * self._dt * speed
-        for k, near in enumerate(self._near):
-            if near.way() + self._dt * speed > self._distances[k]:
+        self._nodes_go = self._dt * speed
+        self._ways = [near.way() for near in self._near]
+        for k, way in enumerate(self._ways):
+            if way + self._nodes_go > self._distances[k]:
                 self._active[k] = self._made(k)
             self._active[k].shift(self._way(self._active[k]))
 
@@ -171,9 +172,9 @@ class RigidContacts:
             What is wrong with where points have got to, or None.
         """
         missed = False
-        for near, active in zip(self._near, self._active):
-            gone = way * near.cell + near.way()
-            sure = near.travelled(way)
+        for near, active, of_body in zip(self._near, self._active, self._ways):
+            gone = way * near.cell + of_body
+            sure = near.travelled(gone)
             # what has gone less cannot have got there
             if gone >= self._margin or not sure:
                 missed = active.missed(self._points["x"], not sure) or missed
