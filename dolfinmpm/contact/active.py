@@ -17,7 +17,7 @@ from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
-from dolfinmpm.contact.surfaces import Surface
+from dolfinmpm.contact.surfaces import Probe, Surface
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
@@ -59,40 +59,36 @@ class ActiveContact:
         self.contact, self.clings, self.field = contact, False, field
         points, body = contact.points, contact.body
         self._sites = Sites(points, sight, contact.surface, contact.material)
-        self._among: Which = ALL if among is None else among
-        self._near = self._candidates()
-        near = np.flatnonzero(self._near)
-        rows = near if among is None else among[near]
-        if math.isinf(distance):
-            self.corners = self._sites.corners(rows)
-        else:
-            self.corners = self._sites.corners(rows, lambda x: self._within(x, rows, distance))
-        c = self.corners
+        self._points = self._candidates(among, distance)
+        self.corners = c = self._sites.corners(self._points, lambda x: self._kept(x, distance))
         m, d = c.x.shape
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
-        self._start = body.start.back(c.x)
         traction, pressure, _ = contact.names
         self._before = points[traction][c.rows, c.which]
         self._multiplier: Array = np.zeros(m)
         self._pressed = points[pressure][c.rows, c.which]
         if contact.penetration is not None:
             self._multiplier = self._pressed
-        self._first, inner, _ = body.surface.probe(self._start)
-        normal = body.start.directions(inner)
-        self.areas = self._sites.areas(c, normal)
+        self._first = self._probe[0]
+        self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
-    def _within(self, x: Array, rows: Rows, distance: float) -> Rows:
-        """Which corners of points are so near to the body (m), or were pressed by it."""
-        contact, body = self.contact, self.contact.body
-        near = body.surface.probe(body.start.back(x))[0] <= distance
-        # multipliers act at any distance
-        pressed = contact.points[contact.names[1]][rows] > 0.0
-        return np.flatnonzero(near | pressed[:, self._sites.which].ravel())
+    def _kept(self, x: Array, distance: float) -> Which:
+        """Which corners are so near to the body where it is (m); what it is like there."""
+        body = self.contact.body
+        self._start = body.start.back(x)
+        self._probe = body.surface.probe(self._start)
+        if math.isinf(distance):
+            return ALL
+        kept = np.flatnonzero(self._probe[0] <= distance)
+        self._start = self._start[kept]
+        gap, normal, curvature = self._probe
+        self._probe = gap[kept], normal[kept], curvature[kept]
+        return kept
 
     @staticmethod
     def on(contact: Contact, here: Participants) -> ActiveContact:
@@ -103,64 +99,64 @@ class ActiveContact:
 
     # -- which points may touch -----------------------------------------------
 
-    def _touchable(self, among: Which) -> Chosen | None:
+    def _touchable(self, rows: Which) -> Chosen | None:
         """Which of some points can touch at all, or None if all can."""
-        can = self._sites.marked(among)
+        can = self._sites.marked(rows)
         if self.contact.tags is None:
             return can
-        chosen = self.contact.chosen(among)
+        chosen = self.contact.chosen(rows)
         return chosen if can is None else chosen & can
 
-    def _candidates(self) -> Chosen:
-        """Which of the points that are looked at may touch in this step. Collective.
+    def _candidates(self, among: Rows | None, distance: float) -> Rows:
+        """Which points may touch in this step, increasing. Collective before the first step.
 
         Raises:
             ParameterError: Points are inside the body before the first step.
         """
         body, points = self.contact.body, self.contact.points
-        x, l0 = points["x"][self._among], points["l0"][self._among]
+        rows: Which = ALL if among is None else among
+        x, l0 = points["x"][rows], points["l0"][rows]
         # points that come from further away in one step are missed, and the step is halved
-        reach = self._sites.reach(self._among) + MARGIN * l0.max(axis=1, initial=0.0)
-        poses = [body.start, body.pose]
+        margin = np.minimum(MARGIN * l0.max(axis=1, initial=0.0), distance)
+        reach = self._sites.reach(rows) + margin
+        # where a distance is told nothing comes nearer than that in the step
+        poses = [body.start, body.pose] if math.isinf(distance) else [body.start]
         near = within(poses, body.surface, x, reach[:, None])
-        can = self._touchable(self._among)
+        can = self._touchable(rows)
         if can is not None:
             near &= can
-        rows = np.flatnonzero(near)
-        gap = np.full(rows.size, np.inf)
-        if rows.size:
+        chosen = np.flatnonzero(near)
+        gap: Array = np.full(chosen.size, np.inf)
+        first = gap
+        if chosen.size:
             for k, pose in enumerate(poses):
-                found = body.surface.probe(pose.back(x[rows]))[0]
+                found = body.surface.probe(pose.back(x[chosen]))[0]
                 gap = np.minimum(gap, found)
                 if k == 0:
                     first = found
-        near[rows] = gap < reach[rows]
         if body.time == 0.0:
             error = None
-            if rows.size and first.min() < 0.0:
-                p = rows[np.argmin(first)]
+            if first.min(initial=np.inf) < 0.0:
+                p = chosen[np.argmin(first)]
                 error = ParameterError(
                     f"{np.count_nonzero(first < 0)} material points are inside '{body.name}' "
                     f"before the first step; that at {x[p]} m is so by "
                     f"{-first.min():.4g} m: fill the body beside it, or make the rigid body outside"
                 )
             raise_together(points.comm, error)
-        return near
+        chosen = chosen[gap < reach[chosen]]
+        return chosen if among is None else among[chosen]
 
-    def missed(self, x: Array, anywhere: bool = False) -> bool:
+    def missed(self, x: Array) -> bool:
         """Whether points that were not looked at have got into the body. Collective.
 
         Args:
             x: Positions of all points at the end of the step (m), shape (points, gdim).
-            anywhere: Whether they may be others than those that may touch, too.
         """
-        body, among, far = self.contact.body, self._among, ~self._near
-        if anywhere:
-            among, far = ALL, np.ones(len(x), bool)
-            far[self.corners.rows] = False
-        x = x[among]
-        far &= within([body.pose], body.surface, x, 0.0)
-        can = self._touchable(among)
+        body = self.contact.body
+        far = within([body.pose], body.surface, x, 0.0)
+        far[self._points] = False
+        can = self._touchable(ALL)
         if can is not None:
             far &= can
         rows = np.flatnonzero(far)
@@ -186,7 +182,7 @@ class ActiveContact:
             way: How far since the start of the step (m), shape (m, gdim).
             clings: Whether corners that touched before are held.
         """
-        contact, pose = self.contact, self.contact.body.pose
+        pose = self.contact.body.pose
         self.x = self.corners.x + way
         at = pose.back(self.x)
         holds = self._pressed > 0.0
@@ -195,23 +191,41 @@ class ActiveContact:
         # a corner comes no nearer than it goes
         far = self._first > np.linalg.norm(at - self._start, axis=1)
         c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
+        self._find(c, at, self.contact.body.surface.probe(at[c]), holds)
+
+    def rest(self) -> None:
+        """Find the forces where corners and body are at the start of the step."""
+        self.x = self.corners.x
+        c = np.flatnonzero((self._first <= 0.0) | (self._multiplier > 0.0))
+        gap, normal, curvature = self._probe
+        probe = gap[c], normal[c], curvature[c]
+        self._find(c, self._start, probe, np.zeros(len(self.x), bool))
+
+    def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen) -> None:
+        """Find the forces on some corners; on the others are none.
+
+        Args:
+            c: The corners.
+            at: Where all are in the frame of the body (m), shape (m, gdim).
+            probe: What the surface is like where they are.
+            holds: Which of all are held even where they are outside, shape (m,).
+        """
         self._gap[:], self.states[:] = np.inf, FREE
         for values in (self.forces, self.pressures, self._traction, self._slope):
             values[:] = 0.0
         if not c.size:
             return
-        g, n, H = contact.body.surface.probe(at[c])
-        k = self._stiffness[c]
+        contact, k = self.contact, self._stiffness[c]
         found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
         state = np.empty(c.size, np.int8)
         forces_on_corners(
-            g, n, H, at[c], self._start[c], self._before[c], self._multiplier[c], k,
+            *probe, at[c], self._start[c], self._before[c], self._multiplier[c], k,
             contact.slip_share * k, contact.friction, holds[c], *found, state,
         )  # fmt: skip
         for own, values in zip(self._written, found):
             own[c] = values
-        self._gap[c], self.states[c] = g, state
-        self.forces[c] = pose.directions(found[0])
+        self._gap[c], self.states[c] = probe[0], state
+        self.forces[c] = contact.body.pose.directions(found[0])
 
     @property
     def _written(self) -> tuple[Array, ...]:
@@ -324,18 +338,21 @@ class ActiveContact:
         """What the points keep of it at the end of the step."""
         points, c = self.contact.points, self.corners
         new: dict[str, Any] = {}
-        for name, values in zip(self.contact.names, (self._traction, self.pressures)):
+        for name, values in self.kept():
             new[name] = np.zeros_like(points[name])
             new[name][c.rows, c.which] = values
         return new
 
-    def keep(self) -> None:
-        """Give the points what they keep of it at the end of the step."""
-        points, c = self.contact.points, self.corners
-        for name, values in zip(self.contact.names, (self._traction, self.pressures)):
-            field = points[name]
-            field[self._among] = 0.0
-            field[c.rows, c.which] = values
+    def kept(self) -> list[tuple[str, Array]]:
+        """What corners keep of it at the end of the step, by the name of the points' field."""
+        traction, pressure, _ = self.contact.names
+        return [(traction, self._traction), (pressure, self.pressures)]
+
+    def stored(self) -> float:
+        """Energy that the penalty has stored by normal forces (J), on all ranks. Collective."""
+        k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
+        own = 0.5 * float(np.sum(self.pressures**2 / k))
+        return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def dissipated(self) -> float:
         """Work that friction takes in this step (J), on all ranks. Collective."""

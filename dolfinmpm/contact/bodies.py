@@ -32,6 +32,7 @@ class Bodies:
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
+        self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
                 self.all.append(contact.body)
@@ -87,6 +88,9 @@ class Bodies:
 
     def push(self, contacts: Sequence[ActiveContact]) -> None:
         """Let forces at the start of an explicit step move the free bodies in it. Collective."""
+        # who put a body into the points has done work before the first step
+        new = [active for active in contacts if active.contact.body.time == 0.0]
+        self._before = sum(active.stored() for active in new)
         for body in self.free:
             force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
             for active in contacts:
@@ -98,7 +102,8 @@ class Bodies:
         """Take where the bodies are, and what acts on them. Collective.
 
         Returns:
-            The work that they have done in the step (J), by its mean forces.
+            The work that they have done in the step (J), by its mean forces. In the first one of
+            explicit steps what they were pressed in before counts, too.
         """
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
@@ -109,7 +114,8 @@ class Bodies:
             both[0] = both[0] + force
             both[1] = both[1] + moment
             active.contact.dissipated += active.dissipated()
-        return sum(body.commit(*sums[id(body)]) for body in self.all)
+        before, self._before = self._before, 0.0
+        return before + sum(body.commit(*sums[id(body)]) for body in self.all)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
         """What records of steps have of the bodies, by name."""

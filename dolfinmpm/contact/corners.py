@@ -181,7 +181,7 @@ class Sites:
         areas = np.sum(np.abs(normal) * faces, axis=1)
         return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
-    def corners(self, rows: Rows, kept: Callable[[Array], Rows] | None = None) -> Corners:
+    def corners(self, rows: Rows, kept: Callable[[Array], Which]) -> Corners:
         """The corners of some points.
 
         Args:
@@ -193,9 +193,8 @@ class Sites:
         x: Array
         how: Any  # cells of functions, or offsets
         x, how = self._in_place(rows) if self._placed else self._of_material(each, which)
-        if kept is not None:
-            k = kept(x)
-            each, which, x, how = each[k], which[k], x[k], how[k]
+        k = kept(x)
+        each, which, x, how = each[k], which[k], x[k], how[k]
         N = self._seen_in(x, how) if self._placed else self._seen_from(each, how)
         nodes = np.unique(N.indices).astype(np.int32)
         local = np.searchsorted(nodes, N.indices)

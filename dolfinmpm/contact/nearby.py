@@ -7,12 +7,14 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.active import MARGIN, within
+from dolfinmpm.contact.active import MARGIN, ActiveContact, within
 from dolfinmpm.contact.corners import Rows, Sight, Sites
 from dolfinmpm.contact.rigid import travelled
 from dolfinmpm.contact.terms import Contact
 
 __all__ = ["Nearby"]
+
+Array = npt.NDArray[np.float64]
 
 
 class Nearby:
@@ -34,7 +36,7 @@ class Nearby:
     def __init__(self, contact: Contact):
         self.contact = contact
 
-    def forget(self, sight: Sight, cell: npt.NDArray[np.float64]) -> None:
+    def forget(self, sight: Sight, cell: Array) -> None:
         """List the points anew before the next step: they are others, or in another order.
 
         Args:
@@ -43,15 +45,22 @@ class Nearby:
         """
         self._sight, self._rows = sight, None
         self.cell = float(np.linalg.norm(cell))
+        # what touched keeps forces until the end of the next step
+        self._held = np.flatnonzero(self.contact.points[self.contact.names[1]].any(axis=1))
 
-    def rows(self) -> Rows:
-        """The points, increasing, in a step that the body has been put to the end of."""
+    def rows(self, distance: float) -> Rows:
+        """The points, increasing, in a step that the body has been put to the end of.
+
+        Args:
+            distance: How near to the body corners are that can touch in this step (m).
+        """
         if self._rows is None or self._left < self.way():
-            first = self._rows is None
-            self._rows, self._left = self._listed(), self.cell
-            if first:
-                self._release(self._rows)
-        return self._rows
+            self._rows, self._room = self._listed()
+            self._left = self.cell
+        if math.isinf(distance):
+            return self._rows
+        # since then points have come no nearer than all have gone
+        return self._rows[self._room - (self.cell - self._left) <= distance]
 
     def travelled(self, way: float) -> bool:
         """Take note of how far points and body have gone in a step.
@@ -74,22 +83,23 @@ class Nearby:
             return math.inf
         return travelled(body.surface, body.start, body.pose)
 
-    def _listed(self) -> Rows:
+    def keep(self, active: ActiveContact) -> None:
+        """Give the points what they keep of the contact at the end of a step."""
+        points, c = self.contact.points, active.corners
+        for name, values in active.kept():
+            points[name][self._held] = 0.0
+            points[name][c.rows, c.which] = values
+        self._held = c.rows[active.pressures != 0.0]
+
+    def _listed(self) -> tuple[Rows, Array]:
+        """The points, and how far their corners are from the body at least (m)."""
         contact, points = self.contact, self.contact.points
         body, x = contact.body, points["x"]
         reach = Sites(points, self._sight, contact.surface, contact.material).reach()
         # corners that follow the material get further away as it is stretched
-        reach = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
+        limit = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
         poses = [body.start, body.pose]
-        rows = np.flatnonzero(within(poses, body.surface, x, reach[:, None]))
-        gaps = [body.surface.probe(pose.back(x[rows]))[0] for pose in poses]
-        return rows[np.minimum(*gaps) < reach[rows]]
-
-    def _release(self, rows: Rows) -> None:
-        """Let points go that the body touched and that have been taken elsewhere since."""
-        points = self.contact.points
-        traction, pressure, _ = self.contact.names
-        held = np.flatnonzero(points[pressure].any(axis=1))
-        gone = np.setdiff1d(held, rows, assume_unique=True)
-        points[traction][gone] = 0.0
-        points[pressure][gone] = 0.0
+        rows = np.flatnonzero(within(poses, body.surface, x, limit[:, None]))
+        first, last = (body.surface.probe(pose.back(x[rows]))[0] for pose in poses)
+        near = np.minimum(first, last) < limit[rows]
+        return rows[near], first[near] - reach[rows[near]]

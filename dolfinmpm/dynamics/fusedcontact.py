@@ -111,10 +111,12 @@ class RigidContacts:
         """A contact of the corners that may touch. Collective before the first step."""
         near, contact = self._near[k], self._near[k].contact
         distance = _SPARE * (near.way() + self._nodes_go) + _LEAST * near.cell
-        if all_corners or not self._bounded[k] or contact.body.time == 0.0:
+        # multipliers act at any distance
+        known = self._bounded[k] and contact.penetration is None and contact.body.time > 0.0
+        if all_corners or not known:
             distance = math.inf
         self._distances[k] = distance
-        return ActiveContact(contact, self._sight, 0, near.rows(), distance)
+        return ActiveContact(contact, self._sight, 0, near.rows(distance), distance)
 
     @stages.assemble
     def press(self, out: Array, moved: bool) -> None:
@@ -126,7 +128,10 @@ class RigidContacts:
         """
         self._bodies.put(0.0)
         for active in self._active:
-            active.shift(self._way(active) if moved else np.zeros_like(active.x))
+            if moved:
+                active.shift(self._way(active))
+            else:
+                active.rest()
         d = self._points.gdim
         force = out[:, COLUMNS[d].force : COLUMNS[d].force + d]
         if self._exchange is None:
@@ -177,10 +182,10 @@ class RigidContacts:
             sure = near.travelled(gone)
             # what has gone less cannot have got there
             if gone >= self._margin or not sure:
-                missed = active.missed(self._points["x"], not sure) or missed
+                missed = active.missed(self._points["x"]) or missed
         if missed:
             return "material points got into a rigid body from further away than was looked at"
-        for active in self._active:
-            active.keep()
+        for near, active in zip(self._near, self._active):
+            near.keep(active)
         self.work += self._bodies.commit(self._active)
         return None

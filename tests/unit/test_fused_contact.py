@@ -143,6 +143,23 @@ def test_what_a_tool_does_is_work():
     assert work == pytest.approx(found[1].external, rel=1e-9)
 
 
+def test_what_is_pressed_in_at_first_comes_from_somewhere():
+    """A plate that overlaps a block a little throws it off, and the run goes on."""
+    grid, found = grid_of((0, 0), (1, 1.25), (8, 10)), []
+    for fused in (True, False):
+        points, V, F = body(grid, mpm.Box((0, 0.125), (1, 1)), ELASTIC, "gimp", weight=False)
+        plate = mpm.RigidBody(mpm.Plane((0, 0.135), (0, 1)), name="plate")
+        F += mpm.contact(plate, points, V.increment, V.test, stiffness_per_area=1e6)
+        problem = mpm.Explicit(F, V.increment, points, fused=fused, scheme="usl", courant=0.4)
+        problem.step(0.05)
+        found.append(problem.energies())
+    one, other = found
+    assert one.external == pytest.approx(0.5 * 1e6 * 0.01**2, rel=1e-9)
+    assert 0.6 * one.external < one.kinetic + one.strain < 1.01 * one.external
+    assert one.kinetic == pytest.approx(other.kinetic, rel=1e-10)
+    assert one.external == other.external
+
+
 @pytest.mark.parametrize("fused", [True, False])
 class TestWhatCannotBe:
     """The same named errors on both paths, and a state to go on from."""
