@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,23 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
-from dolfinmpm.contact.corners import Sites
+from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.rigid import box_corners
+from dolfinmpm.contact.surfaces import Probe, Surface
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
-__all__ = ["ActiveContact"]
+__all__ = ["MARGIN", "ActiveContact", "within"]
 
 Array = npt.NDArray[np.float64]
+Chosen = npt.NDArray[np.bool_]
 
 # How far around a body points are looked at, besides its way in a step, in half-lengths of domains
-_MARGIN = 4.0
+MARGIN = 4.0
 
 
 class ActiveContact:
@@ -32,13 +35,15 @@ class ActiveContact:
 
     Args:
         contact: The contact.
-        here: What is active.
+        sight: How the points see the displacement.
+        field: Number of its field.
+        among: The points that are looked at, increasing, where others are known to be far away.
+        distance: How near to the body corners are that can touch in this step (m).
 
     Attributes:
-        contact: The argument.
+        contact, field: The arguments.
         clings: Whether corners that touched before are held where nothing has moved yet, so that
             the first iteration of Newton's method takes them along with a body that goes away.
-        field: Number of the displacement's field.
         corners: Corners that may touch in this step.
         x: Where they were moved to last (m), shape (m, gdim).
         forces: Forces on them there (N), likewise.
@@ -47,72 +52,100 @@ class ActiveContact:
         states: Whether they are free, stick or slip, likewise.
     """
 
-    def __init__(self, contact: Contact, here: Participants):
-        self.contact, self.clings = contact, False
+    def __init__(
+        self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None,
+        distance: float = math.inf,
+    ):  # fmt: skip
+        self.contact, self.clings, self.field = contact, False, field
         points, body = contact.points, contact.body
-        fields = here.fields
-        self.field = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
-        self._sites = Sites(
-            points, fields[self.field], here.total, contact.surface, contact.material
-        )
-        self._near = self._candidates()
-        self.corners = c = self._sites.corners(np.flatnonzero(self._near))
+        self._sites = Sites(points, sight, contact.surface, contact.material)
+        self._points = self._candidates(among, distance)
+        self.corners = c = self._sites.corners(self._points, lambda x: self._kept(x, distance))
         m, d = c.x.shape
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
-        self._start = body.start.back(c.x)
         traction, pressure, _ = contact.names
         self._before = points[traction][c.rows, c.which]
         self._multiplier: Array = np.zeros(m)
         self._pressed = points[pressure][c.rows, c.which]
         if contact.penetration is not None:
             self._multiplier = self._pressed
-        self._first, inner, _ = body.surface.probe(self._start)
-        normal = body.start.directions(inner)
-        self.areas = self._sites.areas(c, normal)
+        self._first = self._probe[0]
+        self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
+    def _kept(self, x: Array, distance: float) -> Which:
+        """Which corners are so near to the body where it is (m); what it is like there."""
+        body = self.contact.body
+        self._start = body.start.back(x)
+        self._probe = body.surface.probe(self._start)
+        if math.isinf(distance):
+            return ALL
+        kept = np.flatnonzero(self._probe[0] <= distance)
+        self._start = self._start[kept]
+        gap, normal, curvature = self._probe
+        self._probe = gap[kept], normal[kept], curvature[kept]
+        return kept
+
+    @staticmethod
+    def on(contact: Contact, here: Participants) -> ActiveContact:
+        """A contact on what is active in a step. Collective."""
+        fields = here.fields
+        k = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
+        return ActiveContact(contact, Sight.of(fields[k], here.total, len(contact.points)), k)
+
     # -- which points may touch -----------------------------------------------
 
-    def _candidates(self) -> npt.NDArray[np.bool_]:
-        """Which points may touch in this step, shape (points,). Collective.
+    def _touchable(self, rows: Which) -> Chosen | None:
+        """Which of some points can touch at all, or None if all can."""
+        can = self._sites.marked(rows)
+        if self.contact.tags is None:
+            return can
+        chosen = self.contact.chosen(rows)
+        return chosen if can is None else chosen & can
+
+    def _candidates(self, among: Rows | None, distance: float) -> Rows:
+        """Which points may touch in this step, increasing. Collective before the first step.
 
         Raises:
             ParameterError: Points are inside the body before the first step.
         """
-        contact, body, points = self.contact, self.contact.body, self.contact.points
+        body, points = self.contact.body, self.contact.points
+        rows: Which = ALL if among is None else among
+        x, l0 = points["x"][rows], points["l0"][rows]
         # points that come from further away in one step are missed, and the step is halved
-        reach = self._sites.reach() + _MARGIN * points["l0"].max(axis=1, initial=0.0)
-        poses = [body.start, body.pose]
-        near = _within(poses, body.surface.low, body.surface.high, points["x"], reach)
-        if contact.tags is not None:
-            near &= contact.chosen()
-        marked = self._sites.marked()
-        if marked is not None:
-            near &= marked
-        rows = np.flatnonzero(near)
-        gap = np.full(rows.size, np.inf)
-        if rows.size:
+        margin = np.minimum(MARGIN * l0.max(axis=1, initial=0.0), distance)
+        reach = self._sites.reach(rows) + margin
+        # where a distance is told nothing comes nearer than that in the step
+        poses = [body.start, body.pose] if math.isinf(distance) else [body.start]
+        near = within(poses, body.surface, x, reach[:, None])
+        can = self._touchable(rows)
+        if can is not None:
+            near &= can
+        chosen = np.flatnonzero(near)
+        gap: Array = np.full(chosen.size, np.inf)
+        first = gap
+        if chosen.size:
             for k, pose in enumerate(poses):
-                found = body.surface.probe(pose.back(points["x"][rows]))[0]
+                found = body.surface.probe(pose.back(x[chosen]))[0]
                 gap = np.minimum(gap, found)
                 if k == 0:
                     first = found
-        near[rows] = gap < reach[rows]
         if body.time == 0.0:
             error = None
-            if rows.size and first.min() < 0.0:
-                p = rows[np.argmin(first)]
+            if first.min(initial=np.inf) < 0.0:
+                p = chosen[np.argmin(first)]
                 error = ParameterError(
                     f"{np.count_nonzero(first < 0)} material points are inside '{body.name}' "
-                    f"before the first step; that at {points['x'][p]} m is so by "
+                    f"before the first step; that at {x[p]} m is so by "
                     f"{-first.min():.4g} m: fill the body beside it, or make the rigid body outside"
                 )
             raise_together(points.comm, error)
-        return near
+        chosen = chosen[gap < reach[chosen]]
+        return chosen if among is None else among[chosen]
 
     def missed(self, x: Array) -> bool:
         """Whether points that were not looked at have got into the body. Collective.
@@ -121,16 +154,13 @@ class ActiveContact:
             x: Positions of all points at the end of the step (m), shape (points, gdim).
         """
         body = self.contact.body
-        far = ~self._near
-        if self.contact.tags is not None:
-            far &= self.contact.chosen()
-        marked = self._sites.marked()
-        if marked is not None:
-            far &= marked
-        surface, nowhere = body.surface, np.zeros(len(x))
-        far &= _within([body.pose], surface.low, surface.high, x, nowhere)
+        far = within([body.pose], body.surface, x, 0.0)
+        far[self._points] = False
+        can = self._touchable(ALL)
+        if can is not None:
+            far &= can
         rows = np.flatnonzero(far)
-        inside = bool(rows.size) and surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
+        inside = bool(rows.size) and body.surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
         return self.contact.points.comm.allreduce(inside, op=MPI.LOR)
 
     # -- forces ---------------------------------------------------------------
@@ -141,34 +171,61 @@ class ActiveContact:
         Args:
             u: Increments (m), shape (nodes, gdim).
         """
-        if not len(self.x):
-            return
-        contact, pose = self.contact, self.contact.body.pose
-        self.x = self.corners.x + self.corners.displacement(u)
+        if len(self.x):
+            clings = self.clings and not u.any()
+            self.shift(self.corners.displacement(u), clings)
+
+    def shift(self, way: Array, clings: bool = False) -> None:
+        """Find the forces on corners that have moved, with the body where it has been put.
+
+        Args:
+            way: How far since the start of the step (m), shape (m, gdim).
+            clings: Whether corners that touched before are held.
+        """
+        pose = self.contact.body.pose
+        self.x = self.corners.x + way
         at = pose.back(self.x)
         holds = self._pressed > 0.0
-        if not self.clings or u.any():
+        if not clings:
             holds[:] = False
         # a corner comes no nearer than it goes
         far = self._first > np.linalg.norm(at - self._start, axis=1)
         c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
+        self._find(c, at, self.contact.body.surface.probe(at[c]), holds)
+
+    def rest(self) -> None:
+        """Find the forces where corners and body are at the start of the step."""
+        self.x = self.corners.x
+        c = np.flatnonzero((self._first <= 0.0) | (self._multiplier > 0.0))
+        gap, normal, curvature = self._probe
+        probe = gap[c], normal[c], curvature[c]
+        self._find(c, self._start, probe, np.zeros(len(self.x), bool))
+
+    def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen) -> None:
+        """Find the forces on some corners; on the others are none.
+
+        Args:
+            c: The corners.
+            at: Where all are in the frame of the body (m), shape (m, gdim).
+            probe: What the surface is like where they are.
+            holds: Which of all are held even where they are outside, shape (m,).
+        """
         self._gap[:], self.states[:] = np.inf, FREE
         for values in (self.forces, self.pressures, self._traction, self._slope):
             values[:] = 0.0
         if not c.size:
             return
-        g, n, H = contact.body.surface.probe(at[c])
-        k = self._stiffness[c]
+        contact, k = self.contact, self._stiffness[c]
         found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
         state = np.empty(c.size, np.int8)
         forces_on_corners(
-            g, n, H, at[c], self._start[c], self._before[c], self._multiplier[c], k,
+            *probe, at[c], self._start[c], self._before[c], self._multiplier[c], k,
             contact.slip_share * k, contact.friction, holds[c], *found, state,
         )  # fmt: skip
         for own, values in zip(self._written, found):
             own[c] = values
-        self._gap[c], self.states[c] = g, state
-        self.forces[c] = pose.directions(found[0])
+        self._gap[c], self.states[c] = probe[0], state
+        self.forces[c] = contact.body.pose.directions(found[0])
 
     @property
     def _written(self) -> tuple[Array, ...]:
@@ -179,6 +236,11 @@ class ActiveContact:
         """Add the nodal forces, as internal forces count, which resist: −f (N)."""
         if self.pressures.any():
             self.corners.add(-self.forces, out)
+
+    def add_forces(self, out: Array) -> None:
+        """Add the nodal forces (N)."""
+        if self.pressures.any():
+            self.corners.add(self.forces, out)
 
     def add_tangent(self, to: Entries) -> None:
         """Add the derivative of `add_internal` by the increments to the matrix."""
@@ -276,10 +338,21 @@ class ActiveContact:
         """What the points keep of it at the end of the step."""
         points, c = self.contact.points, self.corners
         new: dict[str, Any] = {}
-        for name, values in zip(self.contact.names, (self._traction, self.pressures)):
+        for name, values in self.kept():
             new[name] = np.zeros_like(points[name])
             new[name][c.rows, c.which] = values
         return new
+
+    def kept(self) -> list[tuple[str, Array]]:
+        """What corners keep of it at the end of the step, by the name of the points' field."""
+        traction, pressure, _ = self.contact.names
+        return [(traction, self._traction), (pressure, self.pressures)]
+
+    def stored(self) -> float:
+        """Energy that the penalty has stored by normal forces (J), on all ranks. Collective."""
+        k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
+        own = 0.5 * float(np.sum(self.pressures**2 / k))
+        return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def dissipated(self) -> float:
         """Work that friction takes in this step (J), on all ranks. Collective."""
@@ -303,13 +376,19 @@ class ActiveContact:
         return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
 
 
-def _within(poses: list[Pose], low: Array, high: Array, x: Array, reach: Array):
-    """Which positions are within their reach of a box around a body, in any pose."""
-    if not np.isfinite(low).all():
+def within(poses: list[Pose], surface: Surface, x: Array, reach: Array | float) -> Chosen:
+    """Which positions are within a reach of a box around a surface, in any pose.
+
+    Args:
+        poses: The poses.
+        surface: The surface; all are near to one that has no end.
+        x: Positions (m), shape (n, gdim).
+        reach: How far (m), a number or shape (n, 1).
+    """
+    if not np.isfinite(surface.low).all():
         return np.ones(len(x), bool)
-    corners = np.concatenate([pose.forth(box_corners(low, high)) for pose in poses])
+    corners = np.concatenate([p.forth(box_corners(surface.low, surface.high)) for p in poses])
     first, last = corners.min(axis=0), corners.max(axis=0)
-    reach = reach[:, None]
     return np.all((x + reach >= first) & (x - reach <= last), axis=1)
 
 

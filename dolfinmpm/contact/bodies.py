@@ -32,6 +32,7 @@ class Bodies:
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
+        self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
                 self.all.append(contact.body)
@@ -71,8 +72,25 @@ class Bodies:
                 )
         return None
 
+    def followed(self, dt: float, count: int) -> int:
+        """How many steps of that length (s) can follow each other before one is too long.
+
+        That the first one is not has been asked `fault`.
+
+        Args:
+            dt: The length.
+            count: At most so many.
+        """
+        if count > 1:
+            for body in self.all:
+                count = min(count, body.ahead(dt, count, self._limit))
+        return count
+
     def push(self, contacts: Sequence[ActiveContact]) -> None:
         """Let forces at the start of an explicit step move the free bodies in it. Collective."""
+        # who put a body into the points has done work before the first step
+        new = [active for active in contacts if active.contact.body.time == 0.0]
+        self._before = sum(active.stored() for active in new)
         for body in self.free:
             force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
             for active in contacts:
@@ -80,8 +98,13 @@ class Bodies:
                     force += np.concatenate(active.totals())
             body.push(force)
 
-    def commit(self, contacts: Sequence[ActiveContact]) -> None:
-        """Take where the bodies are, and what acts on them. Collective."""
+    def commit(self, contacts: Sequence[ActiveContact]) -> float:
+        """Take where the bodies are, and what acts on them. Collective.
+
+        Returns:
+            The work that they have done in the step (J), by its mean forces. In the first one of
+            explicit steps what they were pressed in before counts, too.
+        """
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
         }
@@ -91,8 +114,8 @@ class Bodies:
             both[0] = both[0] + force
             both[1] = both[1] + moment
             active.contact.dissipated += active.dissipated()
-        for body in self.all:
-            body.commit(*sums[id(body)])
+        before, self._before = self._before, 0.0
+        return before + sum(body.commit(*sums[id(body)]) for body in self.all)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
         """What records of steps have of the bodies, by name."""

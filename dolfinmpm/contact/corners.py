@@ -16,7 +16,9 @@ face's middle does.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +29,15 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.cut.participants import ActiveField
+from dolfinmpm.cut.participants import ActiveField, Basis
 
-__all__ = ["Corners", "Sites", "corner_count", "stencil_matrix"]
+__all__ = ["Corners", "Sight", "Sites", "corner_count", "stencil_matrix"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
+Which = Rows | slice
+# All points, as rows that copy nothing
+ALL = slice(None)
 
 
 def _signs(gdim: int) -> Array:
@@ -72,54 +77,83 @@ class Corners:
         out[self.nodes] += self.N.T @ forces
 
 
+@dataclass(frozen=True)
+class Sight:
+    """How corners see the functions of a displacement.
+
+    Attributes:
+        basis: Its basis.
+        total: Whether stencils are those at first positions.
+        C: Matrix from the nodes that remain to all nodes, or None.
+        stencils: Stencils of some points, which count from 0 there, by their rows.
+        place: Where forces have a node of the basis, shape (nodes,), or None for there.
+    """
+
+    basis: Basis
+    total: bool
+    C: sparse.csr_matrix | None
+    stencils: Callable[[Rows], Stencils]
+    place: Rows | None = None
+
+    @staticmethod
+    def of(field: ActiveField, total: bool, count: int) -> Sight:
+        """That of so many points in a field on an activation."""
+
+        def stencils(rows: Rows) -> Stencils:
+            chosen = np.zeros(count, bool)
+            chosen[rows] = True
+            s = selected(field.stencils, chosen)
+            return replace(s, order=np.searchsorted(rows, s.order).astype(np.int32))
+
+        return Sight(field.basis, total, field.C, stencils)
+
+
 class Sites:
-    """Where the points of a body touch, on an activation.
+    """Where the points of a body touch.
 
     Args:
         points: Material points.
-        field: The displacement.
-        total: Whether stencils are those at first positions.
+        sight: How they see the displacement.
         surface: Marked faces, or None for all corners.
         material: Whether corners follow the points' material and not their domains.
+
+    Attributes:
+        which: Which of its corners a point touches with, shape (corners,).
+        boxes: Whether corners are those of domains, and between the nodes that they see.
     """
 
     def __init__(
-        self,
-        points: MaterialPoints,
-        field: ActiveField,
-        total: bool,
-        surface: Surface | None,
-        material: bool,
+        self, points: MaterialPoints, sight: Sight, surface: Surface | None, material: bool
     ):
-        self._points, self._field, self._total = points, field, total
+        self._points, self._sight = points, sight
         self._surface = surface
         self._F: Array = in_section(points, points["F"])
         self._middles = surface is not None and surface.normal is None
-        basis = field.basis
         # whether corners see functions as they are there, and whether domains say where that is
-        self._placed = not (self._middles or total) and basis.averaged
-        self._boxes = self._placed and not material
+        self._placed = not (self._middles or sight.total) and sight.basis.averaged
+        self.boxes = self._placed and not material
         signs = _signs(points.gdim)
-        self._which: Rows = np.arange(1 if self._middles else len(signs))
+        self.which: Rows = np.arange(1 if self._middles else len(signs))
         if surface is not None and surface.normal is not None:
-            self._which = np.flatnonzero(signs @ surface.normal > 0)
+            self.which = np.flatnonzero(signs @ surface.normal > 0)
 
-    def reach(self) -> Array:
-        """How far the corners of each point are from its centre at most (m), shape (points,)."""
+    def reach(self, rows: Which = ALL) -> Array:
+        """How far the corners of points are from their centres at most (m), shape (points,)."""
         points = self._points
-        if self._boxes:
-            return np.linalg.norm(points["l"], axis=1)
-        size = np.sqrt(np.einsum("pij,pij->p", self._F, self._F))
+        if self.boxes:
+            return np.linalg.norm(points["l"][rows], axis=1)
+        F = self._F[rows]
+        size = np.sqrt(np.einsum("pij,pij->p", F, F))
         R = points["l0"]
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name]
-        return size * np.linalg.norm(R, axis=1)
+        return size * np.linalg.norm(R[rows], axis=1)
 
-    def marked(self) -> npt.NDArray[np.bool_] | None:
+    def marked(self, rows: Which = ALL) -> npt.NDArray[np.bool_] | None:
         """Which points have corners, or None if all do."""
         if self._surface is None:
             return None
-        return np.any(self._points[self._surface.area.name] != 0.0, axis=1)
+        return np.any(self._points[self._surface.area.name][rows] != 0.0, axis=1)
 
     def areas(self, corners: Corners, normal: Array) -> Array:
         """The share of the body's face that goes with each corner (m^(d-1)), shape (m,).
@@ -136,10 +170,10 @@ class Sites:
         points, rows = self._points, corners.rows
         if self._surface is not None:
             area = np.linalg.norm(points[self._surface.area.name][rows], axis=1)
-            return np.asarray(area / self._which.size)
+            return np.asarray(area / self.which.size)
         half = points["l0"][rows]
         d = half.shape[1]
-        if not self._boxes:
+        if not self.boxes:
             # as the material sees the normal
             normal = np.einsum("pij,pi->pj", self._F[rows], normal)
             normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -147,67 +181,79 @@ class Sites:
         areas = np.sum(np.abs(normal) * faces, axis=1)
         return ring(points["x"][rows, 0], areas) if points.axisymmetric else areas
 
-    def corners(self, rows: Rows) -> Corners:
+    def corners(self, rows: Rows, kept: Callable[[Array], Which]) -> Corners:
         """The corners of some points.
 
         Args:
             rows: The points, increasing, shape (n,).
+            kept: Tells of positions of corners which of them are to be kept, increasing.
         """
-        which = np.tile(self._which, rows.size)
-        each = np.repeat(rows, self._which.size)
-        if self._placed:
-            x, N = self._in_place(rows)
-        else:
-            x, N = self._of_material(each, which)
+        which = np.tile(self.which, rows.size)
+        each = np.repeat(rows, self.which.size)
+        x: Array
+        how: Any  # cells of functions, or offsets
+        x, how = self._in_place(rows) if self._placed else self._of_material(each, which)
+        k = kept(x)
+        each, which, x, how = each[k], which[k], x[k], how[k]
+        N = self._seen_in(x, how) if self._placed else self._seen_from(each, how)
         nodes = np.unique(N.indices).astype(np.int32)
         local = np.searchsorted(nodes, N.indices)
         N = sparse.csr_matrix((N.data, local, N.indptr), shape=(each.size, nodes.size))
+        if self._sight.place is not None:
+            nodes = self._sight.place[nodes]
         return Corners(each, which, x, nodes, N)
 
-    def _in_place(self, rows: Rows) -> tuple[Array, sparse.csr_matrix]:
-        basis = self._field.basis
+    def _in_place(self, rows: Rows) -> tuple[Array, Rows]:
+        """Positions of corners, and the cells in the halo's tables that they see functions in."""
+        basis = self._sight.basis
         assert isinstance(basis, LatticeBasis)
         points = self._points
-        where = points.placement()
-        x, half, signs = where.x[rows], where.half[rows], _signs(points.gdim)[self._which]
+        x, half = points["x"][rows], points["l"][rows]
+        signs = _signs(points.gdim)[self.which]
         low, count = basis.spans(x, half)
         last = low + count - 1
-        if self._boxes:
+        if self.boxes:
             at = (x[:, None] + signs * half[:, None]).reshape(-1, points.gdim)
             # a corner is in the outermost cell that its point's domain overlaps
-            cell: Rows = np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
-        else:
-            R = signs * points["l0"][rows][:, None]
-            at = x[:, None] + np.einsum("pij,pcj->pci", self._F[rows], R)
-            # beyond what the domain overlaps functions go on as they are in the last cell
-            own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
-            cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
-            cell, at = cell.reshape(-1, points.gdim), at.reshape(-1, points.gdim)
-        one = np.ones_like(cell)
-        s = basis.stencils_in(at, np.zeros_like(at), np.ascontiguousarray(cell, np.int32),
-                              one.astype(np.int32))  # fmt: skip
+            return at, np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
+        R = signs * points["l0"][rows][:, None]
+        at = x[:, None] + np.einsum("pij,pcj->pci", self._F[rows], R)
+        # beyond what the domain overlaps functions go on as they are in the last cell
+        own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
+        cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
+        return at.reshape(-1, points.gdim), cell.reshape(-1, points.gdim)
+
+    def _seen_in(self, x: Array, cell: Rows) -> sparse.csr_matrix:
+        """What corners see of functions as they are in some cells."""
+        basis, C = self._sight.basis, self._sight.C
+        assert isinstance(basis, LatticeBasis)
+        s = basis.stencils_in(
+            x, np.zeros_like(x), np.ascontiguousarray(cell, np.int32), np.ones(x.shape, np.int32)
+        )
         # the cells are some that the points' own stencils have nodes in
         assert s is not None
-        N = stencil_matrix(s, s.N, (len(at), basis.nodes.size))
-        return at, N if self._field.C is None else sparse.csr_matrix(N @ self._field.C)
+        N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
+        return N if C is None else sparse.csr_matrix(N @ C)
 
-    def _of_material(self, each: Rows, which: Rows) -> tuple[Array, sparse.csr_matrix]:
+    def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
+        """Positions of corners, and the offsets by which their points' gradients move them."""
         points = self._points
-        chosen = np.zeros(len(points), bool)
-        chosen[each] = True
-        s = selected(self._field.stencils, chosen)
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name][each]
         else:
             R = _signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
-        shape = len(points), self._field.basis.nodes.size
-        parts = [stencil_matrix(s, s.N, shape)[each]]
         # gradients at first positions go with offsets at first
-        along = R if self._total else r
-        for k in range(points.gdim):
-            parts.append(sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[each])
-        return points["x"][each] + r, sparse.csr_matrix(sum(parts[1:], parts[0]))
+        return points["x"][each] + r, R if self._sight.total else r
+
+    def _seen_from(self, each: Rows, along: Array) -> sparse.csr_matrix:
+        """What corners see by the stencils of their points, which go on by the gradient."""
+        rows, own = np.unique(each, return_inverse=True)
+        s, shape = self._sight.stencils(rows), (rows.size, self._sight.basis.nodes.size)
+        parts = [stencil_matrix(s, s.N, shape)[own]]
+        for k in range(self._points.gdim):
+            parts.append(sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[own])
+        return sparse.csr_matrix(sum(parts[1:], parts[0]))
 
 
 def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:

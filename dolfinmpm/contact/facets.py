@@ -157,40 +157,51 @@ def _dot(a, b):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _along(x, to, p, q):
+    """(to − x)·(p − q) without arrays in between, which would cost more than the sum."""
+    first = (to[0] - x[0]) * (p[0] - q[0])
+    return first + (to[1] - x[1]) * (p[1] - q[1]) + (to[2] - x[2]) * (p[2] - q[2])
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _nearest_on_triangle(p, a, b, c, y):
     """Nearest point of a triangle: 0, 1, 2 at a corner, 3, 4, 5 on the edge behind it, 6 inside.
 
     Ericson, Real-Time Collision Detection (2005), 5.1.5.
     """
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    d1, d2 = _along(a, b, p, a), _along(a, c, p, a)
     if d1 <= 0.0 and d2 <= 0.0:
         y[:] = a
         return 0
-    bp = p - b
-    d3, d4 = _dot(ab, bp), _dot(ac, bp)
+    d3, d4 = _along(a, b, p, b), _along(a, c, p, b)
     if d3 >= 0.0 and d4 <= d3:
         y[:] = b
         return 1
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        y[:] = a + d1 / (d1 - d3) * ab
+        share = d1 / (d1 - d3)
+        for i in range(3):
+            y[i] = a[i] + share * (b[i] - a[i])
         return 3
-    cp = p - c
-    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    d5, d6 = _along(a, b, p, c), _along(a, c, p, c)
     if d6 >= 0.0 and d5 <= d6:
         y[:] = c
         return 2
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        y[:] = a + d2 / (d2 - d6) * ac
+        share = d2 / (d2 - d6)
+        for i in range(3):
+            y[i] = a[i] + share * (c[i] - a[i])
         return 5
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        y[:] = b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b)
+        share = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        for i in range(3):
+            y[i] = b[i] + share * (c[i] - b[i])
         return 4
     whole = va + vb + vc
-    y[:] = a + vb / whole * ab + vc / whole * ac
+    for i in range(3):
+        y[i] = a[i] + vb / whole * (b[i] - a[i]) + vc / whole * (c[i] - a[i])
     return 6
 
 

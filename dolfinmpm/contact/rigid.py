@@ -197,14 +197,55 @@ class RigidBody:
         free.increment = np.zeros_like(free.velocity)
         free.increment[own] = self.dt * free.velocity[own]
 
-    def commit(self, force: Array, moment: Array) -> None:
-        """Take where it has been put for where it is, and what acts on it there."""
+    def commit(self, force: Array, moment: Array) -> float:
+        """Take where it has been put for where it is, and what acts on it there.
+
+        Returns:
+            The work that it has done on what it touches (J), by the means of forces before and
+            after.
+        """
+        before, after = self.start, self.pose
+        turned = after.rotation @ before.rotation.T
+        # of a small rotation
+        W = 0.5 * (turned - turned.T)
+        spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
+        work = (self.force + force) @ (after.shift - before.shift) + (self.moment + moment) @ spin
         self.start, self.time = self.pose, self.time + self.dt
         self.force, self.moment = force, moment
+        return -0.5 * float(work)
 
     def travel(self) -> float:
         """How far any part of it, but of a plane its centre, goes in this step (m)."""
         return travelled(self.surface, self.start, self.at(1.0))
+
+    def ahead(self, dt: float, count: int, limit: float) -> int:
+        """How many steps of a length follow each other in which it goes no further than a limit.
+
+        Of free components, which forces decide, nothing is known. What prescribes the motion, or
+        loads, in time may raise at later times: then the steps end before.
+
+        Args:
+            dt: The length (s).
+            count: At most so many, of which the first one is not looked at.
+            limit: The limit (m).
+        """
+        kept = self.start, self.pose, self.time
+        try:
+            for k in range(count):
+                self.begin(dt)
+                end = self.at(1.0)
+                if self.freedom is not None:
+                    self.freedom.external(self.time)
+                if k and travelled(self.surface, self.start, end) > limit:
+                    return k
+                self.start, self.time = end, self.time + dt
+        except Exception:
+            if not k:
+                raise
+            return k
+        finally:
+            self.start, self.pose, self.time = kept
+        return count
 
     def record(self) -> dict[str, list[float]]:
         """Position, angle, force and moment, as records of steps have them."""

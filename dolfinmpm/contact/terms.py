@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -104,9 +105,9 @@ class Contact:
             )
         raise_together(points.comm, error)
 
-    def chosen(self) -> npt.NDArray[np.bool_]:
-        """Which points have its tags."""
-        return np.isin(self.points["tag"], self.tags)
+    def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
+        """Which points, of some rows or of all, have its tags."""
+        return np.isin(self.points["tag"][rows], self.tags)
 
     def rate(self) -> float:
         """Largest square of a frequency that contact gives the body (1/s²). Collective.
@@ -116,7 +117,9 @@ class Contact:
         """
         points = self.points
         rows = np.arange(len(points))
-        area = np.prod(2 * points["l0"], axis=1) / (2 * points["l0"].min(axis=1, initial=np.inf))
+        # by columns: NumPy's reductions of short rows are ten times slower
+        sides = [2 * points["l0"][:, k] for k in range(points.gdim)]
+        area = functools.reduce(np.multiply, sides) / functools.reduce(np.minimum, sides)
         if points.axisymmetric:
             area = ring(points["x"][:, 0], area)
         mass = points["density"] * points["V0"]

@@ -64,7 +64,7 @@ class Work:
     """Work done since the first step (J; a metre across in 2D, the whole of rings).
 
     Attributes:
-        external: By loads and prescribed motions.
+        external: By loads, prescribed motions and rigid bodies.
         internal: By stresses on strains.
     """
 
@@ -86,7 +86,7 @@ class Work:
             points: The points before the step.
             new: Their fields after it.
             operator: The step's equations, moved to the increments.
-            external: Work of loads and prescribed motions (J).
+            external: Work of loads, prescribed motions and rigid bodies (J).
         """
         d, at = points.strain_dim, operator.points
         H = full_gradient(points, *at.motion(operator.here.movers))
@@ -115,7 +115,7 @@ class Energies:
         kinetic: ½ Σ m v².
         strain: Elastic energy that the laws store; not a number if one does not know its own.
         dissipated: Work of the stresses less what is stored.
-        external: Work of loads and prescribed motions.
+        external: Work of loads, prescribed motions and rigid bodies.
     """
 
     kinetic: float

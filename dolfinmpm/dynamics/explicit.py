@@ -7,6 +7,7 @@ A step itself is that of `dolfinmpm.dynamics.general`, or of the loops of
 from __future__ import annotations
 
 import math
+import os
 import time as clock
 from collections.abc import Sequence
 from typing import Any
@@ -32,6 +33,7 @@ from dolfinmpm.dynamics.energies import Balance, Energies, angular_momentum, mom
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
 from dolfinmpm.dynamics.fused import Fused
+from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import General
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
@@ -153,7 +155,7 @@ class Explicit(Problem):
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
-        self._kept_state = Snapshot(points)
+        self._kept_state = Snapshot(points, self.bodies)
         sides = Sides(faces, points)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -214,7 +216,10 @@ class Explicit(Problem):
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
-        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains)
+        contacts, rigid = self.form.parts.contacts, None
+        if contacts:
+            rigid = RigidContacts(contacts, self.bodies, self.points)
+        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains, rigid)
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
@@ -289,6 +294,7 @@ class Explicit(Problem):
             dt = left / count if not single else min(left, longest)
             now = 1 if single else min(count, self._loop.at_once)
             raise_together(self.comm, self._too_fast(dt))
+            now = self.bodies.followed(dt, now)
             self._advance(now, dt, whole, now < count and not single, record)
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step
@@ -363,12 +369,19 @@ class Explicit(Problem):
 
     def _go_back(self) -> None:
         """To the last state that was kept. Collective."""
+        self.bodies.reset()
         if math.isnan(self._kept_state.time):
             # nothing has moved yet
             return
         self._kept_state.put(self.balance.work)
         self.balance.forget()
         self.time = self._kept_state.time
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """See `Problem.save`. Collective."""
+        super().save(path)
+        # what goes on from the file begins with points in order, and so does this run
+        self._loop.renew()
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

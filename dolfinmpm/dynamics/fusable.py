@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from ufl.algorithms import extract_arguments
+from ufl.constantvalue import Zero
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.forms.terms import contact_of, depends_on, summands
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -51,15 +52,13 @@ def why_not(form: WeakForm) -> str | None:
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
         return "a neo-Hookean law that varies"
-    if form.parts.contacts:
-        return "contact with rigid bodies"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
-        if any(integral.integrand() is term for term in own):
+        if contact_of(integral) or any(integral.integrand() is term for term in own):
             continue
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):
-            if inside is None:
+            if inside is None or isinstance(term, Zero):
                 # penalties on the increment vanish where there is none
                 continue
             if inside != points.number or depends_on(term, [space.increment]):

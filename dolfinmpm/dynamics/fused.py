@@ -21,6 +21,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
+from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
@@ -49,6 +50,7 @@ class Fused:
         settings: How steps are taken, by "flip", "pic", "apic" or "tpic".
         sides: Sides of the grid that act on the body.
         domains: How the points' domains grow.
+        rigid: Contacts with rigid bodies, or None.
 
     Attributes:
         done: Work of the stresses, and of loads and prescribed motions, since last asked (J).
@@ -70,7 +72,9 @@ class Fused:
         settings: Settings,
         sides: Sides,
         domains: str = "stretch",
+        rigid: RigidContacts | None = None,
     ):
+        self._rigid = rigid
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
@@ -90,7 +94,13 @@ class Fused:
             self.done[0] = self._stored - before
         internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
         self.done[:2] = 0.0
+        if self._rigid is not None:
+            external, self._rigid.work = external + self._rigid.work, 0.0
         return float(internal), float(external)
+
+    def renew(self) -> None:
+        """Begin the next call as the first one: with a window anew, and points put in order."""
+        self._window = None
 
     @stages.activate
     def start(self, rate: float) -> None:
@@ -166,7 +176,10 @@ class Fused:
             ending = last and not more
             if reason is None:
                 reason = self._step(others, main, dt, last, not ending)
-            self._travelled += self._reach()
+            way = self._reach()
+            self._travelled += way
+            if reason is None and self._rigid is not None:
+                reason = self._rigid.end(way)
             if reason is None and last:
                 self._laws.scatter()
             if reason is None and (ending or self._travelled > 0.5 * MARGIN):
@@ -191,6 +204,8 @@ class Fused:
         _, field = _AFFINE.get(self._settings.mapping.kind, (0, None))
         self._arrays = PointArrays(self._points, self._laws, field)
         self._loads.evaluate()
+        if self._rigid is not None:
+            self._rigid.surround(self._window)
 
     # -- passes -----------------------------------------------------------------
 
@@ -268,6 +283,9 @@ class Fused:
         columns, box = COLUMNS[d], window.rows()
         out, nodes, fixed, before = window.out, window.nodes, prescribed.fixed, prescribed.before
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
+        rigid = self._rigid
+        if rigid is not None:
+            rigid.begin(dt, usf)
         # forces alone make the points' acceleration, not what moves or stops nodes
         apart = record and (prescribed.driven or len(self._sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
@@ -277,6 +295,8 @@ class Fused:
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
                 return reason
+        if rigid is not None:
+            rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
             pushed, self._loads.gravity, dt, settings.scaling, settings.damping, usf, usf or usl,
@@ -289,6 +309,8 @@ class Fused:
             if reason is not None:
                 return reason
             divide(box, columns, out, columns.second, nodes, fixed, prescribed.after, True)
+        if rigid is not None:
+            rigid.follow()
         reason = self._pass(main, dt, switches)
         if scatter:
             window.add_up()

@@ -97,7 +97,7 @@ class General(OneByOne):
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
-        problem.bodies.commit(operator.contacts)
+        self._work.external += problem.bodies.commit(operator.contacts)
         return commit(points, state)
 
     @stages.assemble

@@ -59,6 +59,9 @@ class OneByOne(ABC):
         done, self._work = self._work, Work()
         return done.internal, done.external
 
+    def renew(self) -> None:  # noqa: B027 - nothing is to be done
+        """Begin the next call as the first one; nothing is kept from step to step."""
+
     def start(self, rate: float) -> None:  # noqa: B027 - nothing is to be done
         """Begin a call; the points are taken as they are in every step."""
 

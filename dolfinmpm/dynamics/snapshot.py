@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.dynamics.energies import Work
 
 __all__ = ["Snapshot"]
@@ -18,19 +19,21 @@ class Snapshot:
 
     Args:
         points: Material points.
+        bodies: Rigid bodies.
 
     Attributes:
         time: Time that it is of (s).
     """
 
-    def __init__(self, points: MaterialPoints):
+    def __init__(self, points: MaterialPoints, bodies: Bodies):
         self.time = math.nan
+        self._bodies, self._of_bodies = bodies, bodies.memory()
         self._points, self._work = points, Work()
         self._fields: dict[str, npt.NDArray] = {}
 
     def take(self, time: float, work: Work) -> None:
-        """Copy what the points have at a time (s), and the work done until then (J)."""
-        self.time = time
+        """Copy what points and bodies have at a time (s), and the work done until then (J)."""
+        self.time, self._of_bodies = time, self._bodies.memory()
         self._work.internal, self._work.external = work.internal, work.external
         kept, self._fields = self._fields, {}
         for name, values in self._points.fields.items():
@@ -41,8 +44,9 @@ class Snapshot:
             self._fields[name] = own
 
     def put(self, work: Work) -> None:
-        """Give points and work back what they had, on the ranks that had them. Collective."""
+        """Give all back what it had, points on the ranks that had them. Collective."""
         points = self._points
+        self._bodies.remember(self._of_bodies)
         work.internal, work.external = self._work.internal, self._work.external
         for name, values in self._fields.items():
             points.fields[name] = values.copy()

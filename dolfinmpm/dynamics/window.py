@@ -21,7 +21,7 @@ from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.grid.halo import Numbering
 
-__all__ = ["MARGIN", "Means", "Prescribed", "Window"]
+__all__ = ["MARGIN", "Exchange", "Means", "Prescribed", "Window"]
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
@@ -43,6 +43,7 @@ class Window:
         nodes, out: Motion of the nodes, and sums over points, shape (nodes, columns), see
             `dolfinmpm.dynamics.passes.Columns`.
         own: Nodes whose work this rank counts, shape (nodes,).
+        place: Where the window has a node of the basis, or -1, shape (nodes of the basis,).
         grid: What the loops over points know of lattice and window.
         sides: What acts at sides of the grid, see `Faces.by_nodes`.
         cells: Finds cells of the points.
@@ -59,9 +60,7 @@ class Window:
         self._known, self._at = self.places(halo.node_ijk)
         self.own = np.zeros(len(self.nodes), np.bool_)
         self.own[self._at] = self._known < basis.nodes.owned
-        self._exchange: _Exchange | None = None
-        if points.comm.size > 1:
-            self._exchange = _Exchange(basis.nodes, self._known, self._at, width)
+        self._exchange = self.exchange(width)
         self._first, self._last = np.zeros(points.gdim, np.int64), self._shape.copy()
         self.grid = (
             *lattice.lines,
@@ -69,11 +68,22 @@ class Window:
             lattice.uniform, halo.origin.astype(np.int64), self._shape, self._first, self._last,
             np.array([1.0 / np.diff(line).min() for line in lattice.lines]),
         )  # fmt: skip
-        place = np.full(basis.nodes.size, -1)
-        place[self._known] = self._at
+        self.place = np.full(basis.nodes.size, -1)
+        self.place[self._known] = self._at
         faces = sides.on(basis) or Faces((), basis, points.gdim)
-        self.sides = faces.by_nodes(place, len(self.nodes))
+        self.sides = faces.by_nodes(self.place, len(self.nodes))
         self.cells = CellFinder(basis)
+
+    def exchange(self, width: int) -> Exchange | None:
+        """What adds up so many columns of sums at its nodes over ranks, or None on one. Collective.
+
+        Args:
+            width: The columns.
+        """
+        nodes = self.basis.nodes
+        if self.basis.grid.comm.size == 1:
+            return None
+        return Exchange(nodes, self._known, self._at, width)
 
     def places(self, ijk: npt.NDArray[Any]) -> tuple[Places, Places]:
         """Which of places in the lattice, shape (n, d), the window has, and where it has them."""
@@ -138,7 +148,7 @@ class Means:
         own, ijk = numbering(window.basis)
         known, at = window.places(ijk)
         self.sums = np.zeros((len(window.nodes), 2))
-        self._exchange = _Exchange(own, known, at, 2) if own.comm.size > 1 else None
+        self._exchange = Exchange(own, known, at, 2) if own.comm.size > 1 else None
 
     def take(self, rows: tuple[int, ...]) -> None:
         """Means from sums over the points of this rank, in their place. Collective."""
@@ -210,7 +220,7 @@ class Prescribed:
         self._driven = wanted[1]
 
 
-class _Exchange:
+class Exchange:
     """Sums over ranks of what stands at a window's nodes. Collective.
 
     Only what ranks have in common is handed over: the rest of a window is as large as its rank.

@@ -84,7 +84,7 @@ class Operator:
         ]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
-        self.contacts = [ActiveContact(contact, here) for contact in form.parts.contacts]
+        self.contacts = [ActiveContact.on(contact, here) for contact in form.parts.contacts]
         self.between = [ActiveBetween(facing) for facing in here.facing if self._main]
         self.renew_external()
 

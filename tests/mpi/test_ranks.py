@@ -20,6 +20,7 @@ VARIANTS = {
     "bodies_that_rub",
     "boundaries_triangles",
     "boundary_3d",
+    "contact_restart_in_fused_steps",
     "deposits",
     "explicit_restart",
     "facets_of_few_ranks",

@@ -99,6 +99,8 @@ CASES = {
         contact.contact_quasistatic,
         contact.contact_restart,
         contact.contact_in_time,
+        contact.contact_in_fused_steps,
+        contact.contact_restart_in_fused_steps,
         contact.contact_of_revolution,
         collision.colliding_bodies,
         touching.bodies_that_rub,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import ufl
+from contactscenes import falls, is_hit, is_ploughed, is_pressed
 from dolfinx import mesh
 
 import dolfinmpm as mpm
@@ -118,4 +119,55 @@ def contact_in_time():
         assert np.isfinite(ball.freedom.velocity).all()
         velocity = ball.freedom.velocity.tolist()
         found[kind.__name__] = {"velocity": velocity, **figures(problem)}
+    return found
+
+
+def _moved_on(build, times):
+    """A scene of fused steps, and how one goes to each of some times in turn."""
+    problem = build()
+    assert problem.unfused == ""
+    return problem, lambda: problem.step(times[len(problem.history)])
+
+
+def contact_in_fused_steps():
+    """Points that touch bodies and change rank, in two and three dimensions."""
+    scenes = {
+        "falls": (lambda: falls(scheme="musl"), 0.2),
+        "falls on splines": (lambda: falls("bspline2", False, scheme="usf", courant=0.6), 0.2),
+        "is hit": (is_hit, 0.12),
+        "is ploughed": (is_ploughed, 0.08),
+        "is pressed": (lambda: is_pressed(free=True, courant=0.4), 0.05),
+    }
+    found, moved = {}, 0
+    for name, (build, end) in scenes.items():
+        problem, step = _moved_on(build, [0.3 * end, 0.7 * end, end])
+        for _ in range(3):
+            step()
+        moved += sum(record.migrated for record in problem.history)
+        energies = problem.energies()
+        first = problem.form.parts.contacts[0]
+        found[name] = {
+            "parts": [record.parts for record in problem.history],
+            "energies": [energies.kinetic, energies.strain, energies.external],
+            "bodies": {
+                body.name: [*body.position, *body.angle, *body.force, *body.moment]
+                for body in problem.bodies.all
+            },
+            "dissipated": [c.dissipated for c in problem.form.parts.contacts],
+            **sums(problem.points, "x", "velocity", "F", "stress", *first.names[:2]),
+        }
+        assert max(found[name]["dissipated"]) > 0
+    return {"moved": moved, **found}
+
+
+def contact_restart_in_fused_steps():
+    """Runs of fused steps that are broken off in contact go on with the same bits."""
+    found = {}
+    for name, build, end in (
+        ("falls", lambda: falls(scheme="musl"), 0.2),
+        ("is hit", is_hit, 0.12),
+        ("is pressed", lambda: is_pressed(free=True, courant=0.4), 0.05),
+    ):
+        times = [end * (k + 1) / 5 for k in range(5)]
+        found[name] = goes_on(lambda b=build, t=times: _moved_on(b, t), 5, moves=False)
     return found
