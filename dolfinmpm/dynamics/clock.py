@@ -43,7 +43,8 @@ def times(
     """Times to step to, with a progress bar in simulated time on rank 0, as `steps` draws it.
 
     `for t in mpm.times(0.6, dt=2.5e-4): problem.step(t)`. With `dt="auto"` the solver chooses
-    each step: `t` is then the time at its start, and the loop ends when the end is reached.
+    each step, `Explicit` some twenty at once: `t` is then the time at its start, and the loop ends
+    when the end is reached.
 
     Args:
         end: The last time (s), which the last step ends at exactly; or all times to step to.

@@ -63,9 +63,10 @@ class Explicit(Problem):
     mass, the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
 
     `step(t)` goes to a time in as many steps as stability asks for; in a loop over
-    `times(end, dt="auto")` each call takes one. A run that turns out unstable ends with an
-    `InstabilityError` and goes back to the beginning of the call of `step`, or to one of each
-    hundred steps since at which no energy had come from nowhere: `time` tells which.
+    `times(end, dt="auto")` each call takes twenty, for which the critical step is found once. A run
+    that turns out unstable ends with an `InstabilityError` and goes back to the beginning of the
+    call of `step`, or to one of each hundred steps since at which no energy had come from nowhere:
+    `time` tells which.
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
@@ -259,8 +260,8 @@ class Explicit(Problem):
         """Go to a time. Collective.
 
         Args:
-            t: The time (s), later than `time`; or one of `times(end, dt="auto")`, for one step of
-                the length that stability allows.
+            t: The time (s), later than `time`; or one of `times(end, dt="auto")`, for the steps
+                that are taken until the critical step is found anew, twenty at most.
 
         Raises:
             ParameterError: The time is not later.
@@ -269,7 +270,7 @@ class Explicit(Problem):
             PointsOutsideGridError: Points would leave the grid.
         """
         started, watch = clock.perf_counter(), stages.Watch()
-        single = isinstance(t, Time) and t.open
+        most = _EVERY if isinstance(t, Time) and t.open else math.inf
         target = t.end if isinstance(t, Time) else number("t", t, unit="s")
         if not target > self.time:
             raise ParameterError(
@@ -291,15 +292,16 @@ class Explicit(Problem):
                 longest = self.courant * self.critical_step()
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
-            dt = left / count if not single else min(left, longest)
-            now = 1 if single else min(count, self._loop.at_once)
+            dt = left / count
+            now = int(min(count, self._loop.at_once, most - record.parts))
             raise_together(self.comm, self._too_fast(dt))
             now = self.bodies.followed(dt, now)
-            self._advance(now, dt, whole, now < count and not single, record)
+            more = now < min(count, most - record.parts)
+            self._advance(now, dt, whole, more, record)
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step
                 self.time = target
-            if single:
+            if record.parts >= most:
                 break
         self._loads.release()
         self._check_energy(record.dt)
