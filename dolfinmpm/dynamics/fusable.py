@@ -201,7 +201,8 @@ class Loads:
         forces = np.zeros((n, d))
         for region in self._form.regions:
             chosen = region.chosen(points["tag"])
-            rows = np.arange(n) if chosen is None else np.flatnonzero(chosen)
+            # indices would copy what a slice only looks at
+            rows: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
             program = region.external
             if program is None:
                 continue
@@ -214,9 +215,10 @@ class Loads:
                 else:
                     value = region.slots.constants[key[1]].value
                     data[key] = np.array(value, float).reshape(1, -1)
-            flux = np.empty((len(rows), program.size))
+            count = n if chosen is None else rows.size
+            flux = np.empty((count, program.size))
             program.run(data, flux)
-            forces[rows] -= flux.reshape(len(rows), d, 1 + d)[:, :, 0]
+            forces[rows] -= flux.reshape(count, d, 1 + d)[:, :, 0]
         m = point_masses(points)
         # by columns: NumPy's reductions of short rows are ten times slower
         a = [forces[:, k] / m for k in range(d)]
