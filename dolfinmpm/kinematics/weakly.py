@@ -32,6 +32,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement
+from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
@@ -186,8 +187,9 @@ def dirichlet(
     if declaration is not None and traction is not None and method != "penalty":
         sign = -1.0 if method == "nitsche" else 1.0
         M = markers.add_field(moduli := f"{name}_moduli", (2,), "Pa")
-        strain_of_v, n = ufl.sym(ufl.grad(v)), boundary.normal
-        change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n + 2 * M[1] * ufl.dot(strain_of_v, n)
+        strain_of_v, n = ufl.sym(gradient(markers, v)), boundary.normal
+        change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n
+        change += 2 * M[1] * ufl.dot(in_section(markers, strain_of_v), n)
         force += onto(traction)
         term += -ufl.dot(onto(traction), v) + sign * ufl.dot(change, along)
     if not boundary.activates:

@@ -14,6 +14,7 @@ from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.traces import trace_constants
 from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
@@ -139,17 +140,18 @@ def advance_markers(
     """
     made: list[MarkerState] = []
     for of, update, evaluation in zip(boundaries, updates, evaluations):
-        markers, d = of.boundary.markers, of.boundary.points.gdim
+        markers = of.boundary.markers
         new: dict[str, Array] = {}
         update.run(evaluation, new)
         if not of.boundary.follows:
             made.append((of.boundary, new, None))
             continue
         u, gradient = evaluation.motion(movers)
-        dF = gradient + np.eye(d)
+        dF = deformation(markers, u, gradient)
         J = np.linalg.det(dF)
         # Nanson's formula
-        turned = np.linalg.solve(np.swapaxes(dF, 1, 2), markers["area"][:, :, None])[:, :, 0]
+        across = np.swapaxes(in_section(markers, dF), 1, 2)
+        turned = np.linalg.solve(across, markers["area"][:, :, None])[:, :, 0]
         new["area"] = J[:, None] * turned
         new["V"] = np.linalg.norm(new["area"], axis=1)
         new["x"] = markers["x"] + u

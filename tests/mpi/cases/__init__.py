@@ -82,6 +82,7 @@ CASES = {
         rings.rings_remedies,
         rings.rings_in_time,
         rings.rings_restart,
+        rings.rings_boundaries,
         explicit.explicit_steps,
         explicit.explicit_restart,
         porous.consolidation,
