@@ -24,6 +24,8 @@ from dolfinmpm._platform.errors import StateError, raise_together
 from dolfinmpm.assembly.facetpairs import isotropic
 from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import pushed_forward
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 
@@ -210,9 +212,12 @@ def trace_constants(
     Raises:
         StateError: A marker is in a cell without material and without a remedy.
     """
-    d, s = points.gdim, here.fields[k].of_markers[boundary]
+    d, s, own = points.gdim, here.fields[k].of_markers[boundary], here.fields[k].stencils
+    if here.total:
+        own = pushed_forward(own, in_section(points, points["F"]))
+        s = pushed_forward(s, here.terms.boundaries[boundary].boundary.deformation())
     inside, square = _energies(points, moduli), _tractions(markers, at_markers)
-    energy = _assembled(here, k, [(here.fields[k].stencils, inside)], True)
+    energy = _assembled(here, k, [(own, inside)], True)
     tractions = _assembled(here, k, [(s, square)], False)
     unknowns = here.unknowns
     row_of, to_global = unknowns.fields[k].row_of, unknowns.to_global

@@ -35,9 +35,12 @@ from dolfinmpm.grid.positions import ask
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField
 
-__all__ = ["Boundary"]
+__all__ = ["OWN", "Boundary"]
 
 Array = npt.NDArray[np.float64]
+
+# Deformation gradient of markers themselves, where steps need it; `F` is that of the nearest point
+OWN = "F_own"
 
 _numbers = itertools.count(1)
 
@@ -70,6 +73,7 @@ class Boundary:
         markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
             and `V`, its length, and those that hold the state of the nearest material point.
         follows, name, activates: The arguments.
+        late: Whether the body had moved when it was made.
         tiles: Whether each marker is the middle of a segment of its length, which together are it.
         forces: Names of the markers' fields that hold the forces of conditions on the body
             in the last step (N), see `force`.
@@ -106,6 +110,8 @@ class Boundary:
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False
+        moved = not np.array_equal(points["x"], points["x0"])
+        self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next(_numbers)}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0,
@@ -116,12 +122,29 @@ class Boundary:
         mark = {**markers.dx.metadata(), "boundary": self}
         self.ds = markers.dx.reconstruct(metadata=mark)
 
+    @property
+    def seen(self) -> Array:
+        """Positions that its markers see the grid from (m): those now, or at first."""
+        return self.markers["x0" if self.markers.configuration == "total" else "x"]
+
     def placement(self) -> Placement:
         """The markers as a basis sees them: points without a domain, and without volume."""
-        markers = self.markers
-        return Placement(
-            markers["x"], np.zeros_like(markers["x"]), np.zeros(len(markers)), markers["cell"]
-        )
+        x = self.seen
+        return Placement(x, np.zeros_like(x), np.zeros(len(x)), self.markers["cell"])
+
+    def deformation(self) -> Array:
+        """Deformation gradients that carry gradients by first positions to those by present ones.
+
+        Shape (markers, gdim, gdim): those of the markers, and at a wall those of the body there.
+        """
+        F = self.markers[OWN if self.follows else "F"]
+        return np.ascontiguousarray(in_section(self.markers, F))
+
+    def present(self) -> npt.NDArray[np.bool_]:
+        """Which of its markers may see the body at all, shape (markers,)."""
+        if "apart" not in self.markers.fields:
+            return np.ones(len(self.markers), bool)
+        return self.markers["apart"] == 0.0
 
     def __repr__(self) -> str:
         return f"Boundary '{self.name}'"
@@ -333,7 +356,7 @@ class Boundary:
     @property
     def x0(self) -> PointField:
         """Positions at first (m)."""
-        return self.markers.x0
+        return self.markers.x0 if self.follows else self.markers.x
 
     @property
     def normal(self) -> Expr:
