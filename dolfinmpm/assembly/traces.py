@@ -245,7 +245,7 @@ def trace_constants(
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
             'a remedy: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
-            '"aggregation", or give beta'
+            '"aggregation", in explicit steps the latter, or give beta'
         ),
     )
     return constants

@@ -53,6 +53,8 @@ def why_not(form: WeakForm) -> str | None:
         return "a neo-Hookean law that varies"
     if form.parts.contacts:
         return "contact with rigid bodies"
+    if form.boundaries:
+        return "terms over boundaries that do not fit the grid"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
         if any(integral.integrand() is term for term in own):

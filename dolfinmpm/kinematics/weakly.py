@@ -14,7 +14,9 @@ exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembl
 the cells with their remedy against small cuts; twice that is taken. The penalty method keeps the
 last term alone.
 
-The gap is what former steps have left of w, so that nothing accumulates.
+The gap is what former steps have left of w, so that nothing accumulates. Explicit steps have the
+forces of the gap and of the stress at their start, see `dolfinmpm.dynamics.traces`; there ghost
+penalties do not act, and Nitsche's constants are small where nodes are tied alone.
 """
 
 from __future__ import annotations
@@ -86,6 +88,16 @@ class WeakCondition:
         """Whether the penalty follows from the constants of the cells."""
         return self.fixed is None and self.beta is None
 
+    @property
+    def exact(self) -> bool:
+        """Whether it has gradients at the markers beside values, which must fit them."""
+        return self.method != "penalty"
+
+    def stiffest(self) -> npt.NDArray[np.float64]:
+        """The penalty at the markers of this rank as it is now, 0 where it is off (Pa/m)."""
+        k = self.boundary.markers[self.stiffness]
+        return k if self.on is None else k * self.boundary.markers[self.on]
+
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
         """Set the penalty where it is in units of M/h, or given, and the law's moduli.
 
@@ -146,7 +158,7 @@ def dirichlet(
             has the tag.
         beta: Penalty in units of M/h, the P-wave modulus of the law's elasticity over the size of
             a cell; by default that of the cells' own constants for "nitsche", 1 for "skew" and
-            1000 for "penalty".
+            1000 for "penalty", of which explicit steps are short: give some 10 there.
         stiffness: Penalty k (Pa/m), instead.
 
     Raises:

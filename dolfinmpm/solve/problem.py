@@ -317,12 +317,16 @@ class Problem:
         )  # fmt: skip
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
-        self.form.set_penalties(self.here)
+        self._set_penalties(self.here)
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
+
+    def _set_penalties(self, here: Activation) -> None:
+        """Set the penalties of weak conditions. Collective."""
+        self.form.set_penalties(here)
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrade`."""

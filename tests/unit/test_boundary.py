@@ -387,10 +387,6 @@ def _bad():
                 )
             ), (FormError, ParameterError), "grid|points",
         ),
-        "explicit": (
-            lambda: problem(F + mpm.dirichlet(LAW, line, u, v), mpm.Explicit), FormError,
-            "Explicit makes no equations",
-        ),
         "late": (late, ParameterError, "not known where"),
         "total in space": (of_space, ParameterError, "stays in space and makes cells active"),
         "an empty cell": (empty_cell, StateError, "has no stiffness"),
@@ -402,7 +398,7 @@ BAD = (
     "no such vertex", "triangles of floats", "no level", "nowhere", "level not finite", "side",
     "side of triangles", "no area", "rows", "no markers", "follows", "method", "no boundary",
     "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "beta",
-    "wall of a body", "friction", "wall without law", "other points", "explicit", "late",
+    "wall of a body", "friction", "wall without law", "other points", "late",
     "total in space", "an empty cell",
 )  # fmt: skip
 

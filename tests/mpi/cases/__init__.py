@@ -85,6 +85,7 @@ CASES = {
         rings.rings_boundaries,
         explicit.explicit_steps,
         explicit.explicit_restart,
+        explicit.explicit_boundaries,
         porous.consolidation,
         porous.nested,
         porous.nested_bases,
