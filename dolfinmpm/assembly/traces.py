@@ -24,6 +24,8 @@ from dolfinmpm._platform.errors import StateError, raise_together
 from dolfinmpm.assembly.facetpairs import isotropic
 from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import pushed_forward
+from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 
@@ -45,15 +47,56 @@ def _tangents(moduli: Array, d: int) -> Array:
     return M.reshape(shape) * first + G.reshape(shape) * second
 
 
+def _by_slots(points: MaterialPoints, values: Array) -> Array:
+    """Forms of tensors ∇u as those of what stencils give: gradients, at rings values too.
+
+    Args:
+        points: The points.
+        values: Shape (n, m, strain_dim, strain_dim), linear in the gradient's tensors.
+
+    Returns:
+        Shape (n, m, components times slots).
+    """
+    n, m, rows, columns = values.shape
+    if not points.axisymmetric:
+        return values.reshape(n, m, rows * columns)
+    made = np.zeros((n, m, 2, 3))
+    made[..., 1:] = values[..., :2, :2]
+    # the hoop strain u_r/r
+    made[:, :, 0, 0] = values[..., 2, 2] / points["x"][:, :1]
+    return made.reshape(n, m, 6)
+
+
+def _energies(points: MaterialPoints, moduli: Array) -> Array:
+    """Twice the elastic energies of the points, as forms of what their stencils give."""
+    e = points.strain_dim
+    D = _tangents(moduli, e) * points["V"].reshape(-1, 1, 1, 1, 1)
+    once = _by_slots(points, D.reshape(len(D), e * e, e, e))
+    width = once.shape[2]
+    turned = np.swapaxes(once, 1, 2).reshape(len(D), width, e, e)
+    return _by_slots(points, turned)
+
+
+def _tractions(markers: MaterialPoints, moduli: Array) -> Array:
+    """Squares of the tractions at markers, times areas, as forms of what their stencils give."""
+    d = markers.gdim
+    n = markers["area"] / markers["V"][:, None]
+    D = _tangents(moduli, markers.strain_dim)[:, :d, :d]
+    t = _by_slots(markers, np.einsum("prqis,pq->pris", D, n))
+    return np.einsum("p,pra,prb->pab", markers["V"], t, t)
+
+
 def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], grid: bool) -> Matrix:
-    """A matrix of gradients at points, and of the terms over the grid if they are asked for."""
+    """A matrix of forms at points, and of the terms over the grid if they are asked for."""
     matrix = Matrix(here.pattern, here.unknowns)
     field, d = here.unknowns.fields[k], here.fields[k].space.grid.geometry.dim
     nothing = np.zeros((field.numbering.size, field.components))
     entries = Entries(field, field, here.pattern, matrix.data, nothing, nothing.copy())
     for s, values in parts:
-        flat = np.ascontiguousarray(values[s.order]).reshape(len(s.order), d**4)
-        add_stiffness(s, s, 0, s.groups.size - 1, Slope(flat, False, False), entries)
+        n, width = len(s.order), values.shape[2]
+        flat = np.ascontiguousarray(values[s.order]).reshape(n, width**2)
+        valued = width > field.components * d
+        add_stiffness(s, s, 0, s.groups.size - 1, Slope(flat, valued, valued), entries)
     penalty = here.fields[k].penalty
     blocks = [] if not grid else [*here.grid, *([penalty] if penalty is not None else [])]
     for b in blocks:
@@ -169,14 +212,12 @@ def trace_constants(
     Raises:
         StateError: A marker is in a cell without material and without a remedy.
     """
-    d = points.gdim
-    inside = _tangents(moduli, d) * points["V"].reshape(-1, 1, 1, 1, 1)
-    n = markers["area"] / markers["V"][:, None]
-    D = _tangents(at_markers, d)
-    traction = np.einsum("prqis,pq->pris", D, n)
-    square = np.einsum("p,pris,prkt->piskt", markers["V"], traction, traction)
-    s = here.fields[k].of_markers[boundary]
-    energy = _assembled(here, k, [(here.fields[k].stencils, inside)], True)
+    d, s, own = points.gdim, here.fields[k].of_markers[boundary], here.fields[k].stencils
+    if here.total:
+        own = pushed_forward(own, in_section(points, points["F"]))
+        s = pushed_forward(s, here.terms.boundaries[boundary].boundary.deformation())
+    inside, square = _energies(points, moduli), _tractions(markers, at_markers)
+    energy = _assembled(here, k, [(own, inside)], True)
     tractions = _assembled(here, k, [(s, square)], False)
     unknowns = here.unknowns
     row_of, to_global = unknowns.fields[k].row_of, unknowns.to_global
@@ -204,7 +245,7 @@ def trace_constants(
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
             'a remedy: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
-            '"aggregation", or give beta'
+            '"aggregation", in explicit steps the latter, or give beta'
         ),
     )
     return constants

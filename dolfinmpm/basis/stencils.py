@@ -56,12 +56,11 @@ def together(placements: Sequence[Placement]) -> Placement:
     """Several sets of points as one, in their order; one alone is itself."""
     if len(placements) == 1:
         return placements[0]
-    return Placement(
-        *(
-            np.concatenate([getattr(p, name) for p in placements])
-            for name in ("x", "half", "volume", "cell")
-        )
+    x, half, volume, cell = (
+        np.concatenate([getattr(p, name) for p in placements])
+        for name in ("x", "half", "volume", "cell")
     )
+    return Placement(x, half, volume, cell, any(p.rings for p in placements))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,6 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown, truth, whole
-from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -25,7 +24,9 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.arguments import check_displacement, check_points
-from dolfinmpm.body.contours import along_segments, contour, cut_triangles, kuhn
+from dolfinmpm.body.axisymmetry import gradient, in_section
+from dolfinmpm.body.contours import along_segments, contour, cut_triangles
+from dolfinmpm.body.markerplaces import corners_of, inward, revolved, rows_of, simplices_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
@@ -34,14 +35,14 @@ from dolfinmpm.grid.positions import ask
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField
 
-__all__ = ["Boundary"]
+__all__ = ["OWN", "Boundary"]
 
 Array = npt.NDArray[np.float64]
 
-_numbers = itertools.count(1)
+# Deformation gradient of markers themselves, where steps need it; `F` is that of the nearest point
+OWN = "F_own"
 
-# Markers on a grid line are in the cell on the body's side: moved there by this share of a cell.
-_INWARD = 1e-9
+_numbers = itertools.count(1)
 
 
 class Boundary:
@@ -59,7 +60,8 @@ class Boundary:
         points: Material points of the body.
         x: Positions (m), shape (n, gdim). Each rank gives some of the markers, or all, or none;
             those that several ranks give alike count once.
-        area: Area vectors (m^(d-1)), area times outward unit normal, likewise.
+        area: Area vectors (m^(d-1)), area times outward unit normal, likewise; of rings the
+            whole ones (m²), 2π r times the length of the section. Other constructors find them.
         follows: Whether the markers move with the body; else they stay where they are.
         name: Name in messages and checkpoints.
         activates: Whether the cells that markers are in become active, as those of a body's own
@@ -71,6 +73,7 @@ class Boundary:
         markers: The markers as points: their fields `x`, `x0`, `area` (m^(d-1), a vector)
             and `V`, its length, and those that hold the state of the nearest material point.
         follows, name, activates: The arguments.
+        late: Whether the body had moved when it was made.
         tiles: Whether each marker is the middle of a segment of its length, which together are it.
         forces: Names of the markers' fields that hold the forces of conditions on the body
             in the last step (N), see `force`.
@@ -96,35 +99,52 @@ class Boundary:
         activates = (
             truth("follows", follows) if activates is None else truth("activates", activates)
         )
-        if getattr(points, "axisymmetric", False):
-            raise ParameterError(
-                "boundaries that do not fit the grid are of plane bodies and bodies in 3D, these "
-                "points are rings; hold them with conditions at nodes, or load a Surface"
-            )
-        at, vectors = call_together(points.comm, lambda: _rows(points.gdim, x, area))
+        at, vectors = call_together(points.comm, lambda: rows_of(points.gdim, x, area))
         sizes = np.linalg.norm(vectors, axis=1)
         if points.comm.allreduce(len(at), op=MPI.SUM) == 0:
-            raise EmptyShapeError("the boundary has no markers; its markers must lie in the grid")
-        at = at - _inward(points.grid, at) * vectors / sizes[:, None]
+            axis = " and off the axis, which bounds no body" if points.axisymmetric else ""
+            raise EmptyShapeError(
+                f"the boundary has no markers; its markers must lie in the grid{axis}"
+            )
+        at = at - inward(points.grid, at) * vectors / sizes[:, None]
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False
+        moved = not np.array_equal(points["x"], points["x0"])
+        self.late = points.comm.allreduce(moved, op=MPI.LOR)
         self.name = name or f"boundary{next(_numbers)}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0,
-            fields={"area": vectors, "area0": vectors},
+            fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
         )  # fmt: skip
         # laws whose parameters vary have fields of the same names on both
         markers.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}
         self.ds = markers.dx.reconstruct(metadata=mark)
 
+    @property
+    def seen(self) -> Array:
+        """Positions that its markers see the grid from (m): those now, or at first."""
+        return self.markers["x0" if self.markers.configuration == "total" else "x"]
+
     def placement(self) -> Placement:
         """The markers as a basis sees them: points without a domain, and without volume."""
-        markers = self.markers
-        return Placement(
-            markers["x"], np.zeros_like(markers["x"]), np.zeros(len(markers)), markers["cell"]
-        )
+        x = self.seen
+        return Placement(x, np.zeros_like(x), np.zeros(len(x)), self.markers["cell"])
+
+    def deformation(self) -> Array:
+        """Deformation gradients that carry gradients by first positions to those by present ones.
+
+        Shape (markers, gdim, gdim): those of the markers, and at a wall those of the body there.
+        """
+        F = self.markers[OWN if self.follows else "F"]
+        return np.ascontiguousarray(in_section(self.markers, F))
+
+    def present(self) -> npt.NDArray[np.bool_]:
+        """Which of its markers may see the body at all, shape (markers,)."""
+        if "apart" not in self.markers.fields:
+            return np.ones(len(self.markers), bool)
+        return self.markers["apart"] == 0.0
 
     def __repr__(self) -> str:
         return f"Boundary '{self.name}'"
@@ -166,7 +186,7 @@ class Boundary:
                 "Boundary.from_triangles"
             )
         truth("closed", closed)
-        corners = _corners("vertices", vertices, 2)
+        corners = corners_of("vertices", vertices, 2)
         if len(corners) < 2 + closed:
             raise ParameterError(
                 f"vertices are {len(corners)}; a boundary has {2 + closed} or more"
@@ -183,7 +203,7 @@ class Boundary:
             spacing = smallest_height(points.grid) / 2
         lines = () if lattice is None else lattice.lines
         x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
-        made = cls(points, x, area, follows, name, activates)
+        made = cls(points, *revolved(points, x, area), follows, name, activates)
         made.tiles = rule == 1
         return made
 
@@ -218,9 +238,8 @@ class Boundary:
         x = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1)
         area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
         normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
-        return cls(
-            points, x.reshape(-1, points.gdim), area * normal, False, name or word, activates=False
-        )
+        x, area = revolved(points, x.reshape(-1, points.gdim), area * normal)
+        return cls(points, x, area, False, name or word, activates=False)
 
     @classmethod
     def from_triangles(
@@ -254,7 +273,7 @@ class Boundary:
                 f"triangles bound bodies in 3D, the grid is of {points.gdim}D; in 2D give "
                 "Boundary.from_polygon"
             )
-        corners = _corners("vertices", vertices, 3)
+        corners = corners_of("vertices", vertices, 3)
         rows = np.asarray(triangles)
         if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
             raise FieldShapeError(
@@ -306,7 +325,7 @@ class Boundary:
         if d == 1:
             raise UnsupportedGridError("a level set needs a grid of 2D or 3D; give Boundary(...)")
         whole("subdivisions", subdivisions, 1), whole("rule", rule, 1)
-        simplices = _simplices(grid, subdivisions)
+        simplices = simplices_of(grid, subdivisions)
         flat = simplices.reshape(-1, d)
         values = call_together(points.comm, lambda: ask("phi", phi, flat))
         bad = np.flatnonzero(~np.isfinite(values))
@@ -325,7 +344,7 @@ class Boundary:
             raise EmptyShapeError(
                 "phi changes its sign nowhere on the grid; it has no level 0 there"
             )
-        return cls(points, x, area, follows, name, activates)
+        return cls(points, *revolved(points, x, area), follows, name, activates)
 
     # -- of UFL ---------------------------------------------------------------
 
@@ -337,7 +356,7 @@ class Boundary:
     @property
     def x0(self) -> PointField:
         """Positions at first (m)."""
-        return self.markers.x0
+        return self.markers.x0 if self.follows else self.markers.x
 
     @property
     def normal(self) -> Expr:
@@ -369,11 +388,15 @@ class Boundary:
         check_displacement(self.points, u=u, v=v)
         if not isinstance(p, Expr):
             p = own_constant(self.points.grid, float(p))
-        dF = ufl.Identity(self.points.gdim) + ufl.grad(u)
-        return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, ufl.inv(dF)), v) * self.ds
+        dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
+        back = in_section(self.markers, ufl.inv(dF))
+        return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v) * self.ds
 
     def force(self) -> Array:
-        """Force of all conditions on the body in the last step (N), shape (gdim,). Collective."""
+        """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
+
+        Of rings it is that all around, the first component being the sum of radial forces.
+        """
         sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
         return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
 
@@ -384,72 +407,5 @@ class Boundary:
 
     @property
     def total_area(self) -> float:
-        """Area now (m^(d-1)), on all ranks. Collective."""
+        """Area now (m^(d-1); of rings m²), on all ranks. Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)
-
-
-def _rows(d: int, x: Any, area: Any) -> tuple[Array, Array]:
-    """Positions and area vectors as arrays, checked."""
-    made = []
-    for what, values in (("x", x), ("area", area)):
-        made.append(_corners(what, values, d))
-    if len(made[0]) != len(made[1]):
-        raise FieldShapeError(f"x has {len(made[0])} rows and area {len(made[1])}; give one each")
-    none = np.flatnonzero(~(np.linalg.norm(made[1], axis=1) > 0))
-    if none.size:
-        raise ParameterError(
-            f"the area of the marker at {made[0][none[0]]} m is zero; leave such markers out"
-        )
-    return made[0], made[1]
-
-
-def _inward(grid, x: Array) -> Array:
-    """How far markers go inwards (m), shape (n, 1)."""
-    far = np.full((len(x), 1), _INWARD * smallest_height(grid))
-    lattice = lattice_of(grid)
-    if lattice is None:
-        return far
-    gap = np.full(len(x), np.inf)
-    for d, line in enumerate(lattice.lines):
-        at = np.clip(np.searchsorted(line, x[:, d]), 1, line.size - 1)
-        gap = np.minimum(
-            gap, np.minimum(np.abs(x[:, d] - line[at - 1]), np.abs(x[:, d] - line[at]))
-        )
-    return np.where(gap[:, None] < far, far, 0.0)
-
-
-def _corners(what: str, values: Any, d: int) -> Array:
-    try:
-        given = np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise FieldShapeError(f"{what} = {shown(values)} must be an array of numbers") from None
-    if given.size == 0:
-        return np.empty((0, d))
-    if given.ndim != 2 or given.shape[1] != d:
-        raise FieldShapeError(f"{what} should have shape (n, {d}), got {given.shape}")
-    if not np.isfinite(given).all():
-        row = given[~np.isfinite(given).all(axis=1)][0]
-        raise ParameterError(f"{what} has the row {row}, which must be finite")
-    return given
-
-
-def _simplices(grid, subdivisions: int) -> Array:
-    """Simplices that this rank's own cells fall into (m), shape (n, d + 1, d)."""
-    d, own = grid.geometry.dim, grid.topology.index_map(grid.topology.dim).size_local
-    lattice = lattice_of(grid)
-    x = np.asarray(grid.geometry.x[:, :d], float)[geometry_dofmap(grid)[:own]]
-    if x.shape[1] == d + 1:
-        return x
-    if lattice is None:
-        raise UnsupportedGridError(
-            "a level set is found in rectangular grids, and in those of triangles or tetrahedra"
-        )
-    parts = np.array(list(np.ndindex(*(subdivisions,) * d)), float)
-    cube = np.array(list(np.ndindex(*(2,) * d)), float)
-    corners = (parts[:, None, :] + cube) / subdivisions
-    ijk = lattice.cell_ijk[:own]
-    low = np.column_stack([line[ijk[:, k]] for k, line in enumerate(lattice.lines)])
-    high = np.column_stack([line[ijk[:, k] + 1] for k, line in enumerate(lattice.lines)])
-    size = (high - low)[:, None, None, :]
-    boxes = low[:, None, None, :] + corners * size
-    return boxes.reshape(-1, 2**d, d)[:, kuhn(d)].reshape(-1, d + 1, d)

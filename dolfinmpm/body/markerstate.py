@@ -9,7 +9,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import Tags
-from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.points import MaterialPoints
 
@@ -18,9 +18,9 @@ __all__ = ["keys_of", "nearest", "take_state"]
 Array = npt.NDArray[np.float64]
 
 # What is of the markers themselves
-_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0"})
+_OWN = frozenset({"id", "cell", "x", "x0", "V", "V0", "l", "l0", "area", "area0", OWN})
 # Where the point is that the state is of, for markers that ask
-_PLACE = {"body_x": "x", "body_l": "l"}
+_PLACE = {"body_x": "x", "body_l": "l", "body_x0": "x0"}
 # Points that are as near as another but for this share are equally near: one of them is chosen by
 # a sum of its first coordinates, with weights that no lattice has ties for
 _SAME = 1e-7
@@ -37,13 +37,15 @@ def take_state(boundary: Boundary, tags: Tags = None) -> None:
         tags: Tags of the points of its body, or None for all.
     """
     points, markers = boundary.points, boundary.markers
+    # what follows the body keeps its neighbours, which first positions tell exactly
+    x = "x0" if markers.configuration == "total" and boundary.follows else "x"
     names = {name: name for name in points.fields if name not in _OWN}
     names |= {of: name for of, name in _PLACE.items() if of in markers.fields}
     if points.comm.size == 1:
-        rows = _nearest(points, markers["x"], tags)[2]
+        rows = _nearest(points, markers[x], tags, x)[2]
         found: dict[str, npt.NDArray[Any]] = {of: points[name][rows] for of, name in names.items()}
     else:
-        found = _from_all(boundary, names, tags)
+        found = _from_all(boundary, names, tags, x)
     for name, values in found.items():
         if name in markers.fields:
             markers.fields[name][...] = values
@@ -85,20 +87,23 @@ def keys_of(x0: Array) -> Array:
     return np.asarray(x0 @ _WEIGHTS[: x0.shape[1]], np.float64)
 
 
-def _nearest(points: MaterialPoints, at: Array, tags: Tags):
+def _nearest(points: MaterialPoints, at: Array, tags: Tags, x: str):
+    """`nearest` among points of some tags, at their positions of that name."""
     if tags is None:
-        return nearest(points["x"], keys_of(points["x0"]), at)
+        return nearest(points[x], keys_of(points["x0"]), at)
     own = np.flatnonzero(np.isin(points["tag"], tags))
-    distance, key, rows = nearest(points["x"][own], keys_of(points["x0"][own]), at)
+    distance, key, rows = nearest(points[x][own], keys_of(points["x0"][own]), at)
     return distance, key, own[rows] if own.size else rows
 
 
-def _from_all(boundary: Boundary, names: dict[str, str], tags: Tags) -> dict[str, npt.NDArray[Any]]:
+def _from_all(
+    boundary: Boundary, names: dict[str, str], tags: Tags, x: str
+) -> dict[str, npt.NDArray[Any]]:
     """State of the nearest points of all ranks, in the order of this rank's markers. Collective."""
     points, markers, comm = boundary.points, boundary.markers, boundary.points.comm
     counts = comm.allgather(len(markers))
-    at = np.concatenate(comm.allgather(markers["x"]))
-    distance, key, rows = _nearest(points, at, tags)
+    at = np.concatenate(comm.allgather(markers[x]))
+    distance, key, rows = _nearest(points, at, tags, x)
     least = np.empty_like(distance)
     comm.Allreduce(distance, least, op=MPI.MIN)
     key[distance > least * (1 + _SAME)] = np.inf

@@ -200,6 +200,11 @@ def contact_between(
             "tag the points of each, join the bodies with + and give each a boundary"
         )
     points = first.points
+    if points.axisymmetric:
+        raise ParameterError(
+            "contact_between is of plane bodies and bodies in 3D, these points are rings; let a "
+            "mpm.RigidBody touch them, or hold them with mpm.dirichlet"
+        )
     require_lattice(points.grid, "contact_between")
     for one, test in zip(_pair("u", u), _pair("v", v)):
         check_displacement(points, u=one, v=test)

@@ -76,14 +76,16 @@ def activate(
     configuration = fields[0].space.configuration
     where = points.placement(configuration)
     total = configuration == "total"
-    if total and old is not None and _unmoved(points, where, old):
+    if total and old is not None and _unmoved(points, where, terms.boundaries, old):
         return _renewed(points, held, terms, share, old)
     averages = any(region.averages for region in terms.regions)
     bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
     # markers activate cells as points without volume do
     where = together([bodies, *sets])
     bases = _bases(fields, where, averages, points.partition, terms.beyond)
-    members: list[npt.NDArray[Any]] = [np.arange(len(p.x), dtype=np.int32) for p in sets]
+    members: list[npt.NDArray[Any]] = [
+        np.asarray(np.flatnonzero(b.boundary.present()), np.int32) for b in terms.boundaries
+    ]
     views = [_View(field.space, points["tag"], terms.boundaries) for field in fields]
     if not all(b.boundary.activates for b in terms.boundaries):
         members = _in_active_cells(terms.boundaries, bodies, sets, bases, views)
@@ -123,7 +125,7 @@ def activate(
     driven = held.changing and held.driven
     return Activation(
         bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later, of_boundaries, facing,
+        later, of_boundaries, facing, tuple(sets),
     )  # fmt: skip
 
 
@@ -172,10 +174,7 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
         return joined([once[id(s)] for s in stencils])
 
     def pushed(stencils: list[Stencils]) -> list[Stencils]:
-        if F is None:
-            return stencils
-        now = {id(s): pushed_forward(s, F) for s in stencils}
-        return [now[id(s)] for s in stencils]
+        return stencils if F is None else _pushed(stencils, F)
 
     own, means = [f.stencils for f in fields], None
     if not region.averages:
@@ -198,9 +197,20 @@ def region_on(region: Region, points: MaterialPoints, here: Participants) -> Act
     return ActiveRegion(stencils, means, within)
 
 
-def _unmoved(points: MaterialPoints, where: Placement, old: Activation) -> bool:
-    """Whether the points are those of an activation at first positions. Collective."""
+def _pushed(stencils: Sequence[Stencils], F: npt.NDArray[np.float64]) -> list[Stencils]:
+    """Stencils with gradients by present positions; those that are one object stay one."""
+    now = {id(s): pushed_forward(s, F) for s in stencils}
+    return [now[id(s)] for s in stencils]
+
+
+def _unmoved(
+    points: MaterialPoints, where: Placement, boundaries: Sequence[BoundaryOf], old: Activation
+) -> bool:
+    """Whether points and markers are those of an activation at first positions. Collective."""
     same = where.x is old.where.x and where.cell.size == old.where.cell.size
+    for of, former in zip(boundaries, old.sets):
+        # what a wall meets is found anew
+        same = same and of.boundary.follows and of.boundary.seen is former.x
     return points.comm.allreduce(same, op=MPI.LAND)
 
 
@@ -211,9 +221,13 @@ def _renewed(
     bases = [f.basis for f in old.fields]
     _, prescribed = held.at(bases, share)
     regions = [region_on(region, points, old) for region in terms.regions]
+    of_boundaries = regions_of(terms.boundaries, old, terms.boundaries)
     grid, soft = terms.grid_blocks(old.fields)
     driven = held.changing and held.driven
-    return replace(old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft)
+    return replace(
+        old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft,
+        of_boundaries=of_boundaries,
+    )  # fmt: skip
 
 
 class _View:
@@ -362,7 +376,7 @@ def _in_active_cells(
     boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases, views
 ) -> list[npt.NDArray[Any]]:
     """Which markers take part: those of passive boundaries in cells that points see. Collective."""
-    members = [np.ones(len(one.x), bool) for one in sets]
+    members = [of.boundary.present() for of in boundaries]
     for view, basis in {(id(b), v.key): (v, b) for b, v in zip(bases, views)}.values():
         cells = active_cells(view.stencils(basis, bodies, ()), basis.cells)
         for of, one, chosen, sees in zip(boundaries, sets, members, view.boundaries):
@@ -426,7 +440,8 @@ def regions_of(
             whole = {id(f.of_markers[k]): f.of_markers[k] for f in here.fields}
             if chosen is not None:
                 whole = {key: selected(s, chosen) for key, s in whole.items()}
-            own = joined([whole[id(f.of_markers[k])] for f in here.fields])
+            once = joined([whole[id(f.of_markers[k])] for f in here.fields])
+            own = once if not here.total else _pushed(once, of.boundary.deformation())
             parts.append(ActiveRegion(own, None, within))
         made.append(parts)
     return made

@@ -276,6 +276,7 @@ class Activation(Participants):
         later: What is made when it is first asked for.
         of_boundaries: The parts of each boundary that does not fit the grid.
         facing: Where bodies with fields of their own face each other.
+        sets: The markers of each boundary as the stencils see them.
     """
 
     terms: Terms
@@ -288,6 +289,7 @@ class Activation(Participants):
     later: Later
     of_boundaries: list[list[ActiveRegion]]
     facing: list[Any]
+    sets: tuple[Placement, ...] = ()
 
     @property
     def pattern(self) -> Pattern:

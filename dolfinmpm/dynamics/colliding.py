@@ -57,6 +57,11 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
         )
     if parts.contacts or any(d.fbar for d in parts.declarations):
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
+    if problem.form.boundaries:
+        return FormError(
+            f"the form has terms over {problem.form.boundaries[0].boundary}, which Collision has "
+            "no field of velocities for; leave it or contact out"
+        )
     if not only_momentum(problem.form):
         return FormError(
             "Collision goes with no internal forces but those of mpm.momentum; leave others out"

@@ -10,6 +10,7 @@ import math
 import os
 import time as clock
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.clock import MotionRecord, Time
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
@@ -39,6 +41,7 @@ from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
+from dolfinmpm.dynamics.traces import Stiffness, check_boundaries, weighed
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
@@ -70,7 +73,10 @@ class Explicit(Problem):
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
-            Penalties on the increment do nothing here: explicit steps take no tangent.
+            Penalties on the increment do nothing here: explicit steps take no tangent. Weak
+            conditions act with what they have kept until a step, and their stiffness counts in
+            `critical_step`: "penalty" with a beta of some 10 costs a half of a step. What they
+            prescribe changes by the constant `time`, or from call to call.
         scheme: "musl", "usl" or "usf".
         mapping: How velocities go to the grid and come back; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
@@ -141,12 +147,7 @@ class Explicit(Problem):
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
         refuse_bodies(self.fields, "Explicit", "bodies collide with contact=mpm.Collision(tags)")
-        if self.form.boundaries:
-            raise FormError(
-                f"the form has terms over {self.form.boundaries[0].boundary}, and Explicit makes "
-                "no equations for them; take Newmark, GeneralisedAlpha or QuasiStatic, or hold "
-                "sides of the grid"
-            )
+        check_boundaries(self.form, mass)
         if points.dt in extract_constants(form):
             raise FormError(
                 "the form has rates over points.dt, and increments are 0 where explicit steps find "
@@ -156,7 +157,8 @@ class Explicit(Problem):
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
-        self._kept_state = Snapshot(points, self.bodies)
+        markers = [of.boundary.markers for of in self.form.boundaries]
+        self._kept_state = Snapshot(points, self.bodies, markers)
         sides = Sides(faces, points)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -247,14 +249,23 @@ class Explicit(Problem):
         """
         scaling = self.settings.scaling
         if exact:
-            return exact_step(self.form, self.terms, self.activate(), scaling)
+            here = self.activate()
+            if self.form.boundaries:
+                here, _ = weighed(self.form, here)
+            return exact_step(self.form, self.terms, here, scaling)
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
         tied = field.remedy.kind in ("aggregation", "extended") or field.prolongate is not None
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
         # a corner in contact is a spring on a light node
         springs = sum(contact.rate() for contact in self.form.parts.contacts)
-        return math.sqrt(scaling / (1.0 / found**2 + 0.25 * springs))
+        held = self._loop.held() if isinstance(self._loop, General) else Stiffness()
+        rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
+        return math.sqrt(scaling / rate)
+
+    def _set_penalties(self, here: Activation) -> None:
+        fields = tuple(replace(field, penalty=None) for field in here.fields)
+        self.form.set_penalties(replace(here, grid=[], soft=[], fields=fields), ghost=False)
 
     def step(self, t: float) -> MotionRecord:
         """Go to a time. Collective.
@@ -289,6 +300,8 @@ class Explicit(Problem):
                 self._check_energy(record.dt, begins=record.parts == 0)
                 if record.parts % _KEEP == 0:
                     self._kept_state.take(self.time, self.balance.work)
+            if record.parts % _EVERY == 0 or self.form.boundaries:
+                # what comes to a wall is held from then on
                 longest = self.courant * self.critical_step()
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))

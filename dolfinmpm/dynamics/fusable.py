@@ -52,6 +52,8 @@ def why_not(form: WeakForm) -> str | None:
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
         return "a neo-Hookean law that varies"
+    if form.boundaries:
+        return "terms over boundaries that do not fit the grid"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
         if contact_of(integral) or any(integral.integrand() is term for term in own):

@@ -28,6 +28,7 @@ from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.dynamics.onebyone import OneByOne
+from dolfinmpm.dynamics.traces import Stiffness, weighed
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
@@ -42,10 +43,21 @@ Array = npt.NDArray[np.float64]
 class General(OneByOne):
     """Explicit steps of a problem of any form, one after the other."""
 
+    _stiffness: Stiffness | None = None
+
     @cached_property
     def _by_stress(self) -> bool:
-        """Whether the points' stress gives the internal forces."""
-        return only_momentum(self._problem.form)
+        """Whether the points' stress gives the internal forces, but for those of boundaries."""
+        return only_momentum(self._problem.form, boundaries=False)
+
+    def held(self) -> Stiffness:
+        """What boundaries added to the body's stiffness in the last step. Collective."""
+        problem = self._problem
+        if not problem.form.boundaries:
+            return Stiffness()
+        if self._stiffness is None or problem.here is None:
+            self._stiffness = weighed(problem.form, problem.activate())[1]
+        return self._stiffness
 
     @stages.commit
     def _take(self, step: Step) -> int | str:
@@ -56,6 +68,8 @@ class General(OneByOne):
         balance(points)
         problem.bodies.begin(dt)
         here = problem.activate(step)
+        if problem.form.boundaries:
+            here, self._stiffness = weighed(problem.form, here)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
         terms = problem.form.inertia
@@ -68,9 +82,13 @@ class General(OneByOne):
         V = mass.velocities(momenta, before, fastest).arrays[0]
         operator = Operator(problem.form, here)
         problem.bodies.put(0.0)
-        forces = self._forces(operator, mass, s, dt * V if settings.scheme == "usf" else None)
+        predicted = dt * V if settings.scheme == "usf" else None
+        held_by = self._held_by(operator, predicted)
+        forces = self._forces(operator, mass, s, predicted)
         if isinstance(forces, str):
             return forces
+        if held_by is not None:
+            forces.arrays[0][:] -= held_by
         problem.bodies.push(operator.contacts)
         self._resist(forces, mass, s, V)
         A = self._accelerations(forces, mass, V)
@@ -86,11 +104,18 @@ class General(OneByOne):
         if settings.scheme == "musl":
             V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         operator.place([dt * V_strain])
+        if held_by is not None and settings.clock is not None:
+            # what is left of a prescribed displacement is that of the end
+            settings.clock.value = step.t
         problem.bodies.put(1.0)
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
         external = self._external(operator, mass, forces, V, V_end, dt)
+        if held_by is not None:
+            at = here.unknowns.fields[0].owned_nodes
+            done = -dt * float(np.sum(held_by[at] * V_strain[at]))
+            external += mass.comm.allreduce(done, op=MPI.SUM)
         self._work.add(points, state.fields, operator, external)
         if settings.mapping.kind == "tpic":
             # from here on it is that of where the points have gone
@@ -131,7 +156,7 @@ class General(OneByOne):
         forces = mass.nodal()
         if u is None and not self._by_stress:
             operator.rest()
-            forces.arrays[0][:] = -operator.forces()[0]
+            forces.arrays[0][:] = -operator.forces(boundaries=False)[0]
             return forces
         points = self._problem.points
         weight, stress = points["V"], points["stress"]
@@ -154,6 +179,14 @@ class General(OneByOne):
             operator.contact_forces(touching.arrays)
             forces.arrays[0][:] -= touching.arrays[0]
         return forces
+
+    def _held_by(self, operator: Operator, u: Array | None) -> Array | None:
+        """Internal forces of boundaries, after an increment or before any. Collective."""
+        if not operator.markers:
+            return None
+        if u is not None:
+            operator.place_markers([u])
+        return operator.boundary_forces()[0]
 
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:

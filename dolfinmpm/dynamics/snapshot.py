@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -20,35 +21,39 @@ class Snapshot:
     Args:
         points: Material points.
         bodies: Rigid bodies.
+        markers: Those of boundaries that do not fit the grid.
 
     Attributes:
         time: Time that it is of (s).
     """
 
-    def __init__(self, points: MaterialPoints, bodies: Bodies):
+    def __init__(
+        self, points: MaterialPoints, bodies: Bodies, markers: Sequence[MaterialPoints] = ()
+    ):
         self.time = math.nan
         self._bodies, self._of_bodies = bodies, bodies.memory()
-        self._points, self._work = points, Work()
-        self._fields: dict[str, npt.NDArray] = {}
+        self._sets, self._work = [points, *markers], Work()
+        self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
 
     def take(self, time: float, work: Work) -> None:
         """Copy what points and bodies have at a time (s), and the work done until then (J)."""
         self.time, self._of_bodies = time, self._bodies.memory()
         self._work.internal, self._work.external = work.internal, work.external
-        kept, self._fields = self._fields, {}
-        for name, values in self._points.fields.items():
-            own = kept.get(name)
-            if own is None or own.shape != values.shape:
-                own = np.empty_like(values)
-            np.copyto(own, values)
-            self._fields[name] = own
+        for k, (points, kept) in enumerate(zip(self._sets, self._fields)):
+            self._fields[k] = {}
+            for name, values in points.fields.items():
+                own = kept.get(name)
+                if own is None or own.shape != values.shape:
+                    own = np.empty_like(values)
+                np.copyto(own, values)
+                self._fields[k][name] = own
 
     def put(self, work: Work) -> None:
         """Give all back what it had, points on the ranks that had them. Collective."""
-        points = self._points
         self._bodies.remember(self._of_bodies)
         work.internal, work.external = self._work.internal, self._work.external
-        for name, values in self._fields.items():
-            points.fields[name] = values.copy()
-        points.recount()
-        points.locate()
+        for points, fields in zip(self._sets, self._fields):
+            for name, values in fields.items():
+                points.fields[name] = values.copy()
+            points.recount()
+            points.locate()

@@ -17,7 +17,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement, check_points
-from dolfinmpm.body.axisymmetry import gradient
+from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
@@ -352,16 +352,19 @@ def flux(
         law, points, u, strain, tag: As for `momentum`.
 
     Returns:
-        An expression of shape (gdim, gdim), and the law's declaration.
+        An expression of shape (gdim, gdim), at rings without the hoop term, which no normal has a
+        part in, and the law's declaration.
     """
     declaration = points.declarations[_declare(law, points, u, strain, False, tag)]
-    d, S = points.gdim, declaration.operator
+    d, S = points.strain_dim, declaration.operator
     if S is None:
         sigma = law.cauchy_stress(_end(points, u), **declaration.given)
-        plane = ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
-        dF = ufl.Identity(d) + ufl.grad(u)
-        return ufl.det(dF) * plane * ufl.inv(dF).T, declaration
-    return (S if strain == "small" else S / ufl.det(points.F)), declaration
+        own = ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
+        dF = ufl.Identity(d) + gradient(points, u)
+        S = ufl.det(dF) * own * ufl.inv(dF).T
+    elif strain != "small":
+        S = S / ufl.det(points.F)
+    return in_section(points, S), declaration
 
 
 def set_stress(

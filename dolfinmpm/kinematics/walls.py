@@ -61,6 +61,8 @@ class Wall:
         fixed: Penalty (Pa/m), or None.
         beta: Penalty in units of M/h.
         name: First part of the names of its fields.
+        slip: Stiffness against slip over the penalty.
+        stiffness: Name of the markers' field of the penalty k (Pa/m).
         updates: Fields that a step sets, by name.
     """
 
@@ -69,8 +71,16 @@ class Wall:
     fixed: float | None
     beta: float
     name: str
+    slip: float
+    stiffness: str
     updates: dict[str, Expr]
     local = False
+    exact = False
+
+    def stiffest(self) -> npt.NDArray[np.float64]:
+        """Largest stiffness at the markers of this rank, 0 where no body is in front (Pa/m)."""
+        markers = self.boundary.markers
+        return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
 
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
         """Find where the body is in front of the wall, and how far.
@@ -79,7 +89,7 @@ class Wall:
             rows: Markers in active cells.
         """
         markers, name = self.boundary.markers, self.name
-        k = markers[f"{name}_stiffness"]
+        k = markers[self.stiffness]
         if self.fixed is not None:
             k[:] = self.fixed
         elif self.declaration is not None:
@@ -141,7 +151,7 @@ def signorini(
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
-        beta: Penalty in units of M/h; see `dirichlet`.
+        beta: Penalty in units of M/h; see `dirichlet`, also for what explicit steps bear.
         slip_beta: Stiffness against slip that sticks, likewise.
         stiffness: Penalty k (Pa/m), instead; that against slip is by slip_beta/beta of it.
 
@@ -192,7 +202,8 @@ def signorini(
         updates[shear.name] = rubbed
     updates[force.name] = traction * markers.V
     boundary.forces.append(force.name)
-    wall = Wall(boundary, declaration, stiffness, float(beta), name, updates)
+    slip = slip_beta / beta if mu > 0 else 0.0
+    wall = Wall(boundary, declaration, stiffness, float(beta), name, slip, k.name, updates)
     mark = {**boundary.ds.metadata(), "condition": wall}
     where: Any = "everywhere"
     if declaration is not None and declaration.tags is not None:

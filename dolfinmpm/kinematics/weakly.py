@@ -14,7 +14,9 @@ exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembl
 the cells with their remedy against small cuts; twice that is taken. The penalty method keeps the
 last term alone.
 
-The gap is what former steps have left of w, so that nothing accumulates.
+The gap is what former steps have left of w, so that nothing accumulates. Explicit steps have the
+forces of the gap and of the stress at their start, see `dolfinmpm.dynamics.traces`; there ghost
+penalties do not act, and Nitsche's constants are small where nodes are tied alone.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.arguments import check_displacement
+from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
@@ -84,6 +87,16 @@ class WeakCondition:
     def local(self) -> bool:
         """Whether the penalty follows from the constants of the cells."""
         return self.fixed is None and self.beta is None
+
+    @property
+    def exact(self) -> bool:
+        """Whether it has gradients at the markers beside values, which must fit them."""
+        return self.method != "penalty"
+
+    def stiffest(self) -> npt.NDArray[np.float64]:
+        """The penalty at the markers of this rank as it is now, 0 where it is off (Pa/m)."""
+        k = self.boundary.markers[self.stiffness]
+        return k if self.on is None else k * self.boundary.markers[self.on]
 
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
         """Set the penalty where it is in units of M/h, or given, and the law's moduli.
@@ -145,7 +158,7 @@ def dirichlet(
             has the tag.
         beta: Penalty in units of M/h, the P-wave modulus of the law's elasticity over the size of
             a cell; by default that of the cells' own constants for "nitsche", 1 for "skew" and
-            1000 for "penalty".
+            1000 for "penalty", of which explicit steps are short: give some 10 there.
         stiffness: Penalty k (Pa/m), instead.
 
     Raises:
@@ -186,8 +199,9 @@ def dirichlet(
     if declaration is not None and traction is not None and method != "penalty":
         sign = -1.0 if method == "nitsche" else 1.0
         M = markers.add_field(moduli := f"{name}_moduli", (2,), "Pa")
-        strain_of_v, n = ufl.sym(ufl.grad(v)), boundary.normal
-        change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n + 2 * M[1] * ufl.dot(strain_of_v, n)
+        strain_of_v, n = ufl.sym(gradient(markers, v)), boundary.normal
+        change = (M[0] - 2 * M[1]) * ufl.tr(strain_of_v) * n
+        change += 2 * M[1] * ufl.dot(in_section(markers, strain_of_v), n)
         force += onto(traction)
         term += -ufl.dot(onto(traction), v) + sign * ufl.dot(change, along)
     if not boundary.activates:

@@ -115,8 +115,10 @@ def advance(
             reason = one.missed(moved)
             if reason is not None:
                 return reason
-    if not moves or operator.here.total:
+    if not moves:
         return NewState(new, None)
+    if operator.here.total:
+        return NewState(new, None, _markers(operator, step))
     to = destinations(points.grid, new["x"], points["cell"], points.partition)
     lost = np.flatnonzero(to.rank < 0)
     far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
@@ -124,13 +126,16 @@ def advance(
         # Newton may find a state of equilibrium on the far side of a singular one
         return "material points would be thrown out of the grid, further than a cell"
     raise_together(comm, _outside(points, new["x"], lost, step))
-    form = operator.form
-    markers = advance_markers(
-        form.boundaries, form.updates, operator.markers, step, operator.here.movers
-    )  # fmt: skip
+    markers = _markers(operator, step)
     for one in operator.between:
         markers[one.facing.numbers[0]][1].update(one.new_fields())
     return NewState(new, to, markers)
+
+
+def _markers(operator: Operator, step: int) -> list[MarkerState]:
+    """The new state of the markers of boundaries. Collective."""
+    form, here = operator.form, operator.here
+    return advance_markers(form.boundaries, form.updates, operator.markers, step, here.movers)
 
 
 @stages.commit

@@ -14,13 +14,15 @@ from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.traces import trace_constants
 from dolfinmpm.assembly.updates import PointUpdates
-from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.axisymmetry import deformation, in_section
+from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
 from dolfinmpm.kinematics.weakly import TRACE
+from dolfinmpm.solve.referred import refer
 
 __all__ = [
     "MarkerState",
@@ -52,6 +54,8 @@ def place_markers(boundaries: Sequence[BoundaryTerms]) -> None:
             markers.locate()
         if of.stateful:
             take_state(of.boundary, of.tags)
+        if markers.configuration == "total" and not of.boundary.follows:
+            refer(of.boundary)
 
 
 def set_penalties(
@@ -97,12 +101,12 @@ def set_penalties(
 
 def _middles(boundary: Boundary) -> Array:
     """Middles of the markers' cells (m), shape (markers, gdim)."""
-    markers, grid = boundary.markers, boundary.markers.grid
+    markers, grid, x = boundary.markers, boundary.markers.grid, boundary.seen
     lattice = lattice_of(grid)
     if lattice is None:
         corners = grid.geometry.x[:, : markers.gdim][geometry_dofmap(grid)[markers["cell"]]]
         return np.asarray(corners.mean(axis=1), np.float64)
-    ijk = lattice.cells_at(markers["x"])
+    ijk = lattice.cells_at(x)
     lines = enumerate(lattice.lines)
     return np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
 
@@ -139,20 +143,26 @@ def advance_markers(
     """
     made: list[MarkerState] = []
     for of, update, evaluation in zip(boundaries, updates, evaluations):
-        markers, d = of.boundary.markers, of.boundary.points.gdim
+        markers = of.boundary.markers
         new: dict[str, Array] = {}
         update.run(evaluation, new)
         if not of.boundary.follows:
             made.append((of.boundary, new, None))
             continue
         u, gradient = evaluation.motion(movers)
-        dF = gradient + np.eye(d)
+        dF = deformation(markers, u, gradient)
         J = np.linalg.det(dF)
         # Nanson's formula
-        turned = np.linalg.solve(np.swapaxes(dF, 1, 2), markers["area"][:, :, None])[:, :, 0]
+        across = np.swapaxes(in_section(markers, dF), 1, 2)
+        turned = np.linalg.solve(across, markers["area"][:, :, None])[:, :, 0]
         new["area"] = J[:, None] * turned
         new["V"] = np.linalg.norm(new["area"], axis=1)
         new["x"] = markers["x"] + u
+        if OWN in markers.fields:
+            new[OWN] = dF @ markers[OWN]
+        if markers.configuration == "total":
+            made.append((of.boundary, new, None))
+            continue
         to = destinations(markers.grid, new["x"], markers["cell"], markers.partition)
         raise_together(markers.comm, _outside(of.boundary, new["x"], to, step))
         made.append((of.boundary, new, to))
@@ -216,7 +226,7 @@ def set_markers(
         if local is None:
             markers.locate()
         else:
-            markers.fields["cell"] = cells_here(markers.grid, markers["x"])
+            markers.fields["cell"] = cells_here(markers.grid, of.boundary.seen)
             markers.recount()
         if of.stateful:
             take_state(of.boundary, of.tags)
@@ -224,7 +234,7 @@ def set_markers(
 
 def _kept(boundary: Boundary) -> list[str]:
     """Names of the markers' fields that are not of the nearest point."""
-    state = {*boundary.points.fields, "body_x", "body_l"} - {"x", "V", "x0", "V0"}
+    state = {*boundary.points.fields, "body_x", "body_l", "body_x0"} - {"x", "V", "x0", "V0"}
     state.add("cell")
     return sorted(name for name in boundary.markers.fields if name not in state)
 

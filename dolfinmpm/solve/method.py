@@ -104,18 +104,25 @@ class Method:
         return f"{outer}{name}{package}: {self.why}"
 
 
-def only_momentum(form: WeakForm) -> bool:
+def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
     """Whether internal forces are those of momentum terms, so that the points' stress gives them.
 
     Terms that vanish where there is no increment, such as penalties on it, do not count, nor do
     contacts, which are no integrals over the points.
+
+    Args:
+        form: The weak form.
+        boundaries: Whether terms over boundaries that do not fit the grid count.
     """
     own = [term for d in form.parts.declarations for term in d.terms]
     increments = [space.increment for space in form.spaces]
     for integral in form.given.integrals():
         if contact_of(integral) or any(integral.integrand() is term for term in own):
             continue
-        inside = (integral.metadata() or {}).get("points")
+        metadata = integral.metadata() or {}
+        if "boundary" in metadata and not boundaries:
+            continue
+        inside = metadata.get("points")
         for term in summands(integral.integrand()):
             if inside is not None and depends_on(term, increments):
                 return False

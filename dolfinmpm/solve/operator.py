@@ -155,13 +155,16 @@ class Operator:
         return self._u.arrays
 
     @stages.assemble
-    def forces(self) -> list[Array]:
+    def forces(self, boundaries: bool = True) -> list[Array]:
         """Internal and external forces at the increments moved to (N), each field's. Collective.
+
+        Args:
+            boundaries: Whether with the internal ones of terms over boundaries.
 
         Returns:
             Shapes (nodes, components), summed over ranks at the nodes' owners.
         """
-        internal = self._internal().arrays
+        internal = self._internal(self._sets if boundaries else [self.points]).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
     def load_work(self, of: Sequence[Array] | None = None) -> float:
@@ -206,11 +209,11 @@ class Operator:
         self.here.unknowns.clear(self._u)
         self._interpolate()
 
-    def _internal(self) -> Nodal:
+    def _internal(self, sets: Sequence[Evaluation] | None = None) -> Nodal:
         """Internal forces at the increments moved to, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
-        if not all(terms.add_internal(out.arrays) for terms in self._sets):
+        if not all(terms.add_internal(out.arrays) for terms in sets or self._sets):
             # the norm is then no number on any rank
             for field, force in zip(here.unknowns.fields, out.arrays):
                 force[field.nodes] = math.nan
@@ -252,6 +255,30 @@ class Operator:
         forces.add_up()
         for mine, more in zip(out, forces.arrays):
             mine += more
+
+    @stages.evaluate
+    def place_markers(self, u: Sequence[Array]) -> None:
+        """Evaluate nodal increments at the markers of boundaries alone.
+
+        Args:
+            u: Increments at all nodes known here, (nodes, components) each field.
+        """
+        for terms in self.markers:
+            terms.interpolate(u)
+
+    @stages.assemble
+    def boundary_forces(self) -> Sequence[Array]:
+        """Internal forces of terms over boundaries at the increments there (N). Collective.
+
+        Returns:
+            (nodes, components) each field, at the nodes' owners; no numbers where a law fails.
+        """
+        forces = self.here.unknowns.nodal()
+        if not all(terms.add_internal(forces.arrays) for terms in self.markers):
+            for field, force in zip(self.here.unknowns.fields, forces.arrays):
+                force[field.nodes] = math.nan
+        forces.add_up()
+        return forces.arrays
 
     @stages.assemble
     def residual(self, x: Array) -> Residual:

@@ -51,6 +51,7 @@ from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_increments
+from dolfinmpm.solve.referred import needed_of, require_reference
 from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.weakform import WeakForm
@@ -128,11 +129,7 @@ class Problem:
         refuse_increments(bcs, self.form.parts.carried)
         if not self._has_inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
-        if self.form.boundaries and self.configuration == "total":
-            raise ParameterError(
-                'boundaries that do not fit the grid need Space(..., configuration="updated"), got '
-                '"total": their markers move with the body'
-            )
+        self._settle_markers()
         self.here: Activation | None = None
         self._kept: Kept | None = None
         self._held = Held(bcs, spaces)
@@ -152,6 +149,14 @@ class Problem:
         self._loads = Loads(loads, increments)
         settle(points, self.configuration)
         warn_of_imbalance(points)
+
+    def _settle_markers(self) -> None:
+        """Bring boundaries to the cells of the positions that the problem sees. Collective."""
+        if self.configuration == "total":
+            require_reference(self.form.boundaries, self.form.parts.between)
+            return
+        for of in self.form.boundaries:
+            settle(of.boundary.markers, self.configuration)
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -263,6 +268,12 @@ class Problem:
                     f"{path} is of another problem: its {what} is {found}, that of this "
                     f"one {here}; build the same problem before you load"
                 )
+        absent = [name for name in needed_of(self.form.boundaries) if name not in state]
+        if absent and self.configuration == "total":
+            return CheckpointError(
+                f"{path} is of a problem in the updated configuration: it lacks '{absent[0]}', "
+                'where boundaries were at first; load it into one with configuration="updated"'
+            )
         return None
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
@@ -306,12 +317,16 @@ class Problem:
         )  # fmt: skip
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
-        self.form.set_penalties(self.here)
+        self._set_penalties(self.here)
         # what moves may come to a side later
         if first and kept is None and not self._in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
+
+    def _set_penalties(self, here: Activation) -> None:
+        """Set the penalties of weak conditions. Collective."""
+        self.form.set_penalties(here)
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrade`."""

@@ -7,6 +7,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.body.boundary import OWN
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
@@ -73,12 +74,16 @@ def _put_back(problem: QuasiStatic) -> None:
     """Undo the deformation of points and markers. Collective."""
     points = problem.points
     points["F"] = np.eye(points["F"].shape[1])
+    # the others have not moved
+    boundaries = [of.boundary for of in problem.form.boundaries if of.boundary.follows]
     for sets, names in (
         (points, ("x", "V", "l")),
-        *((of.boundary.markers, ("x", "area")) for of in problem.form.boundaries),
+        *((b.markers, ("x", "area")) for b in boundaries),
     ):
         for name in names:
             sets[name] = sets[f"{name}0"]
         if sets is not points:
             sets["V"] = np.linalg.norm(sets["area"], axis=1)
+            if OWN in sets.fields:
+                sets[OWN] = np.eye(sets.strain_dim)
         sets.locate()

@@ -140,12 +140,17 @@ class WeakForm:
         """Make boundaries ready for an activation. Collective."""
         place_markers(self.boundaries)
 
-    def set_penalties(self, here: Activation) -> None:
-        """Set the penalties of weak conditions on an activation. Collective."""
+    def set_penalties(self, here: Activation, ghost: bool = True) -> None:
+        """Set the penalties of weak conditions on an activation. Collective.
+
+        Args:
+            here: The activation.
+            ghost: Whether terms over its ghost facets act.
+        """
         increments = [space.increment for space in self.spaces]
         laws = self.parts.declarations
         tied = any(f.C is not None or f.penalty is not None for f in here.fields)
-        stabilised = tied or GHOST_FACETS in self.moving
+        stabilised = tied or (ghost and GHOST_FACETS in self.moving)
         set_penalties(
             self.boundaries, here, lambda: self._moduli_of(laws), increments, stabilised
         )  # fmt: skip

@@ -35,6 +35,7 @@ VARIANTS = {
     "remedies_triangles",
     "restart_arch",
     "restart_boundaries",
+    "restart_boundaries_total",
     "restart_splines",
     "restart_triangles",
     "rings_bases",

@@ -12,6 +12,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import (
     CheckpointError,
+    EmptyShapeError,
     FreeAxisWarning,
     ParameterError,
     UnsupportedGridError,
@@ -378,3 +379,50 @@ def test_absorbing_faces_are_rings(basis):
         found = Faces(face, V.basis, 2, rings=True).dashpots
         assert found[:, axis].sum() == pytest.approx(rate * area, rel=1e-12)
         assert found[:, 1 - axis].sum() == pytest.approx(shear * area, rel=1e-12)
+
+
+def test_boundaries_are_rings_and_pieces_on_the_axis_bound_nothing():
+    points = mpm.fill(grid_of(), mpm.Box((0, 0), (0.7, 0.6)), 2, 1.0, axisymmetric=True)
+    corners = [(0.0, 0.0), (0.7, 0.0), (0.7, 0.6), (0.0, 0.6)]
+    skin = mpm.Boundary.from_polygon(points, corners)
+    markers = skin.markers
+    assert markers["x"][:, 0].min() > 1e-3
+    assert skin.total_area == pytest.approx(2 * np.pi * 0.7 * (0.7 + 0.6), rel=1e-12)
+    # Gauss's theorem: the flux of z through the skin is the volume
+    flux = np.sum(markers["x"][:, 1] * markers["area"][:, 1])
+    assert flux == pytest.approx(np.pi * 0.7**2 * 0.6, rel=1e-8)
+    disc = mpm.Boundary.from_side(points, "bottom")
+    width = points.grid.geometry.x[:, 0].max()
+    assert disc.total_area == pytest.approx(np.pi * width**2, rel=1e-12)
+    with pytest.raises(EmptyShapeError, match="off the axis"):
+        mpm.Boundary.from_side(points, "left")
+    ball = mpm.Boundary.from_level_set(points, lambda x: np.hypot(x[0], x[1]) - 0.5, subdivisions=6)
+    assert ball.total_area == pytest.approx(2 * np.pi * 0.5**2, rel=2e-3)
+
+
+def test_points_stay_rings_beside_markers():
+    """Slopes of GIMP are averaged over rings, whether or not a boundary is in the form."""
+    seen = []
+    for held in (False, True):
+        points = mpm.fill(grid_of(), mpm.Box((0.05, 0), (0.7, 0.6)), 3, 1.0, axisymmetric=True)
+        V = mpm.Space(points.grid, "gimp")
+        F = mpm.momentum(HENCKY, points, V.increment, V.test)
+        if held:
+            line = mpm.Boundary.from_polygon(points, [(0.6, 0.0), (0.6, 0.5)], closed=False)
+            F += mpm.dirichlet(HENCKY, line, V.increment, V.test, method="penalty")
+        here = mpm.QuasiStatic(F, V.increment, points).activate()
+        seen.append([here.fields[0].stencils.row(p) for p in range(len(points))])
+    for without, beside in zip(*seen):
+        for first, second in zip(without, beside):
+            np.testing.assert_allclose(second, first, rtol=1e-13, atol=1e-15)
+
+
+def test_deformable_bodies_of_revolution_do_not_touch():
+    points = mpm.fill(grid_of(), mpm.Box((0, 0), (0.7, 0.3)), 2, 1.0, tag=1, axisymmetric=True)
+    points += mpm.fill(points.grid, mpm.Box((0, 0.3), (0.7, 0.6)), 2, 1.0, tag=2,
+                       axisymmetric=True)  # fmt: skip
+    ends = [(0.0, 0.3), (0.7, 0.3)]
+    sides = [mpm.Boundary.from_polygon(points, e, closed=False) for e in (ends, ends[::-1])]
+    spaces = [mpm.Space(points.grid, "gimp", tag=tag) for tag in (1, 2)]
+    with pytest.raises(ParameterError, match="these points are rings"):
+        mpm.contact_between(sides, [V.increment for V in spaces], [V.test for V in spaces])

@@ -190,6 +190,62 @@ def test_a_checkpoint_knows_its_boundaries(tmp_path):
         other.load(tmp_path / "a.h5")
 
 
+@pytest.mark.parametrize("configuration", ["updated", "total"])
+def test_a_run_goes_on_from_a_checkpoint(tmp_path, configuration):
+    """Bit for bit, with what the markers and a wall in space keep."""
+
+    def build():
+        grid, points, _ = scene(n=5, box=((0.1, 0.1), (0.7, 0.8)))
+        V = mpm.Space(grid, "gimp", configuration=configuration)
+        u, v = V.increment, V.test
+        side = mpm.Boundary.from_polygon(points, [(0.1, 0.8), (0.1, 0.1)], closed=False)
+        ends = [(0.73, 0.0), (0.78, 1.0)]
+        wall = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
+        way = fem.Constant(grid, (0.0, 0.0))
+        F = mpm.momentum(LAW, points, u, v) + mpm.dirichlet(LAW, side, u, v, way)
+        F += mpm.signorini(LAW, wall, u, v, friction=0.3)
+        problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
+
+        def to(steps):
+            while len(problem.history) < steps:
+                way.value[:] = 0.02 * (len(problem.history) + 1), 0.005 * len(problem.history)
+                problem.step()
+            return problem, points, wall
+
+        return to
+
+    _, points, wall = build()(4)
+    half, *_ = build()(2)
+    half.save(tmp_path / "half.h5")
+    again = build()
+    again(0)[0].load(tmp_path / "half.h5")
+    _, others, other = again(4)
+    assert wall.force()[0] < -0.1
+    for name in ("x", "F", "stress"):
+        np.testing.assert_array_equal(others[name], points[name], err_msg=name)
+    np.testing.assert_array_equal(other.force(), wall.force())
+
+
+def test_an_updated_run_does_not_tell_where_boundaries_were_at_first(tmp_path):
+    def build(configuration):
+        grid, points, _ = scene()
+        V = mpm.Space(grid, "linear", configuration=configuration)
+        line = mpm.Boundary.from_polygon(points, [(0.1, 0.1), (0.9, 0.1)], closed=False)
+        F = mpm.momentum(LAW, points, V.increment, V.test)
+        F += mpm.dirichlet(LAW, line, V.increment, V.test)
+        return mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost")
+
+    first = build("updated")
+    first.step()
+    first.save(tmp_path / "updated.h5")
+    with pytest.raises(CheckpointError, match="where boundaries were at first"):
+        build("total").load(tmp_path / "updated.h5")
+    total = build("total")
+    total.step()
+    total.save(tmp_path / "total.h5")
+    build("updated").load(tmp_path / "total.h5")
+
+
 def test_arc_length_under_a_weak_condition():
     grid, points, V = scene()
     u, v = V.increment, V.test
@@ -220,10 +276,19 @@ def _bad():
     total = mpm.Space(grid, "linear", configuration="total")
     lost = [(0.1, 1.5), (0.9, 1.5)]
 
-    def of_total():
-        form = mpm.momentum(LAW, points, total.increment, total.test)
-        form += mpm.dirichlet(LAW, line, total.increment, total.test)
-        return problem(form, space=total)
+    def of_total(where):
+        form = mpm.momentum(LAW, where.points, total.increment, total.test)
+        form += mpm.dirichlet(LAW, where, total.increment, total.test)
+        return mpm.QuasiStatic(form, total.increment, where.points)
+
+    def late():
+        moved = mpm.fill(grid, mpm.Box((0.1, 0.1), (0.9, 0.8)), 2, 1.0)
+        moved["x"] = moved["x"] + 0.01
+        of_total(B.from_polygon(moved, [(0.1, 0.11), (0.9, 0.11)], closed=False))
+
+    def of_space():
+        ends = [(0.1, 0.1), (0.9, 0.1)]
+        of_total(B.from_polygon(points, ends, closed=False, follows=False, activates=True))
 
     def empty_cell():
         far = B.from_polygon(points, [(0.1, 0.9), (0.9, 0.9)], closed=False)
@@ -322,11 +387,8 @@ def _bad():
                 )
             ), (FormError, ParameterError), "grid|points",
         ),
-        "explicit": (
-            lambda: problem(F + mpm.dirichlet(LAW, line, u, v), mpm.Explicit), FormError,
-            "Explicit makes no equations",
-        ),
-        "total": (of_total, ParameterError, "need Space"),
+        "late": (late, ParameterError, "not known where"),
+        "total in space": (of_space, ParameterError, "stays in space and makes cells active"),
         "an empty cell": (empty_cell, StateError, "has no stiffness"),
     }  # fmt: skip
 
@@ -336,8 +398,8 @@ BAD = (
     "no such vertex", "triangles of floats", "no level", "nowhere", "level not finite", "side",
     "side of triangles", "no area", "rows", "no markers", "follows", "method", "no boundary",
     "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "beta",
-    "wall of a body", "friction", "wall without law", "other points", "explicit", "total",
-    "an empty cell",
+    "wall of a body", "friction", "wall without law", "other points", "late",
+    "total in space", "an empty cell",
 )  # fmt: skip
 
 

@@ -100,3 +100,48 @@ def explicit_restart():
     if COMM.rank == 0:
         shutil.rmtree(folder)
     return {"musl": found[0][1], "usl in general": found[1][1]}
+
+
+def explicit_boundaries():
+    """Bodies that are thrown at an incline with friction, or carried by their skin, by time."""
+    results = {}
+    for kind, law, options in (
+        ("wall", WEAK, {}),
+        ("penalty", ELASTIC, {"mapping": "apic"}),
+        ("nitsche", ELASTIC, {"stabilisation": "aggregation"}),
+        ("total", ELASTIC, {"scheme": "usl"}),
+    ):
+        grid = mesh.create_rectangle(
+            COMM, [(0, 0), (2.5, 1.75)], (20, 14), mesh.CellType.quadrilateral
+        )
+        low, high = (0.41, 0.63), (1.33, 1.31)
+        points = mpm.fill(grid, mpm.Box(low, high), 2, 1000.0, aligned="body")
+        V = mpm.Space(grid, "gimp", configuration="total" if kind == "total" else "updated")
+        u, v = V.increment, V.test
+        clock = fem.Constant(grid, 0.0)
+        F = mpm.momentum(law, points, u, v)
+        points.add_field("velocity", (2,), "m/s")
+        points["velocity"] = [2.0, -1.0]
+        if kind in ("wall", "total"):
+            ends = [(0.2, 0.6), (2.4, 0.5)]
+            line = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
+            F += mpm.signorini(law, line, u, v, friction=0.3, beta=10.0)
+        else:
+            (a, b), (c, d) = low, high
+            line = mpm.Boundary.from_polygon(points, [(a, d), (a, b), (c, b)], closed=False)
+            way = ufl.as_vector((2.0 * clock, -1.0 * clock + 3.0 * clock**2))
+            beta = 10.0 if kind == "penalty" else None
+            F += mpm.dirichlet(law, line, u, v, way, method=kind, beta=beta)
+        problem = mpm.Explicit(F, u, points, time=clock, **options)
+        first = problem.critical_step()
+        for k in range(2):
+            problem.step(0.04 * (k + 1))
+        results[kind] = {
+            "critical": [first, problem.critical_step()],
+            "steps": [record.parts for record in problem.history],
+            "moved": sum(r.migrated for r in problem.history) > 0 if COMM.size > 1 else None,
+            "force": list(line.force()),
+            "energies": [problem.energies().kinetic, problem.energies().strain],
+            **sums(points, "x", "velocity", "F", "stress"),
+        }
+    return results

@@ -102,3 +102,41 @@ def rings_restart():
         return problem, step
 
     return goes_on(build, 5)
+
+
+def rings_boundaries():
+    """A ball whose hole is moved up and widened by Nitsche's method, towards a wall that rubs."""
+    grid = grid_of((12, 16), (3.0, 4.0))
+    middle = np.array([0.0, 1.6])
+    shape = (mpm.Disc(middle, 1.4) - mpm.Disc(middle, 0.55)) & mpm.Box((0, 0), (3, 4))
+    results = {}
+    for remedy in ("ghost", "aggregation"):
+        points = mpm.fill(grid, shape, 2, 1.0, axisymmetric=True)
+        V = mpm.Space(grid, "gimp")
+        u, v = V.increment, V.test
+        law = mpm.materials.VonMises(100.0, 0.3, 4.0, 20.0)
+        hole = mpm.Boundary.from_level_set(
+            points, lambda x: 0.55 - np.hypot(x[0], x[1] - middle[1])
+        )
+        lid = mpm.Boundary.from_polygon(
+            points, [(2.9, 3.07), (0.0, 3.07)], closed=False, follows=False
+        )
+        c = fem.Constant(grid, 0.0)
+        value = c * (ufl.as_vector((0.0, 0.5)) + 0.2 * (hole.x0 - ufl.as_vector(tuple(middle))))
+        F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, hole, u, v, value)
+        F += mpm.signorini(law, lid, u, v, friction=0.3)
+        bcs = mpm.rollers(V, "left")
+        problem = mpm.QuasiStatic(
+            F, u, points, bcs, stabilisation=mpm.Stabilisation(remedy, E=100.0), tolerance=1e-12
+        )
+        for k in range(3):
+            c.value = 0.1 * (k + 1)
+            problem.step()
+        results[remedy] = {
+            "iterations": [record.iterations for record in problem.history],
+            "area": hole.total_area,
+            "forces": [list(hole.force()), list(lid.force())],
+            "pushes": bool(lid.force()[1] < -1e-3),
+            **sums(points, "x", "F", "stress"),
+        }
+    return results

@@ -1,0 +1,107 @@
+"""Boundaries under total Lagrangian bases: where their markers are in the first configuration.
+
+Markers that follow the body stay at their first positions X as its points do. Their stencils are
+those of X, with gradients by present positions, ∇N = F⁻ᵀ ∇₀N, from the deformation gradient F of
+the markers themselves, a product over the steps; laws see that of the nearest point.
+
+What a wall in space meets changes. At its marker x, with the nearest point x_p, it is
+
+    X = X_p + F_p⁻¹ (x − x_p),
+
+exact where F is even around the point. A wall that the body has not reached yet sees the body's
+edge in front of it: x is moved back along the normal to the domain of the point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.boundary import OWN, Boundary
+from dolfinmpm.body.location import bounds
+from dolfinmpm.body.migration import settle
+from dolfinmpm.grid.lattice import largest_cell
+from dolfinmpm.kinematics.coverage import look_ahead
+
+__all__ = ["needed_of", "refer", "require_reference"]
+
+# Further than so many cells from the nearest point a wall meets nothing
+_REACH = 2.0
+# The edge of a domain may be a grid line: markers go inwards by this share of its half-length
+_INWARD = 1e-6
+
+
+def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> None:
+    """Make boundaries ready for stencils at first positions. Collective.
+
+    Args:
+        boundaries: Terms over boundaries.
+        touching: Contacts of bodies that deform.
+
+    Raises:
+        ParameterError: It is not known where a boundary was at first, or what it does is not done
+            in that configuration.
+    """
+    total = 'Space(..., configuration="total")'
+    for contact in touching:
+        raise ParameterError(
+            f"{contact!r} looks for what faces what in space, and {total} keeps the cells of the "
+            'first positions; take "updated"'
+        )
+    for of in boundaries:
+        boundary, markers = of.boundary, of.boundary.markers
+        if not boundary.follows:
+            if boundary.activates:
+                raise ParameterError(
+                    f"{boundary} stays in space and makes cells active, which {total} cannot "
+                    "follow; leave activates=True out, or take follows=True"
+                )
+            look_ahead(boundary)
+            markers.add_field("body_x0", (boundary.gdim,), "m")
+            markers.add_field("apart")
+        elif OWN not in markers.fields:
+            moved = not np.array_equal(markers["x"], markers["x0"])
+            if boundary.late or markers.comm.allreduce(moved, op=MPI.LOR):
+                raise ParameterError(
+                    f"it is not known where {boundary} was at first, which {total} needs: the body "
+                    "had moved before; make boundary and problem before the first step"
+                )
+            e = markers.strain_dim
+            markers.add_field(OWN, (e, e), "", np.eye(e))
+        settle(markers, "total")
+
+
+def needed_of(boundaries: Sequence[Any]) -> list[str]:
+    """Names of what a checkpoint must have of boundaries that steps at first positions see."""
+    return [f"boundary {k} {OWN}" for k, of in enumerate(boundaries) if of.boundary.follows]
+
+
+def refer(boundary: Boundary) -> None:
+    """Find where the body was first that is at a wall now. Collective.
+
+    Its markers have the state of the nearest point, and go to the ranks of the cells there.
+
+    Args:
+        boundary: A boundary that stays in space.
+    """
+    markers, grid = boundary.markers, boundary.markers.grid
+    n = markers["area"] / markers["V"][:, None]
+    away, half = markers["x"] - markers["body_x"], markers["body_l"]
+    reach = np.sum(np.abs(n) * half, axis=1)
+    before = np.sum(away * n, axis=1) - (1 - _INWARD) * reach
+    onto = away - np.maximum(before, 0.0)[:, None] * n
+    way = np.linalg.solve(in_section(markers, markers["F"]), onto[:, :, None])[:, :, 0]
+    apart = np.abs(way).max(axis=1, initial=0.0) > _REACH * largest_cell(grid)
+    way[apart] = 0.0
+    low, high = bounds(grid)
+    if markers.axisymmetric:
+        # no ring is on the axis
+        low = np.maximum(low, [_INWARD * largest_cell(grid), -np.inf])
+    markers["x0"] = np.clip(markers["body_x0"] + way, low, high)
+    markers["apart"] = apart.astype(float)
+    markers.locate()
