@@ -17,6 +17,11 @@ __all__ = ["Nearby"]
 Array = npt.NDArray[np.float64]
 
 
+# How much more than what nodes and body have gone in a step they may go in the next one before
+# corners are looked for anew, and how far at least, in cells
+_SPARE, _LEAST = 2.0, 0.04
+
+
 class Nearby:
     """Points that may touch a body until it and they have gone a cell further.
 
@@ -27,6 +32,8 @@ class Nearby:
 
     Attributes:
         contact: The argument.
+        distance: How near to the body corners are that can touch in this step (m); infinite where
+            that is not known.
         cell: The most that a point moves which crosses a cell in one direction (m).
     """
 
@@ -44,23 +51,30 @@ class Nearby:
             cell: Size of the smallest cell (m), shape (gdim,).
         """
         self._sight, self._rows = sight, None
-        self.cell = float(np.linalg.norm(cell))
+        self.cell, self.distance = float(np.linalg.norm(cell)), math.inf
+        self._bounded = self._sites().boxes
         # what touched keeps forces until the end of the next step
         self._held = np.flatnonzero(self.contact.points[self.contact.names[1]].any(axis=1))
 
-    def rows(self, distance: float) -> Rows:
+    def rows(self, way: float) -> Rows:
         """The points, increasing, in a step that the body has been put to the end of.
 
         Args:
-            distance: How near to the body corners are that can touch in this step (m).
+            way: How far nodes may be expected to go in it (m).
         """
-        if self._rows is None or self._left < self.way():
+        body, contact = self.contact.body, self.contact
+        of_body = self.way()
+        if self._rows is None or self._left < of_body:
             self._rows, self._room = self._listed()
             self._left = self.cell
-        if math.isinf(distance):
+        self.distance = _SPARE * (of_body + way) + _LEAST * self.cell
+        # other corners than those of domains may go further than nodes, multipliers act anywhere
+        if not self._bounded or contact.penetration is not None or body.time == 0.0:
+            self.distance = math.inf
+        if math.isinf(self.distance):
             return self._rows
         # since then points have come no nearer than all have gone
-        return self._rows[self._room - (self.cell - self._left) <= distance]
+        return self._rows[self._room - (self.cell - self._left) <= self.distance]
 
     def travelled(self, way: float) -> bool:
         """Take note of how far points and body have gone in a step.
@@ -91,11 +105,14 @@ class Nearby:
             points[name][c.rows, c.which] = values
         self._held = c.rows[active.pressures != 0.0]
 
+    def _sites(self) -> Sites:
+        contact = self.contact
+        return Sites(contact.points, self._sight, contact.surface, contact.material)
+
     def _listed(self) -> tuple[Rows, Array]:
         """The points, and how far their corners are from the body at least (m)."""
-        contact, points = self.contact, self.contact.points
-        body, x = contact.body, points["x"]
-        reach = Sites(points, self._sight, contact.surface, contact.material).reach()
+        points, body = self.contact.points, self.contact.body
+        x, reach = points["x"], self._sites().reach()
         # corners that follow the material get further away as it is stretched
         limit = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
         poses = [body.start, body.pose]
