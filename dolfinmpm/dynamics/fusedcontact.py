@@ -64,7 +64,8 @@ class RigidContacts:
             self._window = window
             self._exchange = window.exchange(self._points.gdim)
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
-            self._sight = Sight(window.basis, False, None, self._stencils, window.place)
+            place = window.place.astype(np.int32)
+            self._sight = Sight(window.basis, False, None, self._stencils, place)
         points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
