@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.contact.active import MARGIN, ActiveContact, within
-from dolfinmpm.contact.corners import Rows, Sight, Sites
+from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
 from dolfinmpm.contact.rigid import travelled
 from dolfinmpm.contact.terms import Contact
 
@@ -54,7 +54,8 @@ class Nearby:
         self.cell, self.distance = float(np.linalg.norm(cell)), math.inf
         self._bounded = self._sites().boxes
         # what touched keeps forces until the end of the next step
-        self._held = np.flatnonzero(self.contact.points[self.contact.names[1]].any(axis=1))
+        pressures = self.contact.points[self.contact.names[1]]
+        self._held = np.unique(np.flatnonzero(pressures) // pressures.shape[1])
 
     def rows(self, way: float) -> Rows:
         """The points, increasing, in a step that the body has been put to the end of.
@@ -114,7 +115,7 @@ class Nearby:
         points, body = self.contact.points, self.contact.body
         x, reach = points["x"], self._sites().reach()
         # corners that follow the material get further away as it is stretched
-        limit = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
+        limit = 2 * reach + MARGIN * longest(points["l0"]) + self.cell
         poses = [body.start, body.pose]
         rows = np.flatnonzero(within(poses, body.surface, x, limit[:, None]))
         first, last = (body.surface.probe(pose.back(x[rows]))[0] for pose in poses)

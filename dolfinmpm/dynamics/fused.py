@@ -3,7 +3,7 @@
 A form of momentum terms and loads on a lattice needs no stencils, no activation and no form
 assembly: one loop takes the nodes' motion to each point, strains and moves it, and scatters its
 mass, momentum and forces to the nodes where it is then. Nodes are kept in a window of the lattice
-around this rank's cells, by their position.
+around this rank's cells, by their position. Rigid bodies act at the nodes between two such loops.
 """
 
 from __future__ import annotations

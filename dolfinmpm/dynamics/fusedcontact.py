@@ -20,7 +20,7 @@ from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.active import MARGIN, ActiveContact
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.corners import Rows, Sight
+from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.dynamics.nodes import fastest
@@ -70,7 +70,7 @@ class RigidContacts:
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
             near.forget(self._sight, cell)
-        margin = MARGIN * float(points["l0"].max(axis=1, initial=0.0).min(initial=math.inf))
+        margin = MARGIN * float(longest(points["l0"]).min(initial=math.inf))
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
     def _stencils(self, rows: Rows) -> Stencils:
