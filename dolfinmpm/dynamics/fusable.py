@@ -38,6 +38,8 @@ def why_not(form: WeakForm) -> str | None:
         return "they are written for two and three dimensions"
     if points.axisymmetric:
         return "points that are rings about an axis"
+    if space.configuration == "total":
+        return "functions that are taken at first positions"
     if space.coarsen > 1:
         return "a field whose cells are coarser than the grid's"
     if any(one is not None for one in form.parts.grid.external):
