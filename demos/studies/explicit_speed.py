@@ -8,7 +8,8 @@
 # speed from minute to minute; that is also why what other codes reach (`--peers warp,taichi`,
 # where their packages are installed) is measured in the same run: the same scene, basis, law and
 # double precision, and their points end where ours do. Under `mpirun` the time is that of
-# all ranks together.
+# all ranks together. With `--tools` rigid bodies rub along the block's upper side, and each case is
+# taken without them, with them, and with them in general steps that no loop fuses.
 
 # %%
 from __future__ import annotations
@@ -36,6 +37,7 @@ LAWS = {
     ),
 }
 MARGIN = 10
+TOOLS = ("plane", "ball", "box")
 
 
 def words(text):
@@ -56,9 +58,10 @@ options.add_argument("--dimension", type=int, choices=(2, 3), default=2)
 options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
 options.add_argument("--steps", type=int, default=100, help="in each run that is timed")
 options.add_argument("--repeat", type=int, default=5)
+options.add_argument("--tools", type=words, default=[], help="of " + ", ".join(TOOLS))
 options.add_argument("--peers", type=words, default=[], help="of " + ", ".join(PEERS))
 args = options.parse_args()
-unknown = {*args.laws} - {*LAWS} | {*args.peers} - {*PEERS}
+unknown = {*args.laws} - {*LAWS} | {*args.peers} - {*PEERS} | {*args.tools} - {*TOOLS}
 if unknown:
     options.error(f"not known: {', '.join(sorted(unknown))}")
 comm, d = MPI.COMM_WORLD, args.dimension
@@ -78,10 +81,22 @@ def swirl(x):
     return v
 
 
+def rigid(name):
+    """A rigid body that moves along the block's upper side, 1 µm above it."""
+    middle, top = (0.5,) * (d - 1), 1.0 + 1e-6
+    shape = {
+        "plane": lambda: mpm.Plane((*middle, top), (0,) * (d - 1) + (-1,)),
+        "ball": lambda: mpm.Ball((*middle, top + 0.3), 0.3),
+        "box": lambda: mpm.Box((0.3,) * (d - 1) + (top,), (0.7,) * (d - 1) + (top + 0.5,)),
+    }[name]()
+    fillet = 0.02 if name == "box" else 0.0
+    return mpm.RigidBody(shape, fillet=fillet, velocity=(0.3,) + (0,) * (d - 2) + (-0.3,))
+
+
 class Ours:
     """A block in this package, ready to be timed."""
 
-    def __init__(self, law, basis, scheme):
+    def __init__(self, law, basis, scheme, tool=None, fused=True):
         low, high = [-MARGIN * h] * d, [1 + MARGIN * h] * d
         n = [cells + 2 * MARGIN] * d
         make = mesh.create_rectangle if d == 2 else mesh.create_box
@@ -96,11 +111,16 @@ class Ours:
         gravity = fem.Constant(grid, (0.0, -10.0, 0.0)[:d])
         F = mpm.momentum(LAWS[law](), self.points, V.increment, V.test)
         F -= ufl.inner(self.points.density * gravity, V.test) * self.points.dX
+        if tool is not None:
+            u, v = V.increment, V.test
+            F += mpm.contact(rigid(tool), self.points, u, v, friction=0.3, penalty=1 / h)
+        # general steps take ten times as long
+        self.share = 1.0 if fused else 0.1
         self.points.add_field("velocity", (d,), "m/s")
         self.points["velocity"] = swirl(self.points["x"])
         self.problem = mpm.Explicit(
             F, V.increment, self.points, mpm.fixed(V, "bottom"), scheme=scheme,
-            mapping=args.mapping, courant=COURANT,
+            mapping=args.mapping, courant=COURANT, fused=fused,
         )  # fmt: skip
         self.longest = COURANT * self.problem.critical_step()
         self.number = self.points.total
@@ -108,6 +128,7 @@ class Ours:
 
     def __call__(self, steps):
         """Take about so many steps; returns how many it took, and how long they were (s)."""
+        steps = max(2, round(self.share * steps))
         record = self.problem.step(self.problem.time + (steps - 0.01) * self.longest)
         return record.parts, record.dt
 
@@ -150,6 +171,10 @@ for basis in args.bases:
     for scheme in args.schemes:
         for law in args.laws:
             cases[f"{law} {basis} {scheme}"] = Ours(law, basis, scheme)
+            for tool in args.tools:
+                name = f"{law} {basis} {scheme} {tool}"
+                cases[name] = Ours(law, basis, scheme, tool)
+                cases[f"{name} general"] = Ours(law, basis, scheme, tool, fused=False)
 if args.peers:
     # how far, and in which steps, others are to go for the comparison
     first = Ours("neo-hookean", "bspline2", "usl")
@@ -186,13 +211,16 @@ for name, case in cases.items():
     speed, best = statistics.median(speeds[name]), max(speeds[name])
     share = case.yielding() if isinstance(case, Ours) else None
     unfused = case.problem.unfused if isinstance(case, Ours) else None
+    bodies = case.problem.bodies.all if isinstance(case, Ours) else []
     figures[name] = {
         "points": case.number, "million_point_steps_per_second": speed, "best": best,
         "yielding": share, "unfused": unfused,
+        "force": [float(np.linalg.norm(body.force)) for body in bodies],
     }  # fmt: skip
     say(
         f"{name:32s} {case.number:8d} points: {speed:6.2f} million point-steps/s (best {best:.2f})"
         + (f", {share:.1%} of the points yield" if share is not None else "")
+        + "".join(f", {force:.3g} N on the tool" for force in figures[name]["force"])
         + (f"; not fused: {unfused}" if unfused else "")
     )
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
-from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
+from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which, longest
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
@@ -117,7 +117,7 @@ class ActiveContact:
         rows: Which = ALL if among is None else among
         x, l0 = points["x"][rows], points["l0"][rows]
         # points that come from further away in one step are missed, and the step is halved
-        margin = np.minimum(MARGIN * l0.max(axis=1, initial=0.0), distance)
+        margin = np.minimum(MARGIN * longest(l0), distance)
         reach = self._sites.reach(rows) + margin
         # where a distance is told nothing comes nearer than that in the step
         poses = [body.start, body.pose] if math.isinf(distance) else [body.start]

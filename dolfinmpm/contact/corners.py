@@ -15,6 +15,7 @@ face's middle does.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,13 +26,14 @@ import numpy.typing as npt
 from scipy import sparse
 
 from dolfinmpm.basis import LatticeBasis
+from dolfinmpm.basis.incells import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.cut.participants import ActiveField, Basis
 
-__all__ = ["Corners", "Sight", "Sites", "corner_count", "stencil_matrix"]
+__all__ = ["Corners", "Sight", "Sites", "corner_count", "longest", "stencil_matrix"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.integer]
@@ -93,7 +95,7 @@ class Sight:
     total: bool
     C: sparse.csr_matrix | None
     stencils: Callable[[Rows], Stencils]
-    place: Rows | None = None
+    place: npt.NDArray[np.int32] | None = None
 
     @staticmethod
     def of(field: ActiveField, total: bool, count: int) -> Sight:
@@ -141,13 +143,13 @@ class Sites:
         """How far the corners of points are from their centres at most (m), shape (points,)."""
         points = self._points
         if self.boxes:
-            return np.linalg.norm(points["l"][rows], axis=1)
+            return _length(points["l"][rows])
         F = self._F[rows]
         size = np.sqrt(np.einsum("pij,pij->p", F, F))
         R = points["l0"]
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name]
-        return size * np.linalg.norm(R[rows], axis=1)
+        return size * _length(R[rows])
 
     def marked(self, rows: Which = ALL) -> npt.NDArray[np.bool_] | None:
         """Which points have corners, or None if all do."""
@@ -196,9 +198,12 @@ class Sites:
         k = kept(x)
         each, which, x, how = each[k], which[k], x[k], how[k]
         N = self._seen_in(x, how) if self._placed else self._seen_from(each, how)
-        nodes = np.unique(N.indices).astype(np.int32)
-        local = np.searchsorted(nodes, N.indices)
-        N = sparse.csr_matrix((N.data, local, N.indptr), shape=(each.size, nodes.size))
+        # by a table of all nodes, which is cheaper than to sort those of all corners
+        seen = np.zeros(N.shape[1], np.int32)
+        seen[N.indices] = 1
+        nodes: npt.NDArray[np.int32] = np.flatnonzero(seen).astype(np.int32)
+        seen[nodes] = np.arange(nodes.size)
+        N = sparse.csr_matrix((N.data, seen[N.indices], N.indptr), shape=(each.size, nodes.size))
         if self._sight.place is not None:
             nodes = self._sight.place[nodes]
         return Corners(each, which, x, nodes, N)
@@ -227,12 +232,13 @@ class Sites:
         """What corners see of functions as they are in some cells."""
         basis, C = self._sight.basis, self._sight.C
         assert isinstance(basis, LatticeBasis)
-        s = basis.stencils_in(
-            x, np.zeros_like(x), np.ascontiguousarray(cell, np.int32), np.ones(x.shape, np.int32)
-        )
+        found = values_in_cells(basis, x, np.ascontiguousarray(cell, np.int32))
         # the cells are some that the points' own stencils have nodes in
-        assert s is not None
-        N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
+        assert found is not None
+        nodes, values = found
+        start = values.shape[1] * np.arange(len(x) + 1)
+        shape = len(x), basis.nodes.size
+        N = sparse.csr_matrix((values.ravel(), nodes.ravel(), start), shape=shape)
         return N if C is None else sparse.csr_matrix(N @ C)
 
     def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
@@ -254,6 +260,17 @@ class Sites:
         for k in range(self._points.gdim):
             parts.append(sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[own])
         return sparse.csr_matrix(sum(parts[1:], parts[0]))
+
+
+def longest(half: Array) -> Array:
+    """Largest half-length of each point, shape (n,), from (n, d)."""
+    # by columns: NumPy's reductions of short rows are ten times slower
+    return np.asarray(functools.reduce(np.maximum, half.T))
+
+
+def _length(v: Array) -> Array:
+    """Length of each row, shape (n,), from (n, d)."""
+    return np.sqrt(functools.reduce(np.add, (v * v).T))
 
 
 def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:

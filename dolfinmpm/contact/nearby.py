@@ -8,13 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.contact.active import MARGIN, ActiveContact, within
-from dolfinmpm.contact.corners import Rows, Sight, Sites
+from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
 from dolfinmpm.contact.rigid import travelled
 from dolfinmpm.contact.terms import Contact
 
 __all__ = ["Nearby"]
 
 Array = npt.NDArray[np.float64]
+
+
+# How much more than what nodes and body have gone in a step they may go in the next one before
+# corners are looked for anew, and how far at least, in cells
+_SPARE, _LEAST = 2.0, 0.04
 
 
 class Nearby:
@@ -27,6 +32,8 @@ class Nearby:
 
     Attributes:
         contact: The argument.
+        distance: How near to the body corners are that can touch in this step (m); infinite where
+            that is not known.
         cell: The most that a point moves which crosses a cell in one direction (m).
     """
 
@@ -44,23 +51,31 @@ class Nearby:
             cell: Size of the smallest cell (m), shape (gdim,).
         """
         self._sight, self._rows = sight, None
-        self.cell = float(np.linalg.norm(cell))
+        self.cell, self.distance = float(np.linalg.norm(cell)), math.inf
+        self._bounded = self._sites().boxes
         # what touched keeps forces until the end of the next step
-        self._held = np.flatnonzero(self.contact.points[self.contact.names[1]].any(axis=1))
+        pressures = self.contact.points[self.contact.names[1]]
+        self._held = np.unique(np.flatnonzero(pressures) // pressures.shape[1])
 
-    def rows(self, distance: float) -> Rows:
+    def rows(self, way: float) -> Rows:
         """The points, increasing, in a step that the body has been put to the end of.
 
         Args:
-            distance: How near to the body corners are that can touch in this step (m).
+            way: How far nodes may be expected to go in it (m).
         """
-        if self._rows is None or self._left < self.way():
+        body, contact = self.contact.body, self.contact
+        of_body = self.way()
+        if self._rows is None or self._left < of_body:
             self._rows, self._room = self._listed()
             self._left = self.cell
-        if math.isinf(distance):
+        self.distance = _SPARE * (of_body + way) + _LEAST * self.cell
+        # other corners than those of domains may go further than nodes, multipliers act anywhere
+        if not self._bounded or contact.penetration is not None or body.time == 0.0:
+            self.distance = math.inf
+        if math.isinf(self.distance):
             return self._rows
         # since then points have come no nearer than all have gone
-        return self._rows[self._room - (self.cell - self._left) <= distance]
+        return self._rows[self._room - (self.cell - self._left) <= self.distance]
 
     def travelled(self, way: float) -> bool:
         """Take note of how far points and body have gone in a step.
@@ -91,13 +106,16 @@ class Nearby:
             points[name][c.rows, c.which] = values
         self._held = c.rows[active.pressures != 0.0]
 
+    def _sites(self) -> Sites:
+        contact = self.contact
+        return Sites(contact.points, self._sight, contact.surface, contact.material)
+
     def _listed(self) -> tuple[Rows, Array]:
         """The points, and how far their corners are from the body at least (m)."""
-        contact, points = self.contact, self.contact.points
-        body, x = contact.body, points["x"]
-        reach = Sites(points, self._sight, contact.surface, contact.material).reach()
+        points, body = self.contact.points, self.contact.body
+        x, reach = points["x"], self._sites().reach()
         # corners that follow the material get further away as it is stretched
-        limit = 2 * reach + MARGIN * points["l0"].max(axis=1, initial=0.0) + self.cell
+        limit = 2 * reach + MARGIN * longest(points["l0"]) + self.cell
         poses = [body.start, body.pose]
         rows = np.flatnonzero(within(poses, body.surface, x, limit[:, None]))
         first, last = (body.surface.probe(pose.back(x[rows]))[0] for pose in poses)

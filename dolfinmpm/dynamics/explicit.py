@@ -92,8 +92,9 @@ class Explicit(Problem):
             their forces that their mass lacks to their neighbours (Ma, Zhang & Qiu 2010).
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
         fused: Whether one loop may do a step of a form that it knows: laws of one measure of
-            strain and loads, lumped mass, a rectangular grid in two or three dimensions, "flip",
-            "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused` says why it does not.
+            strain, loads, contact with rigid bodies, lumped mass, a rectangular grid in two or
+            three dimensions, "flip", "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused`
+            says why it does not.
         contact: Bodies that touch each other at the nodes, see `Collision`; without, all points
             move in one field of velocities, which cannot slide nor part.
 

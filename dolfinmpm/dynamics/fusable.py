@@ -14,6 +14,7 @@ from ufl.constantvalue import Zero
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.terms import contact_of, depends_on, summands
@@ -37,6 +38,8 @@ def why_not(form: WeakForm) -> str | None:
         return "they are written for two and three dimensions"
     if points.axisymmetric:
         return "points that are rings about an axis"
+    if space.configuration == "total":
+        return "functions that are taken at first positions"
     if space.coarsen > 1:
         return "a field whose cells are coarser than the grid's"
     if any(one is not None for one in form.parts.grid.external):
@@ -99,7 +102,7 @@ class Laws:
         self._points, self._declarations = points, list(declarations)
         kind = _kind(self._declarations[0])
         assert kind is not None
-        self.kind = kind
+        self.kind, self._stored = kind, 0.0
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
         self.fbar = self._declarations[0].fbar
 
@@ -145,6 +148,13 @@ class Laws:
         for d, own in zip(self._declarations, self._names):
             for k, name in enumerate(own):
                 self._points[name][d.rows] = self.internal[d.rows, k]
+
+    def gained(self) -> float:
+        """What points of the neo-Hookean law have stored since last asked (J), this rank's."""
+        _, numbers, _, which = self.table
+        now = stored_energy(self._points["F"], self._points["V0"], numbers, which)
+        before, self._stored = self._stored, now
+        return now - before
 
     def _parameters(self) -> Array:
         laws, n = self._declarations, len(self._points)

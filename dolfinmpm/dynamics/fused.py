@@ -3,7 +3,7 @@
 A form of momentum terms and loads on a lattice needs no stencils, no activation and no form
 assembly: one loop takes the nodes' motion to each point, strains and moves it, and scatters its
 mass, momentum and forces to the nodes where it is then. Nodes are kept in a window of the lattice
-around this rank's cells, by their position.
+around this rank's cells, by their position. Rigid bodies act at the nodes between two such loops.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
-from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import PointArrays
@@ -80,7 +79,7 @@ class Fused:
         self._prescribed = Prescribed(held)
         # and the cells that the fastest point has crossed in a step
         self.done = np.zeros(3)
-        self._live, self._travelled, self._rate, self._stored = False, 0.0, 0.0, 0.0
+        self._live, self._travelled, self._rate = False, 0.0, 0.0
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
 
@@ -90,8 +89,7 @@ class Fused:
         Collective.
         """
         if self._laws.kind == NEO:
-            before, self._stored = self._stored, self._stored_energy()
-            self.done[0] = self._stored - before
+            self.done[0] = self._laws.gained()
         internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
         self.done[:2] = 0.0
         if self._rigid is not None:
@@ -113,12 +111,7 @@ class Fused:
         self._surround()
         if self._laws.kind == NEO:
             self._laws.gather()
-            self._stored = self._stored_energy()
-
-    def _stored_energy(self) -> float:
-        """What the points of this rank store (J), if their law is the neo-Hookean one."""
-        _, numbers, _, which = self._laws.table
-        return stored_energy(self._points["F"], self._points["V0"], numbers, which)
+            self._laws.gained()
 
     def _surround(self) -> None:
         """Take a window around the cells that this rank computes. Collective."""

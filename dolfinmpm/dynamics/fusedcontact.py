@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.active import MARGIN, ActiveContact
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.corners import Rows, Sight, Sites
+from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.dynamics.nodes import fastest
@@ -29,10 +30,6 @@ from dolfinmpm.dynamics.window import Exchange, Window
 __all__ = ["RigidContacts"]
 
 Array = npt.NDArray[np.float64]
-
-# How much more than what corners and bodies went in a step they may go in the next one before
-# corners are looked for anew, and how far at least, in cells
-_SPARE, _LEAST = 2.0, 0.04
 
 
 class RigidContacts:
@@ -49,7 +46,6 @@ class RigidContacts:
         work: Work that the bodies have done since it was last set (J), on all ranks.
     """
 
-    _window: Window
     _sight: Sight
     _exchange: Exchange | None
     _sums: Array
@@ -58,26 +54,23 @@ class RigidContacts:
         self._bodies, self._points, self.work = bodies, points, 0.0
         self._near = [Nearby(contact) for contact in contacts]
         self._active: list[ActiveContact] = []
-        # whether corners go no further than nodes, and how near are those looked at (m), by contact
-        self._bounded, self._distances = [False] * len(contacts), [math.inf] * len(contacts)
-        # how far nodes went in the last step at most (m), and each body
-        self._nodes_go, self._ways = 0.0, [0.0] * len(contacts)
-        self._known: Window | None = None
+        # how far nodes went in the last step at most (m)
+        self._nodes_go = 0.0
+        self._window: Any = None
 
     def surround(self, window: Window) -> None:
         """Take the nodes of a window; points have come or gone. Collective."""
-        if window is not self._known:
-            self._known = self._window = window
+        if window is not self._window:
+            self._window = window
             self._exchange = window.exchange(self._points.gdim)
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
-            self._sight = Sight(window.basis, False, None, self._stencils, window.place)
+            place = window.place.astype(np.int32)
+            self._sight = Sight(window.basis, False, None, self._stencils, place)
         points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
-        for k, near in enumerate(self._near):
+        for near in self._near:
             near.forget(self._sight, cell)
-            contact = near.contact
-            self._bounded[k] = Sites(points, self._sight, contact.surface, contact.material).boxes
-        margin = MARGIN * float(points["l0"].max(axis=1, initial=0.0).min(initial=math.inf))
+        margin = MARGIN * float(longest(points["l0"]).min(initial=math.inf))
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
     def _stencils(self, rows: Rows) -> Stencils:
@@ -105,18 +98,12 @@ class RigidContacts:
         """
         self._bodies.begin(dt)
         self._dt = dt
-        self._active = [self._made(k, all_corners) for k in range(len(self._near))]
+        self._active = [self._made(near, all_corners) for near in self._near]
 
-    def _made(self, k: int, all_corners: bool = False) -> ActiveContact:
+    def _made(self, near: Nearby, all_corners: bool = False) -> ActiveContact:
         """A contact of the corners that may touch. Collective before the first step."""
-        near, contact = self._near[k], self._near[k].contact
-        distance = _SPARE * (near.way() + self._nodes_go) + _LEAST * near.cell
-        # multipliers act at any distance
-        known = self._bounded[k] and contact.penetration is None and contact.body.time > 0.0
-        if all_corners or not known:
-            distance = math.inf
-        self._distances[k] = distance
-        return ActiveContact(contact, self._sight, 0, near.rows(distance), distance)
+        rows = near.rows(math.inf if all_corners else self._nodes_go)
+        return ActiveContact(near.contact, self._sight, 0, rows, near.distance)
 
     @stages.assemble
     def press(self, out: Array, moved: bool) -> None:
@@ -160,10 +147,9 @@ class RigidContacts:
         speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].strain, d)
         # corners of domains are between the nodes that they see, and go no further than these
         self._nodes_go = self._dt * speed
-        self._ways = [near.way() for near in self._near]
-        for k, way in enumerate(self._ways):
-            if way + self._nodes_go > self._distances[k]:
-                self._active[k] = self._made(k)
+        for k, near in enumerate(self._near):
+            if near.way() + self._nodes_go > near.distance:
+                self._active[k] = self._made(near)
             self._active[k].shift(self._way(self._active[k]))
 
     @stages.commit
@@ -177,8 +163,8 @@ class RigidContacts:
             What is wrong with where points have got to, or None.
         """
         missed = False
-        for near, active, of_body in zip(self._near, self._active, self._ways):
-            gone = way * near.cell + of_body
+        for near, active in zip(self._near, self._active):
+            gone = way * near.cell + near.way()
             sure = near.travelled(gone)
             # what has gone less cannot have got there
             if gone >= self._margin or not sure:

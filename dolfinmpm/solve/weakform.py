@@ -106,6 +106,8 @@ class WeakForm:
             of_markers = [d for b in self.boundaries for d in b.declarations]
             for declaration in (*self.parts.declarations, *of_markers):
                 declaration.bind()
+            for contact in self.parts.contacts:
+                contact.bind(self.parts.declarations)
             self._revision = self.points.revision
             self._first_moduli()
 

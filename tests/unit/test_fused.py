@@ -404,6 +404,14 @@ def test_one_dimension_is_not_fused():
     assert "two and three dimensions" in mpm.Explicit(F, V.increment, points).unfused
 
 
+def test_functions_at_first_positions_are_not_fused():
+    grid = lattice()
+    points = mpm.fill(grid, mpm.Disc((0, 0), 0.5), 2, 1.0)
+    V = mpm.Space(grid, "gimp", configuration="total")
+    F = mpm.momentum(HENCKY, points, V.increment, V.test)
+    assert "first positions" in mpm.Explicit(F, V.increment, points).unfused
+
+
 def test_a_point_that_leaves_the_grid_is_an_error():
     p = problem(averaged=False, body=mpm.Box((0.2, -0.3), (0.9, 0.5)))
     p.points["velocity"][:] = 60.0, 0.0

@@ -121,6 +121,24 @@ def test_a_run_that_goes_back_takes_its_bodies_along(fused):
     np.testing.assert_allclose(ball.position, other.bodies.all[0].position, rtol=1e-12)
 
 
+def test_points_that_come_later_touch_too():
+    """A layer is laid on a block between steps, and a plate comes down on it."""
+    found = []
+    for fused in (True, False):
+        grid = grid_of((0, 0), (1, 1.25), (8, 10))
+        points, V, F = body(grid, mpm.Box((0, 0), (1, 0.5)), ELASTIC, "gimp")
+        plate = mpm.RigidBody(mpm.Plane((0, 0.76), (0, -1)), velocity=(0.0, -0.5), name="plate")
+        F += mpm.contact(plate, points, V.increment, V.test, friction=0.2)
+        bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+        problem = mpm.Explicit(F, V.increment, points, bcs, fused=fused)
+        problem.step(0.002)
+        points.add(mpm.fill(grid, mpm.Box((0, 0.5), (1, 0.75)), 2, 1000.0))
+        problem.step(0.12)
+        found.append(plate.force)
+    assert found[0][1] > 100.0
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
 def test_what_a_tool_does_is_work():
     """A plate presses an elastic block by 5 %, and what it has done is stored."""
     grid, found = grid_of((0, 0), (1, 1.25), (4, 5)), []
