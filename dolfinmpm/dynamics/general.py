@@ -30,7 +30,7 @@ from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.traces import Stiffness, weighed
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
-from dolfinmpm.solve.advance import commit
+from dolfinmpm.solve.advance import NewState, commit
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
@@ -154,20 +154,24 @@ class General(OneByOne):
         Collective. Returns why there are none where the increment admits no state.
         """
         forces = mass.nodal()
-        if u is None and not self._by_stress:
-            operator.rest()
-            forces.arrays[0][:] = -operator.forces(boundaries=False)[0]
-            return forces
         points = self._problem.points
-        weight, stress = points["V"], points["stress"]
+        state: NewState | None = None
         if u is not None:
             operator.place([u])
-            state = self._advanced(operator, False)
-            if isinstance(state, str):
-                return state
+            found = self._advanced(operator, False)
+            if isinstance(found, str):
+                return found
+            state = found
+        if not self._by_stress:
+            if state is None:
+                operator.rest()
+            forces.arrays[0][:] = -operator.forces(boundaries=False, penalties=False)[0]
+            return forces
+        weight = points["V"]
+        if state is not None:
             at = operator.points
             weight = weight * np.linalg.det(deformation(points, at.value[0], at.gradient[0]))
-            stress = state.fields["stress"]
+        stress = points["stress"] if state is None else state.fields["stress"]
         weight = stress_volumes(points, self._problem.form.parts.declarations, weight)
         scatter_tensor(points, s, weight[:, None, None] * stress, forces.arrays[0])
         forces.arrays[0][:] *= -1.0

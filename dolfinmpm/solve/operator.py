@@ -155,16 +155,17 @@ class Operator:
         return self._u.arrays
 
     @stages.assemble
-    def forces(self, boundaries: bool = True) -> list[Array]:
+    def forces(self, boundaries: bool = True, penalties: bool = True) -> list[Array]:
         """Internal and external forces at the increments moved to (N), each field's. Collective.
 
         Args:
             boundaries: Whether with the internal ones of terms over boundaries.
+            penalties: Whether with those that are linear in the increments.
 
         Returns:
             Shapes (nodes, components), summed over ranks at the nodes' owners.
         """
-        internal = self._internal(self._sets if boundaries else [self.points]).arrays
+        internal = self._internal(self._sets if boundaries else [self.points], penalties).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
     def load_work(self, of: Sequence[Array] | None = None) -> float:
@@ -209,7 +210,7 @@ class Operator:
         self.here.unknowns.clear(self._u)
         self._interpolate()
 
-    def _internal(self, sets: Sequence[Evaluation] | None = None) -> Nodal:
+    def _internal(self, sets: Sequence[Evaluation] | None = None, penalties: bool = True) -> Nodal:
         """Internal forces at the increments moved to, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
@@ -217,7 +218,7 @@ class Operator:
             # the norm is then no number on any rank
             for field, force in zip(here.unknowns.fields, out.arrays):
                 force[field.nodes] = math.nan
-        for blocks in self._linear():
+        for blocks in self._linear() if penalties else ():
             add_product(blocks, self._u.arrays, out.arrays)
         self.touch()
         self._add_contacts(out.arrays)
