@@ -34,9 +34,15 @@ def body(grid, shape, law, basis, averaged=None, tags=False, weight=True):
     return points, V, F
 
 
-def falls(basis="gimp", averaged=None, corners=None, surface=False, law=ELASTIC, **options):
+def falls(
+    basis="gimp", averaged=None, corners=None, surface=False, graded=False, law=ELASTIC, **options
+):  # fmt: skip
     """A disc falls on a slope, and rolls."""
     grid = grid_of((-1, -0.5), (1, 1.5), (16, 16))
+    if graded:
+        x = np.linspace(-1, 1, 17)
+        x = np.sign(x) * np.abs(x) ** 1.3
+        grid = mpm.create_lattice(COMM, [x, x + 0.5])
     points, V, F = body(grid, mpm.Disc((0.013, 0.45), 0.4), law, basis, averaged)
     points["velocity"][:] = 0.5, -2.0
     slope = mpm.RigidBody(mpm.Plane((0, 0.03), (0.1, 1)), name="slope")

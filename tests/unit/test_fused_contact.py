@@ -57,6 +57,7 @@ FALLS = [
     {"scheme": "usl", "basis": "bspline2", "averaged": False, "mapping": "tpic"},
     {"scheme": "usl", "basis": "bspline3", "corners": "material"},
     {"scheme": "musl", "basis": "gimp", "surface": True, "mass_scaling": 2.0},
+    {"scheme": "usl", "graded": True, "damping": 0.05},
 ]
 
 
