@@ -17,8 +17,8 @@ from typing import Any
 import numba
 import numpy as np
 import numpy.typing as npt
+import scipy
 from petsc4py import PETSc
-from scipy import sparse
 
 from dolfinmpm._platform.errors import StateError, raise_together
 from dolfinmpm.assembly.facetpairs import isotropic
@@ -108,13 +108,14 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
 
 def _around(
     here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], rings: int
-) -> tuple[list[sparse.csr_matrix], npt.NDArray[np.int64]]:
+) -> tuple[list[scipy.sparse.csr_matrix], npt.NDArray[np.int64]]:
     """The parts of matrices around unknowns, and the global numbers they are of. Collective."""
     if here.unknowns.comm.size == 1:
         shape = (here.unknowns.rows,) * 2
         pattern = here.pattern
         made = [
-            sparse.csr_matrix((m.data, pattern.indices, pattern.indptr), shape) for m in matrices
+            scipy.sparse.csr_matrix((m.data, pattern.indices, pattern.indptr), shape)
+            for m in matrices
         ]
         return made, np.arange(shape[0], dtype=np.int64)
     where = PETSc.IS().createGeneral(np.unique(rows).astype(PETSc.IntType), comm=PETSc.COMM_SELF)
@@ -124,11 +125,11 @@ def _around(
     for matrix in matrices:
         (own,) = matrix.petsc.createSubMatrices([where], [where])
         indptr, indices, data = own.getValuesCSR()
-        parts.append(sparse.csr_matrix((data, indices, indptr), own.getSize()))
+        parts.append(scipy.sparse.csr_matrix((data, indices, indptr), own.getSize()))
     return parts, where.getIndices().astype(np.int64)
 
 
-def _ringed(A: sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
+def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
     """Rows and those around them that they are coupled to, ring by ring."""
     for _ in range(rings):
         rows = np.unique(A[rows].indices)
@@ -149,7 +150,7 @@ def _fill(indptr, indices, data, patch, place, out):
 
 
 def _part(
-    matrix: sparse.csr_matrix, patch: npt.NDArray[Any], place: npt.NDArray[np.int64]
+    matrix: scipy.sparse.csr_matrix, patch: npt.NDArray[Any], place: npt.NDArray[np.int64]
 ) -> Array:
     """A dense part of a matrix; `place` is -1 everywhere, before and after."""
     out = np.zeros((patch.size, patch.size))

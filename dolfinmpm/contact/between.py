@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 import ufl
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown
@@ -90,7 +90,7 @@ class Between:
             own = points["x"][np.isin(points["tag"], u._dolfinmpm_space.tags)]
             votes = np.zeros(2, int)
             if len(own) and len(x):
-                nearest = own[cKDTree(own).query(x)[1]]
+                nearest = own[scipy.spatial.cKDTree(own).query(x)[1]]
                 behind = np.einsum("pi,pi->p", x - nearest, area) > 0.0
                 votes[:] = np.count_nonzero(behind), np.count_nonzero(~behind)
             behind, before = points.comm.allreduce(votes, op=MPI.SUM)

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
+import scipy
 
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.incells import values_in_cells
@@ -68,7 +68,7 @@ class Corners:
     which: Rows
     x: Array
     nodes: npt.NDArray[np.int32]
-    N: sparse.csr_matrix
+    N: scipy.sparse.csr_matrix
 
     def displacement(self, u: Array) -> Array:
         """Displacements of the corners (m), shape (m, gdim), from nodal ones."""
@@ -93,7 +93,7 @@ class Sight:
 
     basis: Basis
     total: bool
-    C: sparse.csr_matrix | None
+    C: scipy.sparse.csr_matrix | None
     stencils: Callable[[Rows], Stencils]
     place: npt.NDArray[np.int32] | None = None
 
@@ -203,7 +203,9 @@ class Sites:
         seen[N.indices] = 1
         nodes: npt.NDArray[np.int32] = np.flatnonzero(seen).astype(np.int32)
         seen[nodes] = np.arange(nodes.size)
-        N = sparse.csr_matrix((N.data, seen[N.indices], N.indptr), shape=(each.size, nodes.size))
+        N = scipy.sparse.csr_matrix(
+            (N.data, seen[N.indices], N.indptr), shape=(each.size, nodes.size)
+        )
         if self._sight.place is not None:
             nodes = self._sight.place[nodes]
         return Corners(each, which, x, nodes, N)
@@ -228,7 +230,7 @@ class Sites:
         cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
         return at.reshape(-1, points.gdim), cell.reshape(-1, points.gdim)
 
-    def _seen_in(self, x: Array, cell: Rows) -> sparse.csr_matrix:
+    def _seen_in(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
         """What corners see of functions as they are in some cells."""
         basis, C = self._sight.basis, self._sight.C
         assert isinstance(basis, LatticeBasis)
@@ -238,8 +240,8 @@ class Sites:
         nodes, values = found
         start = values.shape[1] * np.arange(len(x) + 1)
         shape = len(x), basis.nodes.size
-        N = sparse.csr_matrix((values.ravel(), nodes.ravel(), start), shape=shape)
-        return N if C is None else sparse.csr_matrix(N @ C)
+        N = scipy.sparse.csr_matrix((values.ravel(), nodes.ravel(), start), shape=shape)
+        return N if C is None else scipy.sparse.csr_matrix(N @ C)
 
     def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
         """Positions of corners, and the offsets by which their points' gradients move them."""
@@ -252,14 +254,16 @@ class Sites:
         # gradients at first positions go with offsets at first
         return points["x"][each] + r, R if self._sight.total else r
 
-    def _seen_from(self, each: Rows, along: Array) -> sparse.csr_matrix:
+    def _seen_from(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
         """What corners see by the stencils of their points, which go on by the gradient."""
         rows, own = np.unique(each, return_inverse=True)
         s, shape = self._sight.stencils(rows), (rows.size, self._sight.basis.nodes.size)
         parts = [stencil_matrix(s, s.N, shape)[own]]
         for k in range(self._points.gdim):
-            parts.append(sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[own])
-        return sparse.csr_matrix(sum(parts[1:], parts[0]))
+            parts.append(
+                scipy.sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[own]
+            )
+        return scipy.sparse.csr_matrix(sum(parts[1:], parts[0]))
 
 
 def longest(half: Array) -> Array:
@@ -273,7 +277,7 @@ def _length(v: Array) -> Array:
     return np.sqrt(functools.reduce(np.add, (v * v).T))
 
 
-def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse.csr_matrix:
+def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
     """Stencils as a matrix.
 
     Args:
@@ -290,4 +294,4 @@ def stencil_matrix(s: Stencils, values: Array, shape: tuple[int, int]) -> sparse
     begin = np.cumsum(length) - length
     at = first + np.arange(rows.size) - np.repeat(begin, length)
     columns = s.nodes[at]
-    return sparse.csr_matrix((values, (rows, columns)), shape=shape)
+    return scipy.sparse.csr_matrix((values, (rows, columns)), shape=shape)

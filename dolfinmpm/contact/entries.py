@@ -5,14 +5,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
+import scipy
 
 from dolfinmpm.assembly.points import Entries
 
 __all__ = ["Seen", "add_corners"]
 
 # What places see: N of the nodes that any of them sees, shape (places, k), and these, shape (k,)
-Seen = tuple[sparse.csr_matrix, npt.NDArray[np.int32]]
+Seen = tuple["scipy.sparse.csr_matrix", npt.NDArray[np.int32]]
 
 
 def add_corners(

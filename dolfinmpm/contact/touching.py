@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from mpi4py import MPI
-from scipy import sparse
-from scipy.spatial import cKDTree
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
@@ -51,7 +50,7 @@ class Side:
 
     field: int
     nodes: npt.NDArray[np.int32]
-    N: sparse.csr_matrix
+    N: scipy.sparse.csr_matrix
 
     def displacement(self, u: Sequence[Array]) -> Array:
         """Displacements of the places (m), shape (places, d), from nodal ones of all fields."""
@@ -129,7 +128,7 @@ class Facing:
         sizes = np.linalg.norm(A, axis=1)
         half = _LENGTH * sizes if d == 2 else _WIDTH * np.sqrt(sizes)
         count = min(_NEAREST, len(X))
-        distance, near = cKDTree(X).query(
+        distance, near = scipy.spatial.cKDTree(X).query(
             x, count, distance_upper_bound=float(np.hypot(self.reach, half.max()))
         )
         there = np.isfinite(distance.reshape(n, count))
@@ -165,7 +164,7 @@ class Facing:
     def lists(self, unknowns: Unknowns) -> tuple[npt.NDArray, npt.NDArray]:
         """Lists of nodes that it couples, numbered with their fields' offsets."""
         parts = [
-            sparse.csr_matrix(
+            scipy.sparse.csr_matrix(
                 (side.N.data, side.nodes[side.N.indices], side.N.indptr),
                 shape=(len(self.rows), unknowns.fields[side.field].numbering.size),
             )
@@ -186,16 +185,16 @@ class Facing:
         return start, np.concatenate([np.empty(0, np.int32), *lists]).astype(np.int32)
 
 
-def _side(field: int, N: sparse.csr_matrix) -> Side:
+def _side(field: int, N: scipy.sparse.csr_matrix) -> Side:
     N.eliminate_zeros()
     nodes = np.unique(N.indices).astype(np.int32)
     local = np.searchsorted(nodes, N.indices)
     return Side(
-        field, nodes, sparse.csr_matrix((N.data, local, N.indptr), (N.shape[0], nodes.size))
+        field, nodes, scipy.sparse.csr_matrix((N.data, local, N.indptr), (N.shape[0], nodes.size))
     )
 
 
-def _seen(field: ActiveField, x: Array, beside: Array) -> sparse.csr_matrix:
+def _seen(field: ActiveField, x: Array, beside: Array) -> scipy.sparse.csr_matrix:
     """What places on a boundary see of a field, behind its ties. Collective at first.
 
     A place in a cell that is not active, barely beyond the body, sees the functions of the cell
@@ -219,7 +218,7 @@ def _seen(field: ActiveField, x: Array, beside: Array) -> sparse.csr_matrix:
     # overlap of ranks is as wide as a cell and what is beside it
     assert s is not None
     N = stencil_matrix(s, s.N, (len(x), basis.nodes.size))
-    return N if field.C is None else sparse.csr_matrix(N @ field.C)
+    return N if field.C is None else scipy.sparse.csr_matrix(N @ field.C)
 
 
 class ActiveBetween:

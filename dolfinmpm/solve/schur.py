@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from petsc4py import PETSc
-from scipy import sparse
 
 __all__ = ["schur_matrix"]
 
@@ -37,8 +37,10 @@ def schur_matrix(A: PETSc.Mat, of_u: PETSc.IS, of_p: PETSc.IS) -> PETSc.Mat:
         both: Any = (start, columns, values * other[2])
     else:
         shape = start.size - 1, B.getSize()[1]
-        found = sparse.csr_matrix((values, columns, start), shape)
-        found = found.multiply(sparse.csr_matrix((other[2], other[1], other[0]), shape)).tocsr()
+        found = scipy.sparse.csr_matrix((values, columns, start), shape)
+        found = found.multiply(
+            scipy.sparse.csr_matrix((other[2], other[1], other[0]), shape)
+        ).tocsr()
         both = found.indptr, found.indices, found.data
     products = PETSc.Mat().createAIJ(B.getSizes(), csr=both, comm=A.comm)
     diagonal, inverse = A.getDiagonal(), B.createVecRight()
