@@ -269,6 +269,9 @@ class TimeStepping(QuasiStatic):
         set_velocities(self.bcs, lambda v: mean_increment(v, step))
         return [np.asarray(g / step.dt, np.float64) for g in values]
 
+    def _count(self, work: float) -> None:
+        self.motion.work.external += work
+
     def _advance(
         self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
     ) -> NewState | str:

