@@ -25,9 +25,9 @@
 # What comes out with the default sizes, of which narrow wedges have smaller cells: the slope within
 # 3.0 % at 20° and 45°, 0.8 % at 30° and 0.3 % at 60°. The head start remains, so that the mean
 # pressure (`mean_pressure`) is too large, by 39 % at 30° and 8 % at 45°; `pressure` is that of
-# the rise. Domains of points grow with U, which is right for what is stretched and wrong for what is
-# sheared many times its size: at 15° no step converges from half the depth on. Those that follow the
-# volume alone (`--domains volume`) come to the end there, 9 % low, but are 14 % low at 30°.
+# the rise. Domains of points grow with U, which is right for what is stretched and wrong for what
+# is sheared many times its size: at 15° no step converges from half the depth on. Those that follow
+# the volume alone (`--domains volume`) come to the end there, 9 % low, but are 14 % low at 30°.
 
 # %%
 import math
