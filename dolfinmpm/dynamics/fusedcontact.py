@@ -162,13 +162,18 @@ class RigidContacts:
         Returns:
             What is wrong with where points have got to, or None.
         """
-        missed = False
-        for near, active in zip(self._near, self._active):
+        look = np.zeros(len(self._near), np.uint8)
+        for k, near in enumerate(self._near):
             gone = way * near.cell + near.way()
             sure = near.travelled(gone)
             # what has gone less cannot have got there
-            if gone >= self._margin or not sure:
-                missed = active.missed(self._points["x"]) or missed
+            look[k] = gone >= self._margin or not sure
+        if self._points.comm.size > 1:
+            # ranks that listed points anew within the step are surer than others
+            self._points.comm.Allreduce(MPI.IN_PLACE, look, op=MPI.MAX)
+        missed = False
+        for k in np.flatnonzero(look):
+            missed = self._active[k].missed(self._points["x"]) or missed
         if missed:
             return "material points got into a rigid body from further away than was looked at"
         for near, active in zip(self._near, self._active):
