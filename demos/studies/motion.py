@@ -71,7 +71,8 @@ def problem_of(
 def times_of(args: argparse.Namespace, end: float, speed: float, label: str = "") -> Iterator[Any]:
     """Times to step to (s): Courant's number of h/c, or what an explicit problem chooses."""
     dt = "auto" if args.integrator == "explicit" else args.courant * args.h / speed
-    return mpm.times(end, dt=dt, label=label)
+    # figures are of every step
+    return mpm.times(end, dt=dt, label=label, at_once=1)
 
 
 def mapping_on(problem: Any) -> mpm.Mapping:

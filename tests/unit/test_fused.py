@@ -364,18 +364,17 @@ def test_fields_may_be_changed_between_calls():
 
 
 def test_steps_that_the_solver_chooses():
-    """Twenty a call, as long as the critical step is not asked for anew."""
+    """Twenty fused ones a call, as long as the critical step is not asked for anew."""
     pair = [problem(fused=fused, averaged=False, courant=0.05) for fused in (True, False)]
-    for p in pair:
+    for p, at_once in zip(pair, (20, 1)):
         for t in mpm.times(0.05, dt="auto"):
             p.step(t)
         *others, last = (record.parts for record in p.history)
         assert len(others) > 1
-        assert set(others) == {20}
-        assert 1 <= last <= 20
+        assert set(others) == {at_once}
+        assert 1 <= last <= at_once
         assert p.time == 0.05
     a, b = (np.argsort(p.points["id"]) for p in pair)
-    assert len(pair[0].history) == len(pair[1].history)
     expected = pair[1].points["velocity"][b]
     assert np.abs(pair[0].points["velocity"][a] - expected).max() <= 1e-11
 
