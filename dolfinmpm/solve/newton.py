@@ -151,7 +151,7 @@ class Newton:
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()
-        if operator.contacts and self.searches:
+        if self._pushed(operator):
             self._touch(operator, outcome)
             return outcome
         self._attempt(operator, outcome)
@@ -162,6 +162,15 @@ class Newton:
             self.search = search
             self._attempt(operator, outcome)
         return outcome
+
+    def _pushed(self, operator: Operator) -> bool:
+        """Whether rigid bodies touch, and each step does work: all unknowns are displacements.
+
+        Where some are pressures the component of the residual along a step is forces by
+        displacements less volumes by pressures, which says nothing of how long it should be.
+        """
+        here = operator.here
+        return bool(operator.contacts and self.searches) and len(here.movers) == len(here.fields)
 
     def _touch(self, operator: Operator, outcome: Outcome) -> None:
         """Solve where rigid bodies touch: from the last increments, then from rest. Collective."""
@@ -218,7 +227,7 @@ class Newton:
         The line searches of `SEARCHES`, and `Secants`, end with the residual of the step that they
         choose, which leaves the operator moved to what was found.
         """
-        linear, touches = self.linear, bool(operator.contacts and self.searches)
+        linear, touches = self.linear, self._pushed(operator)
         assert linear.matrix is not None
         matrix: Matrix = linear.matrix
         found: Residual = Residual(start, 0.0, 0.0)
