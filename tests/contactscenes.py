@@ -34,6 +34,20 @@ def body(grid, shape, law, basis, averaged=None, tags=False, weight=True):
     return points, V, F
 
 
+def compressed(kind, **options):
+    """A plate presses a block between walls by 5 % in a second; and what the block then stores."""
+    grid = grid_of((0, 0), (1, 1.25), (4, 5))
+    points, V, F = body(grid, mpm.Box((0, 0), (1, 1)), ELASTIC, "gimp", weight=False)
+    plate = mpm.RigidBody(
+        mpm.Plane((0, 1), (0, -1)), name="plate",
+        displacement=lambda t: (0, -0.05 * np.sin(0.5 * np.pi * t) ** 2),
+    )  # fmt: skip
+    F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+    bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
+    stored = 0.5 * (1e5 * 0.7 / (1.3 * 0.4)) * np.log(0.95) ** 2
+    return kind(F, V.increment, points, bcs, **options), stored
+
+
 def falls(
     basis="gimp", averaged=None, corners=None, surface=False, graded=False, law=ELASTIC, **options
 ):  # fmt: skip

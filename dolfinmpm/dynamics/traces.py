@@ -37,7 +37,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation, ActiveField
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.transfer import scatter
+from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -115,7 +115,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
             stiff = condition.stiffest() * markers["V"] * (2.0 if condition.exact else 1.0)
             share = max(share, _NITSCHE * condition.exact)
             for part in parts:
-                _add_rows(part.stencils[0], stiff, sums.arrays[0][:, 0])
+                _add_rows(part.stencils[0], stiff, sums.arrays[0])
     sums.add_up()
     fixed = here.unknowns.fields[0].fixed.all(axis=1)
     rows, owned = sums.arrays[0][:, 0], field.basis.nodes.owned
@@ -174,19 +174,7 @@ def _weigh(order, groups, node_start, nodes, value_start, m, light, N, kept):
 
 
 def _add_rows(s: Stencils, stiff: Array, out: Array) -> None:
-    """Add Σ k |N_i| Σ|N_j| over markers to the nodes i (N/m)."""
-    _rows(s.order, s.groups, s.node_start, s.nodes, s.value_start, s.N, stiff, out)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _rows(order, groups, node_start, nodes, value_start, N, stiff, out):
-    for g in range(groups.size - 1):
-        first = node_start[g]
-        number = node_start[g + 1] - first
-        for position in range(groups[g], groups[g + 1]):
-            at = value_start[g] + (position - groups[g]) * number
-            total = 0.0
-            for a in range(number):
-                total += abs(N[at + a])
-            for a in range(number):
-                out[nodes[first + a]] += stiff[order[position]] * total * abs(N[at + a])
+    """Add Σ k |N_i| Σ|N_j| over markers to the nodes i (N/m), shape (nodes, 1)."""
+    sizes = replace(s, N=np.abs(s.N))
+    total = collect(sizes, np.ones_like(out), len(stiff))
+    scatter(sizes, stiff, total, out)
