@@ -110,7 +110,11 @@ def _false_position(at: Callable[[float], Place], start: Place, end: Place) -> P
         if abs(end.along) <= enough or end.along == along:
             break
         share = end.share - end.along * (end.share - other.share) / (end.along - along)
-        there = at(min(max(share, nearest), _FURTHEST))
+        share = min(max(share, nearest), _FURTHEST)
+        if share == end.share:
+            # the nearest or the furthest, where it has been looked at
+            break
+        there = at(share)
         if not math.isfinite(there.found.norm):
             break
         if there.along * end.along < 0.0:

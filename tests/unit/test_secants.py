@@ -81,3 +81,11 @@ def test_the_norm_counts_along_a_step_that_no_force_resists():
     assert not search.stuck
     search.find(np.zeros(2), np.array([1.0, 0.0]), Residual(force(np.zeros(2)), 1.0, 1.0))
     assert search.stuck
+
+
+def test_the_nearest_share_is_looked_at_once():
+    """A stop that is met at once: the secants ask for ever shorter shares than are taken."""
+    force = lambda x: x - 1.0 + 1e3 * np.maximum(x - 0.01, 0.0)  # noqa: E731
+    share, _, asked, _ = searched(force, 0.0, 1.0)
+    assert share == 0.1
+    assert [float(x[0]) for x in asked] == [1.0, 0.1]
