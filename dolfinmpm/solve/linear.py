@@ -86,8 +86,7 @@ class LinearSolver:
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
-        self._doubt, self._direct = Doubt(), False
-        self._rivals = Rivals()
+        self._doubt, self._rivals = Doubt(), Rivals()
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -194,7 +193,7 @@ class LinearSolver:
         free = not any(self._options.has(name) for name in _OF_METHOD)
         self._weigh()
         method = choose(
-            tangent, count, self._gdim, self._comm.size, self._direct,
+            tangent, count, self._gdim, self._comm.size, self._rivals.direct,
             free and self._rivals.incomplete,
         )  # fmt: skip
         changed = self.method is None or not method.like(self.method)
@@ -295,7 +294,7 @@ class LinearSolver:
         elif method.incomplete:
             self._rivals.failed()
         elif not method.factors:
-            self._direct = True
+            self._rivals.direct = True
         else:
             return False
         self.forget()

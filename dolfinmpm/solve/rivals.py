@@ -23,10 +23,11 @@ class Rivals:
 
     Attributes:
         incomplete: Whether incomplete factors are to precondition now.
+        direct: Whether only factors are left, because other iterations have failed.
     """
 
     def __init__(self) -> None:
-        self.incomplete = True
+        self.incomplete, self.direct = True, False
         # seconds a solution, of incomplete factors and of the other method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time
