@@ -8,30 +8,9 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.lanes import axpy, load, store, times
+from dolfinmpm.basis.incidence import by_nodes
 
 __all__ = ["stiffness_kernel"]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _by_nodes(begin, end, node_start, nodes):
-    """Which lists have each node: the least node, first entries from it on, and (list, place)."""
-    first, last = node_start[begin], node_start[end]
-    low, high = nodes[first], nodes[first]
-    for e in range(first, last):
-        low, high = min(low, nodes[e]), max(high, nodes[e])
-    start = np.zeros(high - low + 3, np.int64)
-    for e in range(first, last):
-        start[nodes[e] - low + 2] += 1
-    for a in range(2, start.size):
-        start[a] += start[a - 1]
-    lists, places = np.empty(last - first, np.int32), np.empty(last - first, np.int32)
-    # each row's first entry runs to its end, which is the next one's first
-    for g in range(begin, end):
-        for e in range(node_start[g], node_start[g + 1]):
-            a = nodes[e] - low + 1
-            lists[start[a]], places[start[a]] = g, e - node_start[g]
-            start[a] += 1
-    return low, start[:-1], lists, places
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
@@ -111,7 +90,7 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                             turned[p, s * ns + r, i * nc + k] = T[
                                 p, (i * ns + s) * width + k * ns + r
                             ]
-        low, start, lists, places = _by_nodes(begin, end, node_start, nodes)
+        low, start, lists, places = by_nodes(begin, end, node_start, nodes)
         size = start.size - 1
         slot, names = np.full(size, -1, np.int32), np.empty(size, np.int32)
         rows, t = np.empty((size, 4 * wide)), np.empty((ns, 4 * wide))

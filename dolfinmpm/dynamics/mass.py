@@ -23,7 +23,6 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.merging import summed
 from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import reduce_blocks
@@ -97,8 +96,7 @@ class MassTerms:
             nodes = field.active
             single = Blocks(k, k, nodes, nodes, sums[nodes, :, None] * unit)
             return reduce_blocks(field.C, field.C, single)
-        # groups of points share most pairs of nodes
-        rows, columns, values = summed(*mass_entries(field.stencils, mass))
+        rows, columns, values = mass_entries(field.stencils, mass)
         return Blocks(k, k, rows, columns, values[:, None, None] * unit)
 
     def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
