@@ -40,8 +40,9 @@ _NEAR = 1e-4
 # Share to which iterations reduce the residual: of a solution that nothing corrects, and at most
 # in an iteration of Newton's method
 _DIGITS, _FIRST = 1e-10, 1e-3
-# More iterations than these with incomplete factors are a failure
-_MOST_OF_INCOMPLETE = 200
+# With incomplete factors, too, a step that is less exact costs more than digits: where points begin
+# and cease to yield Newton's method may not come to its end with 1e-3. More iterations fail.
+_FIRST_OF_INCOMPLETE, _MOST_OF_INCOMPLETE = 1e-5, 200
 # With factors of a former tangent digits are cheap, and iterations of Newton's method dear; more
 # than so many iterations are not worth the wait for new ones
 _FIRST_OF_FACTORS, _MOST_OF_FACTORS = 1e-6, 30
@@ -163,6 +164,10 @@ class LinearSolver:
     @property
     def _keeps_factors(self) -> bool:
         return self.reuse is not None and self.method is not None and self.method.factors
+
+    @property
+    def _incomplete(self) -> bool:
+        return self.reuse is not None and self.method is not None and self.method.incomplete
 
     @property
     def failed(self) -> bool:
@@ -317,6 +322,8 @@ class LinearSolver:
         ksp = self.snes.getKSP()
         if not self._options.has("ksp_rtol"):
             share = _FIRST_OF_FACTORS if self._keeps_factors else _FIRST
+            if self._incomplete:
+                share = _FIRST_OF_INCOMPLETE
             if self._former is not None and self._former > 0.0:
                 share = min(share, 0.9 * (norm / self._former) ** (0.5 * (1 + math.sqrt(5.0))))
             ksp.setTolerances(rtol=max(share, _DIGITS))
@@ -324,6 +331,9 @@ class LinearSolver:
         ksp.setTolerances(atol=max(enough, 1e-300))
         if self._keeps_factors:
             ksp.setTolerances(max_it=_MOST_OF_FACTORS)
+        if self._incomplete:
+            # new ones cost about what iterations with old ones do, which may be many of a sudden
+            self.reuse.renew()
         ksp.setOperators(self.true, self.matrix.petsc)
         self.reuse.prepare(ksp, self._renewed)
 
@@ -345,7 +355,7 @@ class LinearSolver:
         ksp.setOperators(self.true, self.matrix.petsc)
         if self.reuse is not None:
             ksp.setTolerances(rtol=_DIGITS, atol=1e-300)
-            if self._keeps_factors:
+            if self._keeps_factors or self._incomplete:
                 # the next right-hand side is of the same matrix, and asks for all digits
                 self.reuse.renew()
             self.reuse.prepare(ksp, self._renewed)

@@ -7,7 +7,7 @@ import math
 __all__ = ["Rivals"]
 
 # Up to so many iterations a solution nothing else is tried
-_FEW = 30
+_FEW = 50
 # Attachments of a matrix until the one that lost is tried again, at first and at most
 _FIRST, _MOST = 8, 128
 
