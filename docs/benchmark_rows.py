@@ -353,6 +353,13 @@ ROWS = (
         "von Mises, Tresca, Mohr–Coulomb, Drucker–Prager, Cam-Clay",
         each("benchmark", f"--cases= {ALONE} --laws"), lambda a: a["laws"].values(),
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
+    Row("time-plastic", SPEED, "implicit Mohr–Coulomb without dilation, 30 720 points, a point and "
+        "Newton iteration (µs of processor time): GIMP, linear functions, quadratic splines in "
+        "Newmark steps; quasi-static",
+        each("benchmark", f"--cases= {ALONE} --plastic 80 --bases gimp,linear,bspline2"),
+        lambda a: [a["plastic"][f"{basis} {kind}"]["microseconds_per_point_and_iteration"]
+                   for kind in ("newmark", "static") for basis in ("gimp", "linear", "bspline2")],
+        "{:.1f}, {:.1f}, {:.1f}; {:.1f}, {:.1f}, {:.1f}"),
     Row("time-facets", SPEED, "ghost penalty, assembly of a facet in 2D: linear functions, GIMP, "
         "quadratic, cubic splines (µs)",
         each("benchmark", f"--cases= {ALONE} --facets --bases linear,gimp,bspline2,bspline3"),

@@ -15,7 +15,8 @@
 #   256 high. Memory is the largest that the process ever held less what it held after a small
 #   run, for each point. `--remedies all` solves each case with every remedy against small cuts as
 #   well, and counts how often a step calls the code of the remedies: an unused one costs a scene
-#   one question a step, whether any nodes follow others. `--laws` and `--facets` time parts.
+#   one question a step, whether any nodes follow others. `--laws` and `--facets` time parts,
+#   `--plastic 80` implicit steps of Mohr–Coulomb sand, stage by stage.
 #
 # `--quick` takes the smallest sizes of all, within a minute or two. Empty lists, as in `--scenes=`,
 # leave parts out.
@@ -26,6 +27,7 @@ from __future__ import annotations
 import benchmark_costs as costs
 import benchmark_growth
 import benchmark_peers
+import benchmark_plastic
 import benchmark_plots
 import benchmark_scenes as scenes
 from mpi4py import MPI
@@ -55,6 +57,10 @@ options.add_argument(
 )
 options.add_argument("--laws", action="store_true", help="million points a second of each law")
 options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
+options.add_argument(
+    "--plastic", type=int, default=0, metavar="CELLS", help="a metre of a block of Mohr–Coulomb "
+    "sand in implicit steps; 80 are 30 720 points; not run by default"
+)  # fmt: skip
 options.add_argument("--scenes", type=words, default=list(scenes.SCENES), help="by commas")
 options.add_argument("--refinements", type=int, help="of each scene, from the coarsest; all")
 options.add_argument("--densities", type=int, help="numbers of points a cell of each scene; all")
@@ -93,6 +99,7 @@ figures = {
     "remedies": costs.time_remedies(args),
     "laws": costs.time_laws(args),
     "facets": costs.time_facets(args),
+    "plastic": benchmark_plastic.time_plastic(args),
 }
 
 # %% [markdown]

@@ -1,4 +1,4 @@
-"""The tangent of a field on itself: sums over the points' stencils, four nodes at a time."""
+"""The tangent of a field on itself: sums over the points' stencils, row by row of nodes."""
 
 from __future__ import annotations
 
@@ -8,102 +8,167 @@ import numba
 import numpy as np
 
 from dolfinmpm._platform.lanes import axpy, load, store, times
+from dolfinmpm.basis.incidence import by_nodes
 
 __all__ = ["stiffness_kernel"]
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def _add_one(ns, offset, m, at, N, dN, t_at, places):
+    """Add Σ_r φ_br t_r to the vector of four at the place of each node b, with t in registers."""
+    t = load(t_at)
+    t1 = load(t_at + 32) if ns > 1 else t
+    t2 = load(t_at + 64) if ns > 2 else t
+    t3 = load(t_at + 96) if ns > 3 else t
+    for b in range(m):
+        to, q = places[b], at + b
+        total = axpy(N[q] if offset else dN[q, 0], t, load(to))
+        if ns > 1:
+            total = axpy(dN[q, 1 - offset], t1, total)
+        if ns > 2:
+            total = axpy(dN[q, 2 - offset], t2, total)
+        if ns > 3:
+            total = axpy(dN[q, 3 - offset], t3, total)
+        store(to, total)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def _add_three(ns, offset, m, at, N, dN, t_at, places):
+    """`_add_one` of three vectors of four each."""
+    t, u, w = load(t_at), load(t_at + 32), load(t_at + 64)
+    step = t_at + 96 if ns > 1 else t_at
+    t1, u1, w1 = load(step), load(step + 32), load(step + 64)
+    step = t_at + 192 if ns > 2 else t_at
+    t2, u2, w2 = load(step), load(step + 32), load(step + 64)
+    step = t_at + 288 if ns > 3 else t_at
+    t3, u3, w3 = load(step), load(step + 32), load(step + 64)
+    for b in range(m):
+        to, q = places[b], at + b
+        phi = N[q] if offset else dN[q, 0]
+        x, y, z = axpy(phi, t, load(to)), axpy(phi, u, load(to + 32)), axpy(phi, w, load(to + 64))
+        if ns > 1:
+            phi = dN[q, 1 - offset]
+            x, y, z = axpy(phi, t1, x), axpy(phi, u1, y), axpy(phi, w1, z)
+        if ns > 2:
+            phi = dN[q, 2 - offset]
+            x, y, z = axpy(phi, t2, x), axpy(phi, u2, y), axpy(phi, w2, z)
+        if ns > 3:
+            phi = dN[q, 3 - offset]
+            x, y, z = axpy(phi, t3, x), axpy(phi, u3, y), axpy(phi, w3, z)
+        store(to, x)
+        store(to + 32, y)
+        store(to + 64, z)
 
 
 @functools.cache
 def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
     """The loop of a field on itself: nc components, ns slots (gradients, or values too) each.
 
-    A group's sum between its nodes comes first, then goes into the matrix. At a point that is
-    Σ_s φ_as T_is,kr by node a, then Σ_r of these times φ_br, with nodes b side by side in
-    registers: rows of all arrays are filled up to whole ones.
+    The points of a node come one after the other, so that its rows are summed where they are at
+    hand and go into the matrix once. Of a point and a node a there is t_r,ik = Σ_s φ_as T_is,kr,
+    and for each node b Σ_r φ_br t_r, all pairs ik of components side by side in registers.
     """
     offset = 0 if gradient_only else 1
     width = nc * ns
-    wide = (width + 3) // 4
+    wide = (nc * nc + 3) // 4
 
     @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
     def kernel(
         begin, end, groups, node_start, nodes, value_start, N, dN, T, row_of, indptr, indices,
         data, prescribed, lift,
     ):  # fmt: skip
-        largest = 0
-        for g in range(begin, end):
-            largest = max(largest, node_start[g + 1] - node_start[g])
-        line = 4 * ((largest + 3) // 4)
-        phi, K = np.zeros((ns, line)), np.empty((largest, nc, nc, line))
-        slope, t = np.zeros((width, 4 * wide)), np.empty((nc, 4 * wide))
-        place = np.empty(largest * nc, np.int64)
-        phi_at, K_at = phi.ctypes.data, K.ctypes.data
-        slope_at, t_at = slope.ctypes.data, t.ctypes.data
-        for g in range(begin, end):
-            first = node_start[g]
-            m = node_start[g + 1] - first
-            lots = (m + 3) // 4
-            for s in range(ns):
-                for b in range(m, 4 * lots):
-                    phi[s, b] = 0.0
-            for a in range(m):
-                for i in range(nc):
+        if node_start[begin] == node_start[end]:
+            return
+        n = groups[end] - groups[begin]
+        # T with the pairs of components innermost
+        turned = np.zeros((n, ns * ns, 4 * wide))
+        for p in range(n):
+            for i in range(nc):
+                for s in range(ns):
                     for k in range(nc):
-                        for b in range(4 * lots):
-                            K[a, i, k, b] = 0.0
-            for position in range(groups[g], groups[g + 1]):
-                p = position - groups[begin]
-                at = value_start[g] + (position - groups[g]) * m
+                        for r in range(ns):
+                            turned[p, s * ns + r, i * nc + k] = T[
+                                p, (i * ns + s) * width + k * ns + r
+                            ]
+        low, start, lists, places = by_nodes(begin, end, node_start, nodes)
+        size = start.size - 1
+        slot, names = np.full(size, -1, np.int32), np.empty(size, np.int32)
+        rows, t = np.empty((size, 4 * wide)), np.empty((ns, 4 * wide))
+        place, places_of = np.empty(indptr.size - 1, np.int32), np.empty(size, np.int64)
+        turned_at, rows_at, t_at = turned.ctypes.data, rows.ctypes.data, t.ctypes.data
+        for a in range(size):
+            node, known = low + a, -1
+            for i in range(nc):
+                known = max(known, row_of[node, i])
+            if known < 0 or start[a] == start[a + 1]:
+                continue
+            count = 0
+            for e in range(start[a], start[a + 1]):
+                g = lists[e]
+                first = node_start[g]
+                m = node_start[g + 1] - first
                 for b in range(m):
-                    if offset:
-                        phi[0, b] = N[at + b]
-                    for s in range(ns - offset):
-                        phi[offset + s, b] = dN[at + b, s]
-                for i in range(width):
-                    for k in range(width):
-                        slope[i, k] = T[p, i * width + k]
-                for a in range(m):
-                    for i in range(nc):
+                    c = nodes[first + b] - low
+                    if slot[c] < 0:
+                        slot[c], names[count] = count, c
+                        for v in range(4 * wide):
+                            rows[count, v] = 0.0
+                        count += 1
+                    places_of[b] = rows_at + 32 * wide * slot[c]
+                for position in range(groups[g], groups[g + 1]):
+                    at = value_start[g] + (position - groups[g]) * m
+                    own = at + places[e]
+                    of_point = turned_at + 32 * wide * ns * ns * (position - groups[begin])
+                    for r in range(ns):
                         for v in range(wide):
-                            here = slope_at + 32 * (i * ns * wide + v)
-                            row = times(phi[0, a], load(here))
+                            here = of_point + 32 * (r * wide + v)
+                            if offset:
+                                row = times(N[own], load(here))
+                            else:
+                                row = times(dN[own, 0], load(here))
                             for s in range(1, ns):
-                                row = axpy(phi[s, a], load(here + 32 * s * wide), row)
-                            store(t_at + 32 * (i * wide + v), row)
-                    for i in range(nc):
-                        for k in range(nc):
-                            start = K_at + 8 * ((a * nc + i) * nc + k) * line
-                            for w in range(lots):
-                                total = load(start + 32 * w)
+                                row = axpy(
+                                    dN[own, s - offset], load(here + 32 * s * ns * wide), row
+                                )
+                            store(t_at + 32 * (r * wide + v), row)
+                    if wide == 1:
+                        _add_one(ns, offset, m, at, N, dN, t_at, places_of)
+                    elif wide == 3:
+                        _add_three(ns, offset, m, at, N, dN, t_at, places_of)
+                    else:
+                        for b in range(m):
+                            for v in range(wide):
+                                to = places_of[b] + 32 * v
+                                total = load(to)
                                 for r in range(ns):
-                                    four = load(phi_at + 8 * r * line + 32 * w)
-                                    total = axpy(t[i, k * ns + r], four, total)
-                                store(start + 32 * w, total)
-            for a in range(m):
-                node, known = nodes[first + a], False
+                                    phi = dN[at + b, max(r - offset, 0)]
+                                    if offset and r == 0:
+                                        phi = N[at + b]
+                                    total = axpy(phi, load(t_at + 32 * (r * wide + v)), total)
+                                store(to, total)
+            # columns are alike for all components of a node
+            for at in range(indptr[known], indptr[known + 1]):
+                place[indices[at]] = at - indptr[known]
+            for c in range(count):
+                other = low + names[c]
+                slot[names[c]] = -1
+                column = row_of[other, 0]
+                free = column >= 0
+                for k in range(1, nc):
+                    free = free and row_of[other, k] >= 0
                 for i in range(nc):
                     row = row_of[node, i]
                     if row < 0:
                         continue
-                    start = indptr[row]
-                    if not known:
-                        # nodes and columns both increase: one walk along the row, which is
-                        # alike for all components of a node
-                        known, at = True, start
-                        for b in range(m):
-                            for k in range(nc):
-                                column = row_of[nodes[first + b], k]
-                                place[b * nc + k] = -1
-                                if column >= 0:
-                                    while indices[at] != column:
-                                        at += 1
-                                    place[b * nc + k] = at - start
-                                    at += 1
-                    for b in range(m):
+                    if free:
+                        to = indptr[row] + place[column]
                         for k in range(nc):
-                            to = place[b * nc + k]
-                            if to >= 0:
-                                data[start + to] += K[a, i, k, b]
-                            else:
-                                lift[node, i] += K[a, i, k, b] * prescribed[nodes[first + b], k]
+                            data[to + k] += rows[c, i * nc + k]
+                        continue
+                    for k in range(nc):
+                        if row_of[other, k] >= 0:
+                            data[indptr[row] + place[row_of[other, k]]] += rows[c, i * nc + k]
+                        else:
+                            lift[node, i] += rows[c, i * nc + k] * prescribed[other, k]
 
     return kernel

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm.basis.incidence import by_nodes
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 
@@ -113,18 +114,40 @@ def _scatter_stress(order, groups, node_start, nodes, value_start, dN, stress, o
 
 @numba.njit(cache=True, error_model="numpy")
 def _mass_entries(order, groups, node_start, nodes, value_start, N, mass, rows, columns, values):
-    to = 0
-    for g in range(groups.size - 1):
-        first = node_start[g]
-        m = node_start[g + 1] - first
-        for a in range(m):
-            for b in range(m):
-                total = 0.0
-                for position in range(groups[g], groups[g + 1]):
-                    at = value_start[g] + (position - groups[g]) * m
-                    total += mass[order[position]] * N[at + a] * N[at + b]
-                rows[to], columns[to], values[to] = nodes[first + a], nodes[first + b], total
-                to += 1
+    """Entries row by row, columns increasing; returns how many there are."""
+    low, start, lists, places = by_nodes(0, groups.size - 1, node_start, nodes)
+    size, count = start.size - 1, 0
+    # where a column's sum is, -1 while it has none
+    slot = np.full(size, -1, np.int32)
+    for a in range(size):
+        begin = count
+        for e in range(start[a], start[a + 1]):
+            first = node_start[lists[e]]
+            for c in range(first, node_start[lists[e] + 1]):
+                column = nodes[c]
+                if slot[column - low] < 0:
+                    slot[column - low] = 0
+                    k = count
+                    while k > begin and columns[k - 1] > column:
+                        columns[k] = columns[k - 1]
+                        k -= 1
+                    columns[k] = column
+                    count += 1
+        for k in range(begin, count):
+            slot[columns[k] - low] = k
+            rows[k], values[k] = low + a, 0.0
+        for e in range(start[a], start[a + 1]):
+            g = lists[e]
+            first = node_start[g]
+            m = node_start[g + 1] - first
+            for position in range(groups[g], groups[g + 1]):
+                at = value_start[g] + (position - groups[g]) * m
+                weight = mass[order[position]] * N[at + places[e]]
+                for b in range(m):
+                    values[slot[nodes[first + b] - low]] += weight * N[at + b]
+        for k in range(begin, count):
+            slot[columns[k] - low] = -1
+    return count
 
 
 def _rows(s: Stencils):
@@ -224,7 +247,7 @@ def moments(s: Stencils, q: Array, q_point: Array, r: Array, r_point: Array) -> 
 
 
 def mass_entries(s: Stencils, mass: Array) -> tuple[npt.NDArray, npt.NDArray, Array]:
-    """Entries Σ_p m_p S_ap S_bp of the consistent mass, group by group.
+    """Entries Σ_p m_p S_ap S_bp of the consistent mass, by rows and then by columns.
 
     Args:
         s: Stencils.
@@ -233,8 +256,9 @@ def mass_entries(s: Stencils, mass: Array) -> tuple[npt.NDArray, npt.NDArray, Ar
     Returns:
         Nodes of the rows, of the columns and values (kg), shape (n,) each.
     """
-    number = int(np.sum(np.diff(s.node_start).astype(np.int64) ** 2))
-    rows, columns = np.empty(number, np.int32), np.empty(number, np.int32)
-    values = np.empty(number)
-    _mass_entries(*_rows(s), mass, rows, columns, values)
-    return rows, columns, values
+    # at most, where no two groups share a pair of nodes
+    most = int(np.sum(np.diff(s.node_start).astype(np.int64) ** 2))
+    rows, columns = np.empty(most, np.int32), np.empty(most, np.int32)
+    values = np.empty(most)
+    count = _mass_entries(*_rows(s), mass, rows, columns, values) if most else 0
+    return rows[:count].copy(), columns[:count].copy(), values[:count].copy()

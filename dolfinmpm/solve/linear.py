@@ -18,6 +18,7 @@ from dolfinmpm.solve.method import Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
 
@@ -30,6 +31,8 @@ _FACTORISATION = (76, 71, 81)
 # MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
 _ORDERING, WORKSPACE = 7, 14
 _SHORT_OF_WORKSPACE = (-8, -9, -17)
+# Options by which a user chooses a method
+_OF_METHOD = ("ksp_type", "pc_type", "pc_factor_mat_solver_type")
 # Share of a product's size that a symmetric matrix may be off by rounding
 _SYMMETRIC = 1e-9
 # Size of increments at which it is looked at, in cells
@@ -37,6 +40,9 @@ _NEAR = 1e-4
 # Share to which iterations reduce the residual: of a solution that nothing corrects, and at most
 # in an iteration of Newton's method
 _DIGITS, _FIRST = 1e-10, 1e-3
+# With incomplete factors, too, a step that is less exact costs more than digits: where points begin
+# and cease to yield Newton's method may not come to its end with 1e-3. More iterations fail.
+_FIRST_OF_INCOMPLETE, _MOST_OF_INCOMPLETE = 1e-5, 200
 # With factors of a former tangent digits are cheap, and iterations of Newton's method dear; more
 # than so many iterations are not worth the wait for new ones
 _FIRST_OF_FACTORS, _MOST_OF_FACTORS = 1e-6, 30
@@ -81,7 +87,7 @@ class LinearSolver:
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
-        self._doubt, self._direct = Doubt(), False
+        self._doubt, self._rivals = Doubt(), Rivals()
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -128,7 +134,8 @@ class LinearSolver:
         ksp = snes.getKSP()
         ksp.setType(method.ksp)
         if keeps:
-            ksp.setTolerances(rtol=_DIGITS, max_it=500)
+            most = _MOST_OF_INCOMPLETE if method.incomplete else 500
+            ksp.setTolerances(rtol=_DIGITS, max_it=most)
             # the residual itself, as Newton's method measures it
             ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
             if method.ksp == "gmres":
@@ -159,6 +166,10 @@ class LinearSolver:
         return self.reuse is not None and self.method is not None and self.method.factors
 
     @property
+    def _incomplete(self) -> bool:
+        return self.reuse is not None and self.method is not None and self.method.incomplete
+
+    @property
     def failed(self) -> bool:
         """Whether it failed since the last `attach`."""
         return self.matrix is None
@@ -183,12 +194,26 @@ class LinearSolver:
         """Take the method for so many unknowns. Collective."""
         definite = self._tangent.definite and self._doubt.left == 0
         tangent = replace(self._tangent, definite=definite)
-        method = choose(tangent, count, self._gdim, self._comm.size, self._direct)
+        # what a user has chosen has no rival
+        free = not any(self._options.has(name) for name in _OF_METHOD)
+        self._weigh()
+        method = choose(
+            tangent, count, self._gdim, self._comm.size, self._rivals.direct,
+            free and self._rivals.incomplete,
+        )  # fmt: skip
         changed = self.method is None or not method.like(self.method)
         self.method = method
         if changed or self.snes is None:
             self.snes = self.matrix = self.true = None
             self._create()
+
+    def _weigh(self) -> None:
+        """Let what solutions have cost decide on incomplete factors. Collective."""
+        if self.reuse is None or self._tangent.symmetric or self._tangent.softened:
+            return
+        seconds, solutions, iterations = self.reuse.taken()
+        if solutions:
+            self._rivals.weigh(seconds, solutions, iterations / solutions)
 
     def _take(self, here: Activation) -> None:
         """Take the matrix of an activation. Collective."""
@@ -271,8 +296,10 @@ class LinearSolver:
         tangent = self._tangent
         if tangent.symmetric and tangent.definite and self._doubt.left == 0:
             self._doubt.grow()
+        elif method.incomplete:
+            self._rivals.failed()
         elif not method.factors:
-            self._direct = True
+            self._rivals.direct = True
         else:
             return False
         self.forget()
@@ -295,6 +322,8 @@ class LinearSolver:
         ksp = self.snes.getKSP()
         if not self._options.has("ksp_rtol"):
             share = _FIRST_OF_FACTORS if self._keeps_factors else _FIRST
+            if self._incomplete:
+                share = _FIRST_OF_INCOMPLETE
             if self._former is not None and self._former > 0.0:
                 share = min(share, 0.9 * (norm / self._former) ** (0.5 * (1 + math.sqrt(5.0))))
             ksp.setTolerances(rtol=max(share, _DIGITS))
@@ -302,6 +331,9 @@ class LinearSolver:
         ksp.setTolerances(atol=max(enough, 1e-300))
         if self._keeps_factors:
             ksp.setTolerances(max_it=_MOST_OF_FACTORS)
+        if self._incomplete:
+            # new ones cost about what iterations with old ones do, which may be many of a sudden
+            self.reuse.renew()
         ksp.setOperators(self.true, self.matrix.petsc)
         self.reuse.prepare(ksp, self._renewed)
 
@@ -323,7 +355,7 @@ class LinearSolver:
         ksp.setOperators(self.true, self.matrix.petsc)
         if self.reuse is not None:
             ksp.setTolerances(rtol=_DIGITS, atol=1e-300)
-            if self._keeps_factors:
+            if self._keeps_factors or self._incomplete:
                 # the next right-hand side is of the same matrix, and asks for all digits
                 self.reuse.renew()
             self.reuse.prepare(ksp, self._renewed)

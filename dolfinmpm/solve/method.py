@@ -14,7 +14,7 @@ __all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetr
 _CROSSOVER = {1: 10**9, 2: 250_000, 3: 9_000}
 
 # From so many unknowns on it is looked at whether factors are worth keeping for the next tangent,
-# as preconditioners: below they cost less than the looking.
+# as preconditioners, or whether incomplete ones do: below they cost less than the looking.
 _KEPT = {1: 10**9, 2: 4_000, 3: 2_000}
 
 # Smoothed aggregation (Vaněk, Mandel & Brezina 1996, doi 10.1007/BF02238511) on blocks with
@@ -93,12 +93,20 @@ class Method:
         """Whether it factorises."""
         return self.pc in ("lu", "cholesky")
 
+    @property
+    def incomplete(self) -> bool:
+        """Whether it is preconditioned by incomplete factors."""
+        return self.pc in ("ilu", "bjacobi")
+
     def like(self, other: Method) -> bool:
         """Whether it is the same but for what was known."""
         return (self.ksp, self.pc, self.package) == (other.ksp, other.pc, other.package)
 
     def __str__(self) -> str:
-        name = {"lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG"}.get(self.pc, self.pc)
+        name = {
+            "lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG", "ilu": "incomplete LU",
+            "bjacobi": "incomplete LU of each rank",
+        }.get(self.pc, self.pc)  # fmt: skip
         package = f" by {self.package.upper()}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
         return f"{outer}{name}{package}: {self.why}"
@@ -148,8 +156,19 @@ def iterative(count: int, gdim: int) -> bool:
     return count >= _CROSSOVER[gdim]
 
 
-def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = False) -> Method:
+def choose(
+    tangent: Tangent,
+    count: int,
+    gdim: int,
+    ranks: int,
+    direct: bool = False,
+    incomplete: bool = False,
+) -> Method:
     """The method for a tangent.
+
+    Incomplete factors without fill (Meijerink & van der Vorst 1977, doi
+    10.1090/S0025-5718-1977-0438681-4) cost a tenth of factors where few iterations do with them,
+    as where inertia weighs; `dolfinmpm.solve.rivals` tells where they do not.
 
     Args:
         tangent: What is known of it.
@@ -157,6 +176,7 @@ def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = F
         gdim: Dimension of space.
         ranks: Number of ranks.
         direct: Whether only factors are left, because iterations have failed.
+        incomplete: Whether incomplete factors may precondition it if it is unsymmetric.
     """
     kind = "symmetric" if tangent.symmetric else "unsymmetric"
     if tangent.symmetric and tangent.definite:
@@ -164,6 +184,15 @@ def choose(tangent: Tangent, count: int, gdim: int, ranks: int, direct: bool = F
     if tangent.fields > 1:
         direct = direct or not tangent.porous
         kind += f" of {tangent.fields} fields"
+    if (
+        incomplete
+        and not tangent.symmetric
+        and not tangent.softened
+        and tangent.fields == 1
+        and count >= _KEPT[gdim]
+    ):
+        pc = "ilu" if ranks == 1 else "bjacobi"
+        return Method("gmres", pc, "", f"{count} unknowns, {kind}, at the least cost so far", True)
     if iterative(count, gdim) and not direct:
         why = f"{count} unknowns, {kind} in {gdim}D, from {_CROSSOVER[gdim]} on"
         if tangent.fields > 1:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import region_on, regions_of
 from dolfinmpm.cut.celloffsets import cell_offsets
+from dolfinmpm.cut.merging import merged
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
@@ -84,6 +86,8 @@ class Operator:
         ]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
+        # what a matrix has of blocks, and of their columns of prescribed components
+        self._base: tuple[Array, list[Array]] | None = None
         self.contacts = [ActiveContact.on(contact, here) for contact in form.parts.contacts]
         self.between = [ActiveBetween(facing) for facing in here.facing if self._main]
         self.renew_external()
@@ -218,7 +222,7 @@ class Operator:
             # the norm is then no number on any rank
             for field, force in zip(here.unknowns.fields, out.arrays):
                 force[field.nodes] = math.nan
-        for blocks in self._linear() if penalties else ():
+        for blocks in self._constant if penalties else ():
             add_product(blocks, self._u.arrays, out.arrays)
         self.touch()
         self._add_contacts(out.arrays)
@@ -352,6 +356,11 @@ class Operator:
         penalties = [f.penalty for f in here.fields if f.penalty is not None]
         return [*here.grid, *penalties] if self.form.parts.grid.linear else penalties
 
+    @functools.cached_property
+    def _constant(self) -> list[Blocks]:
+        """The same, all between two fields in one."""
+        return merged(self._linear())
+
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:
         """Assemble the tangent at the increments moved to. Collective.
@@ -360,20 +369,17 @@ class Operator:
             matrix: Written; of the activation's pattern.
         """
         here = self.here
-        matrix.data[:] = 0.0
-        here.unknowns.clear(self._lift)
         fields = list(zip(here.unknowns.fields, self._lift.arrays))
         entries = {
             (i, j): Entries(rows, columns, here.pattern, matrix.data, here.prescribed[j], lift)
             for i, (rows, lift) in enumerate(fields)
             for j, columns in enumerate(here.unknowns.fields)
         }
-        blocks = [*self._linear(), *here.soft]
+        self._begin(matrix, entries)
         if not self.form.parts.grid.linear:
             self.fill_functions()
-            blocks += self.form.grid.tangent(here.fields)
-        for b in blocks:
-            add_blocks(b, entries[b.row_field, b.column_field])
+            for b in self.form.grid.tangent(here.fields):
+                add_blocks(b, entries[b.row_field, b.column_field])
         for terms in self._sets:
             terms.add_tangent(entries)
         self.touch()
@@ -382,6 +388,23 @@ class Operator:
         for one in self.between:
             one.add_tangent(entries)
         matrix.finish()
+
+    def _begin(self, matrix: Matrix, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """Begin a tangent with what is the same whatever the increments, kept from the first."""
+        fields, lifts = self.here.unknowns.fields, self._lift.arrays
+        if self._base is not None:
+            matrix.data[:] = self._base[0]
+            for field, lift, kept in zip(fields, lifts, self._base[1]):
+                lift[field.nodes] = kept
+            return
+        matrix.data[:] = 0.0
+        self.here.unknowns.clear(self._lift)
+        blocks = [*self._constant, *self.here.soft]
+        for b in blocks:
+            add_blocks(b, entries[b.row_field, b.column_field])
+        if blocks:
+            kept_lifts = [lift[field.nodes] for field, lift in zip(fields, lifts)]
+            self._base = np.array(matrix.data), kept_lifts
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:
         """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""

@@ -41,6 +41,14 @@ class Reuse:
         # solutions with the present one; set-ups until one is kept again, and then the next time
         self._age, self._wait, self._next = 0, 0, 1
         self.iterations: list[int] = []
+        # seconds, solutions and iterations since `taken` was asked
+        self._taken = [0.0, 0, 0]
+
+    def taken(self) -> tuple[float, int, int]:
+        """Seconds with set-ups, solutions and iterations since this was last asked."""
+        seconds, solutions, iterations = self._taken
+        self._taken = [0.0, 0, 0]
+        return seconds, int(solutions), int(iterations)
 
     @property
     def old(self) -> bool:
@@ -79,6 +87,7 @@ class Reuse:
         ksp.setUp()
         if not keep:
             self._setup = self._slowest(time.perf_counter() - started)
+            self._taken[0] += self._setup
             self._fresh = math.nan
             self._count[1] += 1
 
@@ -110,6 +119,7 @@ class Reuse:
         after = ksp.getResidualNorm()
         digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
         seconds = self._slowest(seconds)
+        self._taken = [a + b for a, b in zip(self._taken, (seconds, 1, ksp.getIterationNumber()))]
         if not self._old:
             self._fresh = seconds / digits
         self._last = max(seconds - digits * self._fresh, 0.0)

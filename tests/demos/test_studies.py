@@ -94,6 +94,16 @@ def test_benchmark_of_remedies():
     assert costs["gimp 1x16 none"]["milliseconds_per_iteration"] > 0
 
 
+def test_benchmark_of_sand_that_yields():
+    options = "--repeat 1 --cases= --bases gimp --plastic 16 --scenes= --growth="
+    plastic = run("benchmark", *options.split())["plastic"]
+    for kind in ("newmark", "static"):
+        figures = plastic[f"gimp {kind}"]
+        assert figures["points"] == 1248
+        assert figures["yielding"] > 0
+        assert abs(sum(figures["shares"].values()) - 1) < 1e-12
+
+
 @pytest.mark.long
 def test_benchmark_of_work_and_precision(tmp_path):
     options = "--quick --cases= --scenes column --growth cells --bases gimp,bspline2"

@@ -10,9 +10,10 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import method
+from dolfinmpm.solve import linear, method
 from dolfinmpm.solve.method import Tangent, choose
 from dolfinmpm.solve.reuse import Reuse
+from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
 
 ELASTIC = {"E": 1e3, "nu": 0.3}
@@ -128,6 +129,68 @@ def test_multigrid_of_an_unsymmetric_tangent(few_are_many):
     problem = block(4, "hexahedron", extra={"strain": "jaumann"})
     assert chosen(problem)[:2] == ("gmres", "gamg")
     assert problem.history[0].residuals[-1] < 1e-9
+
+
+def sand(dilation_angle=0.0, **options):
+    """A block of sand part of which yields."""
+    law = mpm.materials.MohrCoulomb(
+        **ELASTIC, cohesion=0.05, friction_angle=25.0, dilation_angle=dilation_angle
+    )
+    return block(12, law=law, load=-0.4, stabilisation="ghost", **options)
+
+
+@pytest.mark.parametrize("most", [200, 2])
+def test_incomplete_factors_find_what_factors_find(monkeypatch, most):
+    """Where they find nothing within so many iterations, factors do, and are asked first then."""
+    few = sand()
+    assert chosen(few) == ("preonly", "lu", "mumps")
+    monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
+    monkeypatch.setattr(linear, "_MOST_OF_INCOMPLETE", most)
+    many = sand()
+    assert chosen(many)[:2] == ("gmres", "ilu" if most == 200 else "lu")
+    assert many.history[0].halvings == 0
+    assert max(many.history[0].linear_iterations) > 1
+    for problem in few, many:
+        assert problem.history[0].residuals[-1] < 1e-9
+        assert (problem.points["plastic_strain"] > 0).any()
+    u, w = (p.points["x"] - p.points["x0"] for p in (many, few))
+    np.testing.assert_allclose(u, w, atol=1e-7 * np.abs(w).max())
+
+
+@pytest.mark.parametrize("options", [{"pc_type": "lu"}, {"ksp_type": "preonly"}])
+def test_what_a_user_chooses_has_no_rival(monkeypatch, options):
+    monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
+    problem = sand(petsc_options=options)
+    assert chosen(problem)[1] == "lu"
+    assert problem.newton.linear.snes.getKSP().getPC().getType() == "lu"
+
+
+def test_incomplete_factors_are_left_for_what_costs_less():
+    rivals = Rivals()
+    # few iterations: nothing else is tried, whatever they cost
+    rivals.weigh(4.0, 4, 12.0)
+    assert rivals.incomplete
+    # many: factors have a turn, and lose it; the next one is eight attachments later
+    rivals.weigh(8.0, 4, 60.0)
+    assert not rivals.incomplete
+    rivals.weigh(12.0, 4, 1.0)
+    assert rivals.incomplete
+    turns = [rivals.incomplete for _ in range(8) if rivals.weigh(8.0, 4, 60.0) is None]
+    assert turns == [True] * 7 + [False]
+    # this time they cost less, and stay until the other one has a turn
+    turns = [rivals.incomplete for _ in range(16) if rivals.weigh(4.0, 4, 1.0) is None]
+    assert turns == [False] * 15 + [True]
+
+
+def test_incomplete_factors_that_failed_wait_for_longer_each_time():
+    rivals, waits = Rivals(), []
+    for _ in range(6):
+        rivals.failed()
+        waits.append(0)
+        while not rivals.incomplete:
+            rivals.weigh(1.0, 1, 1.0)
+            waits[-1] += 1
+    assert waits == [8, 16, 32, 64, 128, 128]
 
 
 @pytest.mark.parametrize("many", [False, True])

@@ -64,6 +64,7 @@ CASES = {
         bodies.errors_of_bodies,
         plasticity.layers,
         plasticity.wall,
+        plasticity.incomplete_factors,
         failures.errors_on_all_ranks,
         arguments.bad_inputs,
         arguments.of_one_rank,

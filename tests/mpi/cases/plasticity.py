@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.solve import linear, method
 
 from .common import COMM, run, sums
 
@@ -113,6 +116,35 @@ def layers():
     assert yielded > 1e-4
     assert not points["plastic_strain"][points["tag"] == 2].any()
     return figures | sums(points, "plastic_strain", "be", "moved_under")
+
+
+def incomplete_factors():
+    """Ground that flows, under incomplete factors of each rank, and factors where these fail."""
+    found = {}
+    for name, most in (("kept", 200), ("failed", 2)):
+        grid = mesh.create_rectangle(COMM, [(0, 0), (8, 4)], (16, 8), mesh.CellType.quadrilateral)
+        points = mpm.fill(grid, mpm.Box((0, 0), (4, 3)), 2, 1800.0)
+        V = mpm.Space(grid, "gimp")
+        g = fem.Constant(grid, (0.0, 0.0))
+        soil = mpm.materials.MohrCoulomb(1e6, 0.3, 2e3, 25.0, 0.0)
+        F = mpm.momentum(soil, points, V.increment, V.test)
+        F -= ufl.inner(points.density * g, V.test) * points.dX
+        bcs = mpm.rollers(V, "left", "bottom")
+        loads = [(0.0, -0.4 * k) for k in range(1, 6)]
+        with (
+            mock.patch.object(method, "_KEPT", {2: 20}),
+            mock.patch.object(linear, "_MOST_OF_INCOMPLETE", most),
+        ):
+            problem, figures = run(
+                points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12
+            )
+        solver = problem.newton.linear.method
+        assert solver.incomplete if name == "kept" else solver.pc == "lu", solver
+        assert COMM.allreduce(points["plastic_strain"].max(initial=0.0), MPI.MAX) > 1e-4
+        # no point changes rank, and of blocks of ranks iterations are others than of one
+        figures = {k: v for k, v in figures.items() if k not in ("moved", "iterations")}
+        found[name] = figures | sums(points, "plastic_strain", "be")
+    return found
 
 
 def wall():
