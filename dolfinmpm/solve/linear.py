@@ -14,12 +14,13 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.method import Method, Tangent, choose, iterative
+from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
+from dolfinmpm.solve.substructures import Substructures, possible
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -82,6 +83,8 @@ class LinearSolver:
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
         self._doubt, self._direct = Doubt(), False
+        # MUMPS where it has been given settings; and where substructures turn out not to pay
+        self._substructures = not options.mentions("mat_mumps_") and possible(comm)
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -138,7 +141,10 @@ class LinearSolver:
             ksp.setTolerances(rtol=1e-11, max_it=60)
             ksp.setGMRESRestart(60)
         ksp.getPC().setType(method.pc)
-        if method.package:
+        if method.package == SUBSTRUCTURES:
+            ksp.getPC().setType("python")
+            ksp.getPC().setPythonContext(Substructures())
+        elif method.package:
             ksp.getPC().setFactorSolverType(method.package)
         snes.setFromOptions()
         self.snes, self.reuse = snes, None
@@ -183,7 +189,9 @@ class LinearSolver:
         """Take the method for so many unknowns. Collective."""
         definite = self._tangent.definite and self._doubt.left == 0
         tangent = replace(self._tangent, definite=definite)
-        method = choose(tangent, count, self._gdim, self._comm.size, self._direct)
+        method = choose(
+            tangent, count, self._gdim, self._comm.size, self._direct, self._substructures
+        )
         changed = self.method is None or not method.like(self.method)
         self.method = method
         if changed or self.snes is None:

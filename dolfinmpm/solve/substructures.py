@@ -1,0 +1,168 @@
+"""Cholesky factors of a distributed matrix by substructures, one a rank."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.linalg import lapack
+
+from dolfinmpm._platform.errors import call_together
+from dolfinmpm.solve.cholmod import Factor, unavailable
+from dolfinmpm.solve.separators import Interior, Separator
+
+__all__ = ["Substructures", "possible"]
+
+Array = npt.NDArray[np.float64]
+
+# How a factorisation ended on a rank; the worst counts
+_DONE, _INDEFINITE, _NO_MEMORY = range(3)
+_REASONS = {
+    _DONE: PETSc.PC.FailedReason.NOERROR,
+    _INDEFINITE: PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT,
+    _NO_MEMORY: PETSc.PC.FailedReason.FACTOR_OUTMEMORY,
+}
+
+
+def possible(comm: MPI.Intracomm) -> bool:
+    """Whether there are several ranks, and the library on all of them. Collective."""
+    return comm.size > 1 and comm.allreduce(not unavailable(), op=MPI.LAND)
+
+
+class Substructures:
+    """The inverse of a symmetric positive definite matrix, as PETSc's preconditioner "python".
+
+    Unknowns G part those of the ranks, so that the interiors I_p are not coupled (George 1973,
+    doi 10.1137/0710032; Smith, Bjørstad & Gropp 1996, "Domain decomposition", ch. 4). Each rank
+    factorises its own
+
+        B_p = (A_II, A_IG; A_GI, D) = L Lᵀ
+
+    with G last, where the diagonal D of the sums of |A|'s rows makes B_p positive definite if A
+    is, by Gershgorin's theorem. The last block of L then has the rank's share in the Schur
+    complement, L_GG L_GGᵀ = D − A_GI A_II⁻¹ A_IG, and
+
+        S = A_GG − Σ_p A_GI A_II⁻¹ A_IG = A_GG + Σ_p (L_GG L_GGᵀ − D)
+
+    is summed up and factorised as a dense matrix on every rank. A solution takes a sweep with L, a
+    sum over the ranks, a solution with S, and a sweep with Lᵀ. It is exact: A is positive definite
+    if and only if all A_II and S are.
+
+    The symbolic factorisation is kept as long as the matrix has the same pattern.
+    """
+
+    def __init__(self) -> None:
+        self._pattern: tuple[npt.NDArray, npt.NDArray] | None = None
+        self._comm = MPI.COMM_SELF
+        self.separator: Separator | None = None
+
+    # -- what PETSc calls -------------------------------------------------------------------
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Factorise. Collective."""
+        A = pc.getOperators()[1]
+        start, columns, values = A.getValuesCSR()
+        self._comm = A.comm.tompi4py()
+        kept = self._pattern is not None and all(
+            map(np.array_equal, self._pattern, (start, columns))
+        )
+        if not self._comm.allreduce(kept, op=MPI.LAND):
+            self._analyse(A, start, columns)
+        pc.setFailedReason(_REASONS[self._factorise(values)])
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve A x = b. Collective."""
+        x.getArray()[:] = self._solve(b.getArray(readonly=True))
+
+    applyTranspose = apply
+
+    def reset(self, pc: PETSc.PC) -> None:
+        """Let go of the factors."""
+        self._pattern = None
+        self.separator = None
+
+    def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
+        """Say what it is."""
+        if self.separator is not None:
+            viewer.printfASCII(f"    Cholesky by substructures, {self.separator.size} between\n")
+
+    # -- the method -------------------------------------------------------------------------
+
+    def _analyse(self, A: PETSc.Mat, start: npt.NDArray, columns: npt.NDArray) -> None:
+        """Part the unknowns, and order those of this rank. Collective."""
+        separator = self.separator = Separator.of(A, start, columns)
+
+        def inside() -> tuple[Interior, Factor]:
+            interior = Interior.of(separator, start, columns)
+            return interior, Factor(interior.indptr, interior.indices, interior.late.size)
+
+        interior, factor = call_together(self._comm, inside)
+        self._interior, self._factor = interior, factor
+        count = interior.rows.size
+        self._places, late = factor.place[:count], factor.place[count:]
+        # L's own order of those that come last
+        order = np.argsort(late)
+        self._late_places, self._late = late[order], interior.late[order]
+        self._square = np.ix_(self._late, self._late)
+        self._x = np.zeros(factor.place.size)
+        self._pattern = start, columns
+
+    def _factorise(self, values: Array) -> int:
+        """Make L, and the factors of S. Collective."""
+        interior, count = self._interior, self._separator.size
+        D = np.bincount(interior.of_row, np.abs(values[interior.of_own]), count).astype(float)
+        self._comm.Allreduce(MPI.IN_PLACE, D)
+        ended = _DONE
+        try:
+            inner = values[interior.take], D[interior.late]
+            if not self._factor.factorise(np.concatenate(inner)):
+                ended = _INDEFINITE
+        except MemoryError:
+            ended = _NO_MEMORY
+        S = np.zeros((count, count))
+        S.reshape(-1)[interior.at] = values[interior.between]
+        if ended == _DONE:
+            self._last = self._factor.trailing()
+            S[self._square] += _product(self._last) - np.diag(D[self._late])
+        ended = self._comm.allreduce(ended, op=MPI.MAX)
+        if ended != _DONE or count == 0:
+            return ended
+        self._comm.Allreduce(MPI.IN_PLACE, S)
+        # that of LAPACK's order of entries is the transpose, of a symmetric matrix
+        self._S, info = lapack.dpotrf(S.T, lower=1, overwrite_a=1)
+        return _INDEFINITE if info else _DONE
+
+    def _solve(self, b: Array) -> Array:
+        """Entries of A⁻¹ b on this rank. Collective."""
+        separator, interior, x = self._separator, self._interior, self._x
+        own = separator.own_rows
+        x[self._places] = b[interior.rows]
+        x[self._late_places] = 0.0
+        self._factor.forward(x)
+        g = np.zeros(separator.size)
+        g[self._late] = self._last @ x[self._late_places]
+        g[separator.own] += b[own]
+        if separator.size:
+            self._comm.Allreduce(MPI.IN_PLACE, g)
+            g = lapack.dpotrs(self._S, g, lower=1, overwrite_b=1)[0]
+        x[self._late_places] = g[self._late] @ self._last
+        self._factor.backward(x)
+        result = np.empty(b.size)
+        result[interior.rows] = x[self._places]
+        result[own] = g[separator.own]
+        return result
+
+    @property
+    def _separator(self) -> Separator:
+        assert self.separator is not None
+        return self.separator
+
+
+def _product(L: Array) -> Array:
+    """L Lᵀ of a lower triangle. LAPACK has that of an upper one, a third of the work."""
+    if not L.size:
+        return L
+    upper = np.triu(lapack.dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0])
+    upper += np.triu(upper, 1).T
+    return upper[::-1, ::-1]
