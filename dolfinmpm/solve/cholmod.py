@@ -20,7 +20,7 @@ Integers = npt.NDArray[np.int32]
 # of `cholmod.h`, the same in all releases of this main version
 _MAIN_VERSION = 5
 _GIVEN, _SUPERNODAL, _REAL, _LOWER = 1, 2, 1, -1
-_OK, _OUT_OF_MEMORY, _NOT_POSDEF = 0, -2, 1
+_OK, _OUT_OF_MEMORY, _TOO_LARGE, _NOT_POSDEF = 0, -2, -3, 1
 
 
 def _structure(name: str, *members: tuple[type, str]) -> type[ctypes.Structure]:
@@ -122,8 +122,8 @@ class _Library:
     def check(self, name: str) -> None:
         """Raise what a function ended with, if it is not that a matrix is indefinite."""
         status = self.common.status
-        if status == _OUT_OF_MEMORY:
-            raise MemoryError(f"cholmod_{name}: no memory for the factors")
+        if status in (_OUT_OF_MEMORY, _TOO_LARGE):
+            raise MemoryError(f"cholmod_{name}: no memory or no numbers for factors so large")
         if status < _OK:
             raise RuntimeError(f"cholmod_{name} ended with status {status}")
 
@@ -174,9 +174,10 @@ class Factor:
 
     Attributes:
         place: Where unknowns of B stand in L, shape (n,).
+        flops: Floating-point operations of a factorisation.
 
     Raises:
-        MemoryError: There is no memory for it.
+        MemoryError: There is no memory for it, or more entries than 32-bit integers count.
     """
 
     def __init__(self, start: Integers, rows: Integers, last: int):
@@ -187,7 +188,7 @@ class Factor:
             nrow=n, ncol=n, nzmax=rows.size, p=_address(start), i=_address(rows),
             stype=_LOWER, xtype=0, sorted=0, packed=1,
         )  # fmt: skip
-        self.place = np.empty(n, np.int32)
+        self.place, self.flops = np.empty(n, np.int32), 0.0
         if n == 0:
             return
         late = np.zeros(n, np.int32)
@@ -204,13 +205,9 @@ class Factor:
         )
         library.check("analyze_p")
         weakref.finalize(self, _free, self._L)
+        self.flops = float(library.common.fl)
         self.place[_view(self._L.contents.Perm, n, c_int)] = np.arange(n, dtype=np.int32)
         self._work = np.empty(max(self._L.contents.maxesize, 1))
-
-    @property
-    def entries(self) -> int:
-        """Entries of L, zeros that it stores included."""
-        return int(self._L.contents.xsize)
 
     def factorise(self, values: Array) -> bool:
         """Make L of a matrix; returns whether it is positive definite.

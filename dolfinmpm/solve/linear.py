@@ -20,7 +20,7 @@ from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
-from dolfinmpm.solve.substructures import Substructures, possible
+from dolfinmpm.solve.substructures import Substructures, why_not
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -83,8 +83,10 @@ class LinearSolver:
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
         self._doubt, self._direct = Doubt(), False
-        # MUMPS where it has been given settings; and where substructures turn out not to pay
-        self._substructures = not options.mentions("mat_mumps_") and possible(comm)
+        # why several ranks do not factorise a substructure each, if so
+        self._whole = why_not(comm)
+        if options.mentions("mat_mumps_"):
+            self._whole = "MUMPS has been given settings"
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -189,9 +191,10 @@ class LinearSolver:
         """Take the method for so many unknowns. Collective."""
         definite = self._tangent.definite and self._doubt.left == 0
         tangent = replace(self._tangent, definite=definite)
-        method = choose(
-            tangent, count, self._gdim, self._comm.size, self._direct, self._substructures
-        )
+        ranks, whole = self._comm.size, self._whole
+        method = choose(tangent, count, self._gdim, ranks, self._direct, not whole)
+        if ranks > 1 and whole and definite and method.pc == "cholesky":
+            method = replace(method, why=f"{method.why}, not in substructures: {whole}")
         changed = self.method is None or not method.like(self.method)
         self.method = method
         if changed or self.snes is None:
@@ -222,6 +225,12 @@ class LinearSolver:
         self._use_mumps()
         if self.reuse is not None:
             self.reuse.renew()
+        pc = self.snes.getKSP().getPC()
+        made = pc.getPythonContext() if pc.getType() == "python" else None
+        if isinstance(made, Substructures) and not made.pays(A):
+            self._whole = "too many unknowns between the ranks"
+            self._choose(here.unknowns.total)
+            self._take(here)
 
     def _split(self, here: Activation, A: PETSc.Mat) -> None:
         """Tell PETSc which rows are of which field, and rigid modes of the first. Collective."""

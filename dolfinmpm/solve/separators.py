@@ -170,10 +170,8 @@ class Interior:
         late: Which of the separator G is, shape (m,).
         indptr, indices: First entries and rows of its columns.
         take: Which entries of this rank's rows of A its first entries are; D follows.
-        between: Which of them are between unknowns of the separator,
-        at: and where those are in a flat square array of all of it.
-        of_own: Entries in rows of the separator that are owned here,
-        of_row: and of which row each is.
+        between: Which of them are between two unknowns of the separator,
+        at: and which two.
     """
 
     rows: Integers
@@ -182,9 +180,7 @@ class Interior:
     indices: Integers
     take: Places
     between: Places
-    at: Places
-    of_own: Places
-    of_row: Places
+    at: tuple[Places, Places]
 
     @staticmethod
     def of(separator: Separator, start: Integers, columns: Integers) -> Interior:
@@ -222,10 +218,8 @@ class Interior:
         each = np.diff(start)[own]
         of_row = np.repeat(np.arange(among.size)[separator.own], each)
         first = np.repeat(start[own] - np.concatenate([[0], np.cumsum(each)[:-1]]), each)
-        of_own = (first + np.arange(of_row.size)).astype(np.int64)
-        there = np.searchsorted(among, columns[of_own])
-        both = among[np.minimum(there, among.size - 1)] == columns[of_own]
-        return Interior(
-            rows, late, indptr, indices, take, of_own[both],
-            of_row[both] * among.size + there[both], of_own, of_row,
-        )  # fmt: skip
+        entries = (first + np.arange(of_row.size)).astype(np.int64)
+        there = np.searchsorted(among, columns[entries])
+        both = among[np.minimum(there, among.size - 1)] == columns[entries]
+        between, at = entries[both], (of_row[both], there[both])
+        return Interior(rows, late, indptr, indices, take, between, at)
