@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
@@ -60,6 +62,9 @@ class Substructures:
         self._pattern: tuple[npt.NDArray, npt.NDArray] | None = None
         self._comm, self._ended = MPI.COMM_SELF, _INDEFINITE
         self.separator: Separator | None = None
+        self._factor: Any = None
+        self._last: Any = None
+        self._S: Any = None
 
     def pays(self, A: PETSc.Mat) -> bool:
         """Whether this is likely to be the fastest way for a matrix; analyses it. Collective."""
@@ -97,8 +102,8 @@ class Substructures:
 
     def reset(self, pc: PETSc.PC) -> None:
         """Let go of the factors."""
-        self._pattern = None
-        self.separator = None
+        self._pattern = self.separator = None
+        self._factor = self._last = self._S = None
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
         """Say what it is."""
@@ -119,7 +124,9 @@ class Substructures:
         interior, factor = call_together(self._comm, inside)
         self._interior, self._factor = interior, factor
         count = interior.rows.size
-        self._places, late = factor.place[:count], factor.place[count:]
+        # gathering by indices of the machine's own size takes half the time
+        place = factor.place.astype(np.intp)
+        self._rows, self._places, late = interior.rows.astype(np.intp), place[:count], place[count:]
         # L's own order of those that come last
         order = np.argsort(late)
         self._late_places, self._late = late[order], interior.late[order]
@@ -157,13 +164,14 @@ class Substructures:
         self._comm.Allreduce(MPI.IN_PLACE, S)
         # that of LAPACK's order of entries is the transpose, of a symmetric matrix
         self._S, info = lapack.dpotrf(S.T, lower=1, overwrite_a=1)
-        return _INDEFINITE if info else _DONE
+        # sums may differ by rounding from rank to rank
+        return self._comm.allreduce(_INDEFINITE if info else _DONE, op=MPI.MAX)
 
     def _solve(self, b: Array) -> Array:
         """Entries of A⁻¹ b on this rank. Collective."""
-        separator, interior, x = self._separator, self._interior, self._x
+        separator, x = self._separator, self._x
         own = separator.own_rows
-        x[self._places] = b[interior.rows]
+        x[self._places] = b[self._rows]
         x[self._late_places] = 0.0
         self._factor.forward(x)
         g = np.zeros(separator.size)
@@ -175,7 +183,7 @@ class Substructures:
         x[self._late_places] = g[self._late] @ self._last
         self._factor.backward(x)
         result = np.empty(b.size)
-        result[interior.rows] = x[self._places]
+        result[self._rows] = x[self._places]
         result[own] = g[separator.own]
         return result
 
