@@ -94,7 +94,7 @@ class Substructures:
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; infinite, as of PETSc's own factors, without factors. Collective."""
         if self._ended == _DONE:
-            x.getArray()[:] = self._solve(b.getArray(readonly=True))
+            self._solve(b.getArray(readonly=True), x.getArray())
         else:
             x.set(np.inf)
 
@@ -123,15 +123,23 @@ class Substructures:
 
         interior, factor = call_together(self._comm, inside)
         self._interior, self._factor = interior, factor
-        count = interior.rows.size
         # gathering by indices of the machine's own size takes half the time
         place = factor.place.astype(np.intp)
-        self._rows, self._places, late = interior.rows.astype(np.intp), place[:count], place[count:]
+        places, late = np.split(place, [interior.rows.size])
         # L's own order of those that come last
         order = np.argsort(late)
         self._late_places, self._late = late[order], interior.late[order]
         self._square = np.ix_(self._late, self._late)
-        self._x = np.zeros(factor.place.size)
+        # L's unknowns, and then those between the ranks that are owned here; for each of L's the
+        # owned row, or the place of a zero that follows these; for each owned row its place
+        n = separator.high - separator.low
+        self._x = np.zeros(place.size + separator.own_rows.size)
+        self._from = np.full(place.size, n)
+        self._from[places] = interior.rows
+        self._to = np.empty(n, np.intp)
+        self._to[interior.rows] = places
+        self._to[separator.own_rows] = np.arange(place.size, self._x.size)
+        self._b = np.zeros(n + 1)
         self._pattern = start, columns
 
     def _factorise(self, values: Array) -> int:
@@ -167,25 +175,23 @@ class Substructures:
         # sums may differ by rounding from rank to rank
         return self._comm.allreduce(_INDEFINITE if info else _DONE, op=MPI.MAX)
 
-    def _solve(self, b: Array) -> Array:
+    def _solve(self, b: Array, out: Array) -> None:
         """Entries of A⁻¹ b on this rank. Collective."""
-        separator, x = self._separator, self._x
-        own = separator.own_rows
-        x[self._places] = b[self._rows]
-        x[self._late_places] = 0.0
+        separator, count = self._separator, self._from.size
+        x, between = np.split(self._x, [count])
+        self._b[:-1] = b
+        np.take(self._b, self._from, out=x, mode="clip")
         self._factor.forward(x)
         g = np.zeros(separator.size)
         g[self._late] = self._last @ x[self._late_places]
-        g[separator.own] += b[own]
+        g[separator.own] += b[separator.own_rows]
         if separator.size:
             self._comm.Allreduce(MPI.IN_PLACE, g)
             g = lapack.dpotrs(self._S, g, lower=1, overwrite_b=1)[0]
         x[self._late_places] = g[self._late] @ self._last
         self._factor.backward(x)
-        result = np.empty(b.size)
-        result[self._rows] = x[self._places]
-        result[own] = g[separator.own]
-        return result
+        between[:] = g[separator.own]
+        np.take(self._x, self._to, out=out, mode="clip")
 
     @property
     def _separator(self) -> Separator:
