@@ -14,7 +14,7 @@ from dolfinmpm._platform.errors import call_together
 from dolfinmpm.solve.cholmod import Factor, unavailable
 from dolfinmpm.solve.separators import Interior, Separator
 
-__all__ = ["Substructures", "why_not"]
+__all__ = ["Substructures", "set_cholesky", "why_not"]
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +34,20 @@ _REASONS = {
 def why_not(comm: MPI.Intracomm) -> str:
     """Why it cannot be on all ranks, or an empty text. Collective."""
     return max(comm.allgather(unavailable())) if comm.size > 1 else ""
+
+
+def set_cholesky(pc: PETSc.PC, A: PETSc.Mat) -> None:
+    """Let a preconditioner be a positive definite matrix's factors, as is fastest. Collective."""
+    A.setOption(PETSc.Mat.Option.SPD, True)
+    comm = A.comm.tompi4py()
+    if comm.size > 1 and not why_not(comm):
+        made = Substructures()
+        if made.pays(A):
+            pc.setType("python")
+            pc.setPythonContext(made)
+            return
+    pc.setType("cholesky")
+    pc.setFactorSolverType("cholmod" if comm.size == 1 else "mumps")
 
 
 class Substructures:
