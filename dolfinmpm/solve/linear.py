@@ -60,6 +60,19 @@ class Doubt:
         self.left, self.next = self.next, min(2 * self.next, 64)
 
 
+@dataclass
+class Excluded:
+    """Which methods are not tried, or not any more.
+
+    Attributes:
+        iterations: Whether only factors are left, because iterations have failed.
+        parts: Why several ranks do not factorise a substructure each; empty if they may.
+    """
+
+    iterations: bool = False
+    parts: str = ""
+
+
 class LinearSolver:
     """SNES with its matrix and factors, kept as long as the pattern is the same.
 
@@ -82,11 +95,9 @@ class LinearSolver:
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
-        self._doubt, self._direct = Doubt(), False
-        # why several ranks do not factorise a substructure each, if so
-        self._whole = why_not(comm)
+        self._doubt, self._excluded = Doubt(), Excluded(parts=why_not(comm))
         if options.mentions("mat_mumps_"):
-            self._whole = "MUMPS has been given settings"
+            self._excluded.parts = "MUMPS has been given settings"
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -191,8 +202,9 @@ class LinearSolver:
         """Take the method for so many unknowns. Collective."""
         definite = self._tangent.definite and self._doubt.left == 0
         tangent = replace(self._tangent, definite=definite)
-        ranks, whole = self._comm.size, self._whole
-        method = choose(tangent, count, self._gdim, ranks, self._direct, not whole)
+        ranks, excluded = self._comm.size, self._excluded
+        direct, whole = excluded.iterations, excluded.parts
+        method = choose(tangent, count, self._gdim, ranks, direct, not whole)
         if ranks > 1 and whole and definite and method.pc == "cholesky":
             method = replace(method, why=f"{method.why}, not in substructures: {whole}")
         changed = self.method is None or not method.like(self.method)
@@ -228,7 +240,7 @@ class LinearSolver:
         pc = self.snes.getKSP().getPC()
         made = pc.getPythonContext() if pc.getType() == "python" else None
         if isinstance(made, Substructures) and not made.pays(A):
-            self._whole = "too many unknowns between the ranks"
+            self._excluded.parts = "too many unknowns between the ranks"
             self._choose(here.unknowns.total)
             self._take(here)
 
@@ -289,7 +301,7 @@ class LinearSolver:
         if tangent.symmetric and tangent.definite and self._doubt.left == 0:
             self._doubt.grow()
         elif not method.factors:
-            self._direct = True
+            self._excluded.iterations = True
         else:
             return False
         self.forget()

@@ -9,8 +9,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
-from scipy import sparse
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 __all__ = ["Interior", "Separator"]
 
@@ -84,6 +82,9 @@ def cover(rows: Integers, columns: Integers) -> Integers:
     Args:
         rows, columns: Coupled unknowns of the first and of the second set, shape (n,) each.
     """
+    from scipy import sparse
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
     left, row = np.unique(rows, return_inverse=True)
     right, column = np.unique(columns, return_inverse=True)
     shape = left.size, right.size

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy.linalg import lapack
 
 from dolfinmpm._platform.errors import call_together
 from dolfinmpm.solve.cholmod import Factor, unavailable
@@ -158,6 +157,8 @@ class Substructures:
 
     def _factorise(self, values: Array) -> int:
         """Make L, and the factors of S. Collective."""
+        from scipy.linalg import lapack
+
         interior, count = self._interior, self._separator.size
         between, (row, column) = values[interior.between], interior.at
         d: Array = np.zeros(count)
@@ -191,6 +192,8 @@ class Substructures:
 
     def _solve(self, b: Array, out: Array) -> None:
         """Entries of A⁻¹ b on this rank. Collective."""
+        from scipy.linalg import lapack
+
         separator, count = self._separator, self._from.size
         x, between = np.split(self._x, [count])
         self._b[:-1] = b
@@ -215,6 +218,8 @@ class Substructures:
 
 def _product(L: Array) -> Array:
     """L Lᵀ of a lower triangle. LAPACK has that of an upper one, a third of the work."""
+    from scipy.linalg import lapack
+
     if not L.size:
         return L
     upper = np.triu(lapack.dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0])
