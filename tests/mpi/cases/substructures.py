@@ -107,6 +107,8 @@ def steps_in_parts():
     """Steps with several activations; kept factors, and what cannot be in substructures."""
     figures = {}
     kept, method._KEPT = method._KEPT, {**method._KEPT, 2: 1000}
+    # on any number of ranks, however small the problem
+    most, module._MOST_BETWEEN = module._MOST_BETWEEN, np.inf
     mumps = {"mat_mumps_icntl_14": 30}
     plastic = mpm.materials.VonMises(E=10.0, nu=0.3, yield_stress=0.2)
     for name, cells, load, law in (("few", 12, 0.2, None), ("many", 48, 0.04, plastic)):
@@ -136,7 +138,7 @@ def steps_in_parts():
     figures["pushed"].pop("moved")
 
     # what a rank has is little beside what is between them
-    most, module._MOST_BETWEEN = module._MOST_BETWEEN, 0.0
+    module._MOST_BETWEEN = 0.0
     problem, figures["between"] = _block(8, 0.2)
     module._MOST_BETWEEN = most
     assert ("too many unknowns between" in problem.info()) == (COMM.size > 1)
