@@ -43,6 +43,11 @@ def keys(*names: str) -> Callable[..., list[float]]:
     return lambda *answers: [answer[name] for answer in answers for name in names]
 
 
+def ratio(name: str) -> Callable[[Answer, Answer], list[float]]:
+    """Reads a figure from two answers, and the first over the second."""
+    return lambda one, other: [one[name], other[name], one[name] / other[name]]
+
+
 def each(study: str, *options: str) -> tuple[str, ...]:
     """One command for every set of options."""
     return tuple(f"demos/studies/{study}.py {option}".strip() for option in options)
@@ -377,6 +382,11 @@ ROWS = (
         tuple(f"{launch}demos/studies/explicit_speed.py --laws neo-hookean,mohr-coulomb "
               "--points 400000 --steps 50" for launch in ("", "mpirun -n 2 python3 ")),
         pace("bspline2"), "{:.1f}, {:.1f}; {:.1f}, {:.1f}"),
+    Row("direct-ranks", SPEED, "40 implicit steps with Cholesky factors, column of 65 536 points, "
+        "GIMP (s): one rank; two; one over the other",
+        tuple(f"{launch}demos/studies/column_compaction.py --columns 64 --elements 256"
+              for launch in ("", "mpirun -n 2 python3 ")), ratio("seconds_solve"),
+        "{:.1f}; {:.1f}; {:.2f}"),
     Row("precision", SPEED, "least errors within 2 s: column, cantilever, footing, collapse, "
         "vortex (%)", each("benchmark", "--cases= --growth= --refinements 3 --densities 1 "
         "--repeat 1 --peers"), least_error, "{:.2g}, {:.2g}, {:.2g}, {:.2g}, {:.2g}",

@@ -41,14 +41,17 @@ def exchange(
     comm.Alltoall(counts, arriving)
     received = np.empty((arriving.sum(), width), np.uint8)
     comm.Alltoallv([np.ascontiguousarray(packed), counts * width], [received, arriving * width])
-    staying = to == comm.rank
-    start = 0
+    staying, start = np.flatnonzero(to == comm.rank), 0
     joined: Rows = {}
     for name, values in rows.items():
         size = row_bytes(values)
         piece = np.ascontiguousarray(received[:, start : start + size]).view(values.dtype)
         piece = piece.reshape(-1, *values.shape[1:])
-        joined[name] = np.concatenate([values[staying], piece])
+        both = np.empty((staying.size + len(piece), *values.shape[1:]), values.dtype)
+        # with an array to write to, and no checks, this is as fast as copying can be
+        np.take(values, staying, axis=0, out=both[: staying.size], mode="clip")
+        both[staying.size :] = piece
+        joined[name] = both
         start += size
     return joined
 

@@ -106,8 +106,8 @@ class Unknowns:
     """Numbering of the unknowns of all fields. Collective.
 
     Rows are numbered rank by rank as the ranks own nodes, one field after the other, and owned in
-    equal shares of that order. Everything but this class sees nodes only, so that who owns a row
-    is decided here.
+    shares of that order that are equal or next to it. Everything but this class sees nodes only,
+    so that who owns a row is decided here.
 
     In blocks every active node has a row for each component, so that multigrid knows which
     belong together; those of prescribed components stand for x = 0.

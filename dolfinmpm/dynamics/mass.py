@@ -32,6 +32,7 @@ from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.solve.method import iterative
+from dolfinmpm.solve.substructures import set_cholesky
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
@@ -375,9 +376,7 @@ class Mass:
         pc = ksp.getPC()
         pc.setType("jacobi")
         if self._terms.factorised and not iterative(unknowns.total, self._terms.points.gdim):
-            matrix.petsc.setOption(PETSc.Mat.Option.SPD, True)
-            pc.setType("cholesky")
-            pc.setFactorSolverType("cholmod" if unknowns.comm.size == 1 else "mumps")
+            set_cholesky(pc, matrix.petsc)
         ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
         ksp.setInitialGuessNonzero(True)
         ksp.setOperators(matrix.petsc)

@@ -40,6 +40,9 @@ class Border(Protocol):
     def begin(self, operator: Operator) -> None:
         """Take the operator of a new step. Collective."""
 
+    def back(self) -> None:
+        """Put y back to what it was at the step's begin, for another attempt."""
+
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
         """First guess of the unknowns, with y set to its own; or why there is none. Collective.
 
@@ -77,22 +80,22 @@ class Bordered:
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments and the border's unknowns; see `Solver`. Collective."""
         linear = self.newton.linear
+        if operator.here.unknowns.total == 0:
+            return Outcome("no unknown is free")
+        self.border.begin(operator)
         while True:
             outcome = Outcome()
-            if operator.here.unknowns.total == 0:
-                outcome.reason = "no unknown is free"
-                return outcome
             self._attempt(operator, outcome)
             # what has raised an error is not there any more
             stuck = linear.failed or linear.stuck
             if outcome.reason is None or not stuck or not linear.relax():
                 return outcome
+            self.border.back()
 
     def _attempt(self, operator: Operator, outcome: Outcome) -> None:
         """One run of Newton's method from the border's guess. Collective."""
         try:
             self.newton.linear.attach(operator)
-            self.border.begin(operator)
             guess = self.border.predict(self.newton, operator)
             if isinstance(guess, str):
                 outcome.reason = guess
@@ -129,7 +132,9 @@ class Bordered:
             A = np.column_stack([newton.linear.solve(-column) for column in slopes.T])
             outcome.iterations += 1
             m = gap.size
-            sums = comm.allreduce(by_x.T @ np.column_stack([A, b]), op=MPI.SUM)
+            # without factors solutions are infinite
+            with np.errstate(invalid="ignore"):
+                sums = comm.allreduce(by_x.T @ np.column_stack([A, b]), op=MPI.SUM)
             system = sums[:, :m] + by_y
             if not np.isfinite(sums).all() or np.linalg.matrix_rank(system) < m:
                 return "the bordered system is singular"

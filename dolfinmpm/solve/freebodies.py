@@ -63,6 +63,9 @@ class FreeBodies:
         """See `Border`. Collective."""
         self._operator = operator
 
+    def back(self) -> None:
+        """See `Border`; a prediction puts the bodies back."""
+
     @property
     def _level(self) -> float:
         return 1.0 if self.inertial is None else self.inertial.level

@@ -14,13 +14,14 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.method import Method, Tangent, choose, iterative
+from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, iterative
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
+from dolfinmpm.solve.substructures import Substructures, why_not
 
 __all__ = ["WORKSPACE", "LinearSolver"]
 
@@ -65,6 +66,19 @@ class Doubt:
         self.left, self.next = self.next, min(2 * self.next, 64)
 
 
+@dataclass
+class Excluded:
+    """Which methods are not tried, or not any more.
+
+    Attributes:
+        iterations: Whether only factors are left, because iterations have failed.
+        parts: Why several ranks do not factorise a substructure each; empty if they may.
+    """
+
+    iterations: bool = False
+    parts: str = ""
+
+
 class LinearSolver:
     """SNES with its matrix and factors, kept as long as the pattern is the same.
 
@@ -88,6 +102,9 @@ class LinearSolver:
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
         self._doubt, self._rivals = Doubt(), Rivals()
+        self._excluded = Excluded(parts=why_not(comm))
+        if options.mentions("mat_mumps_"):
+            self._excluded.parts = "MUMPS has been given settings"
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
         self.mumps = {_ORDERING: 2} if gdim < 3 else {}
         self.matrix: Matrix | None = None
@@ -145,7 +162,10 @@ class LinearSolver:
             ksp.setTolerances(rtol=1e-11, max_it=60)
             ksp.setGMRESRestart(60)
         ksp.getPC().setType(method.pc)
-        if method.package:
+        if method.package == SUBSTRUCTURES:
+            ksp.getPC().setType("python")
+            ksp.getPC().setPythonContext(Substructures())
+        elif method.package:
             ksp.getPC().setFactorSolverType(method.package)
         snes.setFromOptions()
         self.snes, self.reuse = snes, None
@@ -197,10 +217,14 @@ class LinearSolver:
         # what a user has chosen has no rival
         free = not any(self._options.has(name) for name in _OF_METHOD)
         self._weigh()
+        ranks, excluded = self._comm.size, self._excluded
+        whole = excluded.parts
         method = choose(
-            tangent, count, self._gdim, self._comm.size, self._rivals.direct,
-            free and self._rivals.incomplete,
+            tangent, count, self._gdim, ranks, excluded.iterations,
+            free and self._rivals.incomplete, not whole,
         )  # fmt: skip
+        if ranks > 1 and whole and definite and method.pc == "cholesky":
+            method = replace(method, why=f"{method.why}, not in substructures: {whole}")
         changed = self.method is None or not method.like(self.method)
         self.method = method
         if changed or self.snes is None:
@@ -239,6 +263,12 @@ class LinearSolver:
         self._use_mumps()
         if self.reuse is not None:
             self.reuse.renew()
+        pc = self.snes.getKSP().getPC()
+        made = pc.getPythonContext() if pc.getType() == "python" else None
+        if isinstance(made, Substructures) and not made.pays(A):
+            self._excluded.parts = "too many unknowns between the ranks"
+            self._choose(here.unknowns.total)
+            self._take(here)
 
     def _split(self, here: Activation, A: PETSc.Mat) -> None:
         """Tell PETSc which rows are of which field, and rigid modes of the first. Collective."""
@@ -299,7 +329,7 @@ class LinearSolver:
         elif method.incomplete:
             self._rivals.failed()
         elif not method.factors:
-            self._rivals.direct = True
+            self._excluded.iterations = True
         else:
             return False
         self.forget()

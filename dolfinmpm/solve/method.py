@@ -7,7 +7,15 @@ from dataclasses import dataclass, field
 from dolfinmpm.forms.terms import contact_of, depends_on, summands
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Method", "Tangent", "choose", "iterative", "only_momentum", "symmetric"]
+__all__ = [
+    "SUBSTRUCTURES",
+    "Method",
+    "Tangent",
+    "choose",
+    "iterative",
+    "only_momentum",
+    "symmetric",
+]
 
 # From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
 # measured on blocks of elastic soil (docs/benchmarks.md).
@@ -51,6 +59,11 @@ _BLOCKS = {
 }
 
 
+# CHOLMOD is for one rank; this is what it is used by on several, one substructure a rank
+SUBSTRUCTURES = "substructures"
+_NAMES = {SUBSTRUCTURES: "CHOLMOD in substructures"}
+
+
 @dataclass(frozen=True)
 class Tangent:
     """What is known of a tangent.
@@ -75,7 +88,8 @@ class Method:
     """A linear solver.
 
     Attributes:
-        ksp, pc, package: PETSc's names; the package only of factors.
+        ksp, pc, package: PETSc's names; the package only of factors, `SUBSTRUCTURES` for those of
+            `dolfinmpm.solve.substructures`.
         why: What was known of the tangent.
         keeps: Whether what it makes of a tangent may serve a later one, as a preconditioner.
         options: Further PETSc options by name, without prefix.
@@ -107,7 +121,7 @@ class Method:
             "lu": "LU", "cholesky": "Cholesky", "gamg": "GAMG", "ilu": "incomplete LU",
             "bjacobi": "incomplete LU of each rank",
         }.get(self.pc, self.pc)  # fmt: skip
-        package = f" by {self.package.upper()}" if self.package else ""
+        package = f" by {_NAMES.get(self.package, self.package.upper())}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
         return f"{outer}{name}{package}: {self.why}"
 
@@ -163,6 +177,7 @@ def choose(
     ranks: int,
     direct: bool = False,
     incomplete: bool = False,
+    substructures: bool = False,
 ) -> Method:
     """The method for a tangent.
 
@@ -177,6 +192,7 @@ def choose(
         ranks: Number of ranks.
         direct: Whether only factors are left, because iterations have failed.
         incomplete: Whether incomplete factors may precondition it if it is unsymmetric.
+        substructures: Whether several ranks may factorise a substructure each.
     """
     kind = "symmetric" if tangent.symmetric else "unsymmetric"
     if tangent.symmetric and tangent.definite:
@@ -211,4 +227,6 @@ def choose(
         return Method(ksp, "lu", "mumps", why, keeps)
     if tangent.definite and ranks == 1:
         return Method(ksp, "cholesky", "cholmod", why, keeps)
+    if tangent.definite and substructures:
+        return Method(ksp, "cholesky", SUBSTRUCTURES, why, keeps)
     return Method(ksp, "cholesky", "mumps", why, keeps)

@@ -55,6 +55,11 @@ class Options:
         """What the user has set an option to, or None."""
         return PETSc.Options().getString(self.prefix + name, "") or None if self.has(name) else None
 
+    def mentions(self, start: str) -> bool:
+        """Whether the user has set an option whose name begins so."""
+        names = (name.removeprefix(self.prefix) for name in PETSc.Options().getAll())
+        return any(name.startswith(start) and self.has(name) for name in names)
+
     def suggest(self, values: Mapping[str, Any]) -> None:
         """Set options that the user has not set, in place of those suggested before."""
         database = PETSc.Options()

@@ -95,6 +95,10 @@ class PathBorder:
         self._control = Operator(self._control_form, operator.here)
         self._start = self.load.value
 
+    def back(self) -> None:
+        """See `Border`."""
+        self.load.set(self._start)
+
     def _dot(self, a: Array, b: Array) -> float:
         comm = self._operator.here.unknowns.comm
         return comm.allreduce(float(a @ b), op=MPI.SUM)
@@ -116,7 +120,9 @@ class PathBorder:
         operator.tangent(newton.linear.matrix)
         q = self.slopes(np.zeros(operator.here.unknowns.owned))[:, 0]
         rate = newton.linear.solve(-q)
-        along = self._dot(self._control.vector(rate), rate)
+        # without factors it is infinite
+        with np.errstate(invalid="ignore"):
+            along = self._dot(self._control.vector(rate), rate)
         if not math.isfinite(along) or along == 0.0:
             return "the tangent is singular, or the load does not move what controls the step"
         if constraint.linear:

@@ -23,11 +23,10 @@ class Rivals:
 
     Attributes:
         incomplete: Whether incomplete factors are to precondition now.
-        direct: Whether only factors are left, because other iterations have failed.
     """
 
     def __init__(self) -> None:
-        self.incomplete, self.direct = True, False
+        self.incomplete = True
         # seconds a solution, of incomplete factors and of the other method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time

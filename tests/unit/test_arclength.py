@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+import scenes
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
@@ -335,3 +336,33 @@ def test_errors():
     P.value = 0.0
     with pytest.raises(ParameterError, match="all zero"):
         make()
+
+
+@pytest.mark.parametrize("control", ["spherical", "displacement"])
+@pytest.mark.parametrize("fails", [2, 4])
+def test_a_step_whose_tangent_is_not_definite_begins_again_where_it_began(
+    monkeypatch, control, fails
+):
+    """Factors that fail after the load has moved leave no trace in the path."""
+
+    def path(failing):
+        problem, step = scenes.arch(control)
+        linear, calls = problem.newton.linear, 0
+        solve, first = linear.solve, linear._doubt.next
+
+        def once(right):
+            nonlocal calls
+            calls += 1
+            y = solve(right)
+            # until the tangent is not taken for definite any more
+            if 0 < failing <= calls and linear._doubt.next == first:
+                y, linear.stuck = np.full_like(y, np.inf), True
+            return y
+
+        monkeypatch.setattr(linear, "solve", once)
+        return [step().factor for _ in range(3)], linear._doubt.next > first
+
+    (undisturbed, trust), (again, doubt) = path(0), path(fails)
+    assert doubt
+    assert not trust
+    np.testing.assert_allclose(again, undisturbed, rtol=1e-9)

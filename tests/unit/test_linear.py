@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.solve import linear, method
-from dolfinmpm.solve.method import Tangent, choose
+from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
 from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
@@ -66,6 +66,14 @@ def test_what_is_chosen(tangent, count, gdim, ranks, expected):
     found = choose(tangent, count, gdim, ranks)
     assert (found.ksp, found.pc, found.package) == expected
     assert str(count) in str(found)
+
+
+def test_several_ranks_take_a_substructure_each_where_they_may():
+    tangent = Tangent(True, True, False)
+    assert choose(tangent, 1000, 2, 2, substructures=True).package == SUBSTRUCTURES
+    assert "CHOLMOD in substructures" in str(choose(tangent, 1000, 2, 2, substructures=True))
+    assert choose(tangent, 1000, 2, 1, substructures=True).package == "cholmod"
+    assert choose(Tangent(True, False, False), 1000, 2, 2, substructures=True).package == "mumps"
 
 
 def test_laws_say_whether_they_are_symmetric():

@@ -18,6 +18,7 @@ from . import (
     remedies,
     restart,
     rings,
+    substructures,
     tables,
     touching,
     transport,
@@ -111,5 +112,7 @@ CASES = {
         touching.bodies_that_rub,
         touching.bodies_that_collide,
         touching.touching_restart,
+        substructures.factors_in_parts,
+        substructures.steps_in_parts,
     )
 }
