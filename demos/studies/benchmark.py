@@ -72,6 +72,10 @@ options.add_argument(
     "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB a point and "
     "factors or multigrid: 6 GB for the last"
 )  # fmt: skip
+options.add_argument(
+    "--solid-points", type=whole, default=[20_000, 80_000, 320_000], help="of cubes, implicit; "
+    "7 kB a point"
+)  # fmt: skip
 options.add_argument("--fixed-points", type=int, default=40_000, help="of growth with cells, ranks")
 options.add_argument("--ranks", type=whole, default=[1, 2, 4, 8], help="more than processors too")
 options.add_argument("--peers", action="store_true", help="Kratos on the column")

@@ -120,6 +120,7 @@ def growth(path: Any, found: dict[str, Any]) -> None:
     """Processor seconds a step against points, cells and ranks."""
     from matplotlib.ticker import NullLocator
 
+    looks = {"explicit": "o", "implicit": "s", "solid": "^"}
     kinds = list(dict.fromkeys(name.partition(",")[0] for name in found))
     with mpm.figure(path, 2.6 * len(kinds), 2.5, ncols=len(kinds), squeeze=False) as (_, axes):
         for kind, ax in zip(kinds, axes[0]):
@@ -134,8 +135,8 @@ def growth(path: Any, found: dict[str, Any]) -> None:
                 style = "--" if "weak" in name else "-"
                 ax.loglog(
                     [row[kind] for row in rows], [row["seconds_processor"] for row in rows],
-                    style, marker="s" if "implicit" in name else "o",
-                    color="C1" if "implicit" in name else "C0", label=label,
+                    style, marker=next(m for k, m in looks.items() if k in name),
+                    color=f"C{[k in name for k in looks].index(True)}", label=label,
                 )  # fmt: skip
             ax.set(xlabel=f"{kind}", ylabel="processor time of a step (s)")
             low, high = ax.get_ylim()

@@ -8,6 +8,8 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.kernelcache import forget_outdated
+from dolfinmpm._platform.kernelloading import load_at_once
 
 forget_outdated(Path(__file__).parents[1])
+load_at_once("dolfinmpm")
 end_all_ranks(MPI.COMM_WORLD)

@@ -19,18 +19,19 @@ def domain_weights(line, first, count, x, half, S, dS):
         dS[i] = 0.0
     left = max(x - half, line[first])
     right = min(x + half, line[first + count])
+    # divisions are most of what this takes
+    whole = 1.0 / (right - left) if half > 0.0 else 1.0
     for c in range(count):
         lower, upper = line[first + c], line[first + c + 1]
+        share, middle = 1.0, x
         if half > 0.0:
             a, b = max(left, lower), min(right, upper)
-            share, middle = (b - a) / (right - left), 0.5 * (a + b)
-        else:
-            share, middle = 1.0, x
-        h = upper - lower
-        S[c] += share * (upper - middle) / h
-        S[c + 1] += share * (middle - lower) / h
-        dS[c] -= share / h
-        dS[c + 1] += share / h
+            share, middle = (b - a) * whole, 0.5 * (a + b)
+        slope = share / (upper - lower)
+        S[c] += slope * (upper - middle)
+        S[c + 1] += slope * (middle - lower)
+        dS[c] -= slope
+        dS[c + 1] += slope
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -19,7 +19,14 @@ from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.basis.bspline import functions_of, greville
 from dolfinmpm.basis.gimp import domain_weights
-from dolfinmpm.basis.lineweights import SNAP, line_weights, overlapped, ring_slopes, snapped
+from dolfinmpm.basis.lineweights import (
+    SNAP,
+    cell_of,
+    line_weights,
+    overlapped,
+    ring_slopes,
+    snapped,
+)
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
@@ -36,6 +43,34 @@ def _overlaps(x, half, lines, line_start, uniform, origin, low, count):
             line = lines[line_start[d] : line_start[d + 1]]
             first, number = overlapped(line, uniform, x[p, d], half[p, d])
             low[p, d], count[p, d] = first - origin[d], number
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _reach(x, half, averaged, lines, line_start, uniform):
+    """Most layers of cells that domains reach beyond those of their points, and cells across.
+
+    Args:
+        averaged: Whether points have domains; the cell below one without may be its own.
+
+    Returns:
+        Layers, cells that a domain spans at most, and the point whose it is.
+    """
+    layers, most, worst = 0, 1, 0
+    for d in range(x.shape[1]):
+        line = lines[line_start[d] : line_start[d + 1]]
+        n = line.size - 1
+        scale = n / (line[n] - line[0])
+        for p in range(x.shape[0]):
+            at, number = overlapped(line, uniform, x[p, d], half[p, d] if averaged else 0.0)
+            # as `Lattice.cells_at` finds it
+            own = int(np.floor((x[p, d] - line[0]) * scale)) if uniform else -1
+            own = min(max(own, 0), n - 1) if uniform else cell_of(line, False, x[p, d])
+            layers = max(layers, own - at, at + number - 1 - own)
+            if number > most:
+                most, worst = number, p
+            if not averaged and at > 0 and layers < 1:
+                layers = int(x[p, d] - line[at] < SNAP * (line[at + 1] - line[at]))
+    return layers, most, worst
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -370,21 +405,18 @@ class LatticeBasis:
         Raises:
             PointsOutsideGridError: A domain spans more cells than stencils have room for.
         """
-        half, low, count = self._spans(where, np.zeros(where.x.shape[1], np.int32))
+        layers, most, p = _reach(
+            where.x, where.half, self.averaged, self._lines, self._line_start, self.lattice.uniform
+        )
         error = None
-        if count.size and count.max() > 60:
-            p = int(np.argmax(count.max(axis=1)))
+        if most > 60:
             error = PointsOutsideGridError(
-                f"the domain of the point at {where.x[p]} m spans {count[p].max()} cells, at most "
-                f"60 are possible; its half-lengths are {half[p]} m: use a coarser grid, "
+                f"the domain of the point at {where.x[p]} m spans {most} cells, at most "
+                f"60 are possible; its half-lengths are {where.half[p]} m: use a coarser grid, "
                 "domains='volume' where the body flows, or basis='linear'"
             )
         raise_together(self.grid.comm, error)
-        own = self.lattice.cells_at(where.x)
-        layers = np.maximum(own - low, low + count - 1 - own).max(initial=0)
-        # the cell below may be the one that they are seen from
-        layers = max(layers, int(self._on_lines(where.x, low).any()))
-        both = np.array([layers, count.max(initial=1)], np.int64)
+        both = np.array([layers, most], np.int64)
         self.grid.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
         return int(both[0]), int(both[1])
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.body.exchange import exchange
+from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.location import cells_here, destinations
 from dolfinmpm.grid.lattice import Lattice, lattice_of
 from dolfinmpm.grid.partition import Partition, partition_of
@@ -84,9 +85,8 @@ def beside(points: MaterialPoints, partition: Partition | None) -> MaterialPoint
     result = copy.copy(points)
     result.partition = partition
     grid, x = points.grid, points.placement(points.configuration).x
-    result.fields = exchange(
-        points.comm, points.fields, destinations(grid, x, None, partition).rank
-    )
+    to = destinations(grid, x, None, partition)
+    result.fields = FieldArrays(exchange(points.comm, points.fields, to.rank))
     result.fields["cell"] = cells_here(grid, result.placement(result.configuration).x)
     return result
 

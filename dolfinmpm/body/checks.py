@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -191,11 +192,11 @@ def astray(points) -> PointsOutsideGridError | None:
     return None
 
 
-def _place(fields: dict, p: int) -> str:
+def _place(fields: Mapping, p: int) -> str:
     return f"point {fields['id'][p]} at {fields['x'][p]} m"
 
 
-def _not_finite(fields: dict) -> ParameterError | None:
+def _not_finite(fields: Mapping) -> ParameterError | None:
     x, F = fields["x"], fields["F"]
     good = np.isfinite(x).all(axis=1) & np.isfinite(fields["x0"]).all(axis=1)
     bad = np.flatnonzero(~(good & np.isfinite(F).all(axis=(1, 2))))
@@ -208,7 +209,7 @@ def _not_finite(fields: dict) -> ParameterError | None:
     )
 
 
-def _impossible_size(fields: dict) -> ParameterError | None:
+def _impossible_size(fields: Mapping) -> ParameterError | None:
     for name, (what, unit, zero) in _SIZES.items():
         values = fields[name].reshape(len(fields["x"]), -1)
         good = (values >= 0 if zero else values > 0) & np.isfinite(values)

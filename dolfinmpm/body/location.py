@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx import geometry
@@ -22,23 +23,58 @@ __all__ = ["Destinations", "bounds", "cells_here", "destinations", "outside_cell
 _TOLERANCE = 1e-10
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _cells(x, lines, starts, uniform, origin, table, shape, cells):
+    """Local cells of positions, -1 for those that are outside, or in cells not known here."""
+    for p in range(x.shape[0]):
+        at = 0
+        for d in range(x.shape[1]):
+            line = lines[starts[d] : starts[d + 1]]
+            n, here = line.size - 1, x[p, d]
+            length = line[n] - line[0]
+            beyond = _TOLERANCE * length / n
+            if not (here >= line[0] - beyond and here <= line[n] + beyond):
+                at = -1
+                break
+            # as `Lattice.cells_at` finds it
+            if uniform:
+                i = int(np.floor((here - line[0]) * (n / length)))
+            else:
+                i, end = -1, n + 1
+                while end - i > 1:
+                    middle = (i + end) // 2
+                    if line[middle] <= here:
+                        i = middle
+                    else:
+                        end = middle
+            i = min(max(i, 0), n - 1) - origin[d]
+            if i < 0 or i >= shape[d]:
+                at = -1
+                break
+            at = at * shape[d] + i
+        cells[p] = table[at] if at >= 0 else -1
+
+
 class _LatticeLocator:
     """Cells of a rectangular grid by division."""
 
     def __init__(self, grid: Mesh, lattice: Lattice):
         self._lattice = lattice
+        self._lines = np.concatenate(lattice.lines)
+        self._starts = np.cumsum([0] + [line.size for line in lattice.lines])
         ijk = lattice.cell_ijk
         known = ijk if len(ijk) else np.zeros((1, len(lattice.lines)), np.int32)
         self._origin = known.min(axis=0)
         self._table = np.full(known.max(axis=0) + 1 - self._origin, -1, np.int32)
         self._table[tuple((ijk - self._origin).T)] = np.arange(len(ijk), dtype=np.int32)
+        self._shape = np.array(self._table.shape, np.int64)
 
     def find(self, x, guess) -> npt.NDArray[np.int32]:
-        inside = self._lattice.holds(x, _TOLERANCE)
-        index = self._lattice.cells_at(x) - self._origin
-        inside &= np.all((index >= 0) & (index < self._table.shape), axis=1)
-        cells = np.full(len(x), -1, np.int32)
-        cells[inside] = self._table[tuple(index[inside].T)]
+        cells = np.empty(len(x), np.int32)
+        _cells(
+            x, self._lines, self._starts, self._lattice.uniform, self._origin, self._table.ravel(),
+            self._shape, cells,
+        )  # fmt: skip
         return cells
 
     def holds(self, x, cells) -> npt.NDArray[np.bool_]:

@@ -26,6 +26,7 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
 from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
+from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
@@ -33,7 +34,7 @@ from dolfinmpm.body.migration import migrate
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["MaterialPoints", "PointChange", "PointField"]
+__all__ = ["MOTION", "MaterialPoints", "PointChange", "PointField"]
 
 _numbers = itertools.count(1)
 
@@ -53,6 +54,8 @@ _BUILT_IN = {
     "l0": "m",
     "stress": "Pa",
 }
+# Those that change as a body moves, and that no law asks for before it does
+MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
 _RESERVED = ("id", "cell", "tag", "moved_under", *_BUILT_IN)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
@@ -151,7 +154,7 @@ class MaterialPoints:
         self.number = next(_numbers)
         self.gdim = grid.geometry.dim
         self.strain_dim = e = 3 if axisymmetric else self.gdim
-        self.fields: dict[str, npt.NDArray[Any]] = {}
+        self.fields = FieldArrays()
         self._ufl: dict[str, PointField] = {}
         # which positions their ranks and cells are those of; see `settle`
         self.configuration = "updated"
@@ -329,14 +332,14 @@ class MaterialPoints:
         return {"points": self.number, "volume": volume}
 
     def __len__(self) -> int:
-        return len(self.fields["id"])
+        return len(self.fields.read("id"))
 
     def recount(self) -> None:
         """Note that rows of the arrays have come or gone. Collective.
 
         Whoever replaces the arrays in `fields` by those of other points calls it.
         """
-        ids = self.fields["id"]
+        ids = self.fields.read("id")
         self.total: int = self.comm.allreduce(len(ids), op=MPI.SUM)
         highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
         # a number is not given again when its point has been removed
@@ -500,7 +503,7 @@ class MaterialPoints:
         """What is impossible in the fields of this rank's points, or None."""
         error = fault(self)
         updated = self.configuration == "updated"
-        if error is None and updated and self._located != (place := self.fields["x"].sum()):
+        if error is None and updated and self._located != (place := self.fields.read("x").sum()):
             # steps find the cells of what they move: x was changed by hand
             error = astray(self)
             self._located = place if error is None else math.nan
@@ -524,7 +527,7 @@ class MaterialPoints:
         """Hand points to the ranks that compute their cells; returns how many moved. Collective."""
         moved = migrate(self, to)
         # where points stay in the cells of their first positions nobody asks for those of now
-        self._located = self.fields["x"].sum()
+        self._located = self.fields.read("x").sum()
         self.revision += moved > 0
         return moved
 

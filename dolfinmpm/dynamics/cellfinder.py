@@ -10,7 +10,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.balance import balance
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["CellFinder"]
+__all__ = ["CellFinder", "extent"]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -32,6 +32,18 @@ def _cells(x, lines, start, scale, origin, table, shape, cell):
         if found < 0:
             lost += 1
     return lost
+
+
+@numba.njit(cache=True, error_model="numpy")
+def extent(values):
+    """Least and largest value of each column, shape (2, columns), of at least one row."""
+    found = np.empty((2, values.shape[1]))
+    for k in range(values.shape[1]):
+        low = high = values[0, k]
+        for p in range(values.shape[0]):
+            low, high = min(low, values[p, k]), max(high, values[p, k])
+        found[0, k], found[1, k] = low, high
+    return found
 
 
 # Steps after which points are put in the order of cells again

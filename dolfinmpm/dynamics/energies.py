@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.dynamics.passes import FAST
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["Balance", "Energies", "Work", "angular_momentum", "momentum_of", "stress_volumes"]
@@ -20,10 +22,28 @@ __all__ = ["Balance", "Energies", "Work", "angular_momentum", "momentum_of", "st
 Array = npt.NDArray[np.float64]
 
 
+@numba.njit(cache=True, error_model="numpy", fastmath=FAST)
+def _kinetic(density, V0, v):
+    """½ Σ m v² (J) of points, whose mass is that of their first volume."""
+    total = 0.0
+    for p in range(v.shape[0]):
+        square = 0.0
+        for i in range(v.shape[1]):
+            square += v[p, i] * v[p, i]
+        total += density[p] * V0[p] * square
+    return 0.5 * total
+
+
+def kinetic_energy(points: MaterialPoints) -> float:
+    """½ Σ m v² of this rank's points (J)."""
+    read = points.fields.read
+    return float(_kinetic(read("density"), read("V0"), read("velocity")))
+
+
 def momentum_of(points: MaterialPoints) -> Array:
     """Linear momentum of a body (kg m/s), shape (d,). Collective."""
-    m = points["density"] * points["V0"]
-    return points.comm.allreduce(m @ points["velocity"], op=MPI.SUM)
+    read = points.fields.read
+    return points.comm.allreduce(read("density") * read("V0") @ read("velocity"), op=MPI.SUM)
 
 
 def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Array:
@@ -34,8 +54,9 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
         moment: Moments B of the points' affine velocities (m²/s), shape (points, d, d), which add
             Σ m (B₂₁ − B₁₂) and its like in 3D.
     """
-    m, more = points["density"] * points["V0"], (0, 3 - points.gdim)
-    x, v = (np.pad(points[name], ((0, 0), more)) for name in ("x", "velocity"))
+    read = points.fields.read
+    m, more = read("density") * read("V0"), (0, 3 - points.gdim)
+    x, v = (np.pad(read(name), ((0, 0), more)) for name in ("x", "velocity"))
     own = np.cross(x, v)
     if moment is not None:
         B = np.pad(moment, ((0, 0), more, more))
@@ -126,12 +147,15 @@ class Energies:
     @staticmethod
     def of(points: MaterialPoints, declarations: Sequence[Any], work: Work) -> Energies:
         """Those of the present state. Collective."""
-        m = points["density"] * points["V0"]
-        kinetic = 0.5 * float(np.sum(m[:, None] * points["velocity"] ** 2))
+        kinetic = kinetic_energy(points)
         strain = 0.0
         for declaration in declarations:
             stored = declaration.energy()
-            strain += math.nan if stored is None else float(stored @ points["V0"][declaration.rows])
+            strain += (
+                math.nan
+                if stored is None
+                else float(stored @ points.fields.read("V0")[declaration.rows])
+            )
         both = points.comm.allreduce(np.array([kinetic, strain]), op=MPI.SUM)
         return Energies(
             float(both[0]), float(both[1]), work.internal - float(both[1]), work.external
@@ -167,8 +191,7 @@ class Balance:
                 does not come from nowhere.
         """
         points, work = self._points, self.work
-        m = self._scaling * (points["density"] * points["V0"])
-        kinetic = 0.5 * float(np.sum(m[:, None] * points["velocity"] ** 2))
+        kinetic = self._scaling * kinetic_energy(points)
         kinetic = points.comm.allreduce(kinetic, op=MPI.SUM)
         total = kinetic + work.internal - work.external
         if self._first is None:

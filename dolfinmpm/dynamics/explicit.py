@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform import garbage, stages
@@ -57,6 +58,9 @@ Array = npt.NDArray[np.float64]
 _EVERY = 20
 # Steps after which the state is kept, to go back to: a copy costs about as much as one step
 _KEEP = 100
+# Fields that kinetic energy and work follow from, and those that no speed of a wave does
+_KINETIC = frozenset(("velocity", "density", "V0", "F"))
+_BESIDE = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
 
 
 class Explicit(Problem):
@@ -160,6 +164,9 @@ class Explicit(Problem):
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._kept_state = Snapshot(points, self.bodies, markers)
+        # the end of the last call, since when fields may have been changed; see `FieldArrays`
+        self._moment: int | None = None
+        self._critical, self._since = math.nan, 0
         sides = Sides(faces, points)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -293,19 +300,27 @@ class Explicit(Problem):
         record = MotionRecord()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         whole = target - self.time
-        raise_together(self.comm, self.points.fault())
+        touched = self._touched()
+        if touched:
+            raise_together(self.comm, self.points.fault())
         record.migrated += balance(self.points)
-        self._loop.start(1.0 / whole)
+        self._loop.start(1.0 / whole, touched)
         self._kept_state.time = math.nan
+        if not (touched <= _BESIDE and self._loop.keeps_speed):
+            self._since = _EVERY
         while self.time < target:
             if record.parts % _EVERY == 0:
+                if record.parts:
+                    touched = frozenset()
                 garbage.free(self.comm)
-                self._check_energy(record.dt, begins=record.parts == 0)
+                if record.parts or touched & _KINETIC:
+                    self._check_energy(record.dt, begins=record.parts == 0)
                 if record.parts % _KEEP == 0:
-                    self._kept_state.take(self.time, self.balance.work)
-            if record.parts % _EVERY == 0 or self.form.boundaries:
+                    self._kept_state.take(self.time, self.balance.work, touched)
+            if self._since >= _EVERY or self.form.boundaries:
                 # what comes to a wall is held from then on
-                longest = self.courant * self.critical_step()
+                self._critical, self._since = self.critical_step(), 0
+            longest = self.courant * self._critical
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count
@@ -314,6 +329,7 @@ class Explicit(Problem):
             now = self.bodies.followed(dt, now)
             more = now < min(count, most - record.parts)
             self._advance(now, dt, whole, more, record)
+            self._since += now
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step
                 self.time = target
@@ -325,11 +341,24 @@ class Explicit(Problem):
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
         record.imbalance = imbalance(self.points)
         record.bodies = self.bodies.record()
+        self._loop.release()
+        self._moment = self.points.fields.moment()
         record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
         self.history.append(record)
         if isinstance(t, Time):
             t.reached = self.time
         return record
+
+    def _touched(self) -> Set[str]:
+        """Fields that may have been changed since the last call, on any rank. Collective."""
+        fields, comm = self.points.fields, self.comm
+        touched, self._moment = fields.touched(self._moment), None
+        if comm.size == 1:
+            return touched
+        names = sorted(fields)
+        flags = np.array([name in touched for name in names], np.uint8)
+        comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
+        return {name for name, flag in zip(names, flags) if flag}
 
     def _advance(
         self, count: int, dt: float, whole: float, more: bool, record: MotionRecord
@@ -400,6 +429,7 @@ class Explicit(Problem):
         super().save(path)
         # what goes on from the file begins with points in order, and so does this run
         self._loop.renew()
+        self._moment = None
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

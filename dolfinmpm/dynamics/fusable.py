@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 from ufl.constantvalue import Zero
 
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.points import MOTION, MaterialPoints
 from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import stored_energy
@@ -28,6 +28,8 @@ __all__ = ["Laws", "Loads", "why_not"]
 Array = npt.NDArray[np.float64]
 # What a step changes: a load that depends on it is evaluated in every step
 _FIXED = ("density", "V0", "x0", "l0")
+# What loads follow from
+_OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
 def why_not(form: WeakForm) -> str | None:
@@ -103,6 +105,9 @@ class Laws:
         kind = _kind(self._declarations[0])
         assert kind is not None
         self.kind, self._stored = kind, 0.0
+        self._revision = -1
+        # what the stored energy that is known is of
+        self._stored_of: tuple[int, bytes] | None = None
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
         self.fbar = self._declarations[0].fbar
 
@@ -110,10 +115,18 @@ class Laws:
         """Maker of the loops in that many dimensions."""
         return fused2d.kernel if gdim == 2 else fused3d.kernel
 
-    def gather(self) -> None:
-        """Take parameters and internal variables of the points as they are now."""
+    def gather(self, touched: Set[str]) -> None:
+        """Take parameters and internal variables of the points as they are now. Collective.
+
+        Args:
+            touched: Fields that may have been changed since this was last asked, on any rank.
+        """
         points, n = self._points, len(self._points)
         laws = self._declarations
+        if self._revision == points.revision and touched <= MOTION:
+            self._gather_again()
+            return
+        self._revision = points.revision
         for d in laws:
             d.bind()
         addresses = np.zeros(len(laws), np.intp)
@@ -141,6 +154,21 @@ class Laws:
             for k, name in enumerate(own):
                 self.internal[d.rows, k] = points[name][d.rows]
 
+    def _gather_again(self) -> None:
+        """Take what may differ though nobody has touched what a law keeps at its points."""
+        laws = self._declarations
+        if self.kind == NEO:
+            addresses, _, *others = self.table
+            numbers = np.array([lame(d.law.E, d.law.nu) for d in laws])
+            self.table = addresses, numbers, *others
+        elif len(laws) == 1 and len(self._names[0]) == 1:
+            self.internal = self._points[self._names[0][0]].reshape(-1, 1)
+
+    def release(self) -> None:
+        """Let go of the fields' own arrays."""
+        if len(self._declarations) == 1 and self.internal.shape[1] == 1:
+            self.internal = np.empty((0, 1))
+
     def scatter(self) -> None:
         """Give the internal variables back to the points' fields."""
         if len(self._declarations) == 1 and self.internal.shape[1] == 1:
@@ -152,9 +180,23 @@ class Laws:
     def gained(self) -> float:
         """What points of the neo-Hookean law have stored since last asked (J), this rank's."""
         _, numbers, _, which = self.table
-        now = stored_energy(self._points["F"], self._points["V0"], numbers, which)
+        fields = self._points.fields
+        now = stored_energy(fields.read("F"), fields.read("V0"), numbers, which)
         before, self._stored = self._stored, now
+        self._stored_of = self._points.revision, numbers.tobytes()
         return now - before
+
+    def start(self, touched: Set[str]) -> None:
+        """Take the points as they are now, and what they have stored. Collective.
+
+        Args:
+            touched: As for `gather`.
+        """
+        self.gather(touched)
+        if self.kind == NEO:
+            now = self._points.revision, self.table[1].tobytes()
+            if self._stored_of != now or touched & {"F", "V0"}:
+                self.gained()
 
     def _parameters(self) -> Array:
         laws, n = self._declarations, len(self._points)
@@ -188,7 +230,7 @@ class Loads:
     body: Array
 
     def __init__(self, form: WeakForm):
-        self._form = form
+        self._form, self._revision = form, -1
         programs = [region.external for region in form.regions]
         keys = [key for program in programs if program for key in program.inputs]
         self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
@@ -205,10 +247,21 @@ class Loads:
         """Whether constants of the form are not what they were at the last evaluation."""
         return any(not np.array_equal(a, b) for a, b in zip(self._taken, self._values()))
 
+    def follow(self, touched: Set[str]) -> None:
+        """Take the loads as they are now, unless they are known. Collective.
+
+        Args:
+            touched: Fields that may have been changed since they were taken, on any rank.
+        """
+        still = self._revision == self._form.points.revision and not touched & _OF_LOADS
+        if not still or self.changed():
+            self.evaluate()
+
     def evaluate(self) -> None:
         """Take the loads as they are now. Collective."""
         self._taken = self._values()
         points = self._form.points
+        self._revision = points.revision
         d, n = points.gdim, len(points)
         forces = np.zeros((n, d))
         for region in self._form.regions:

@@ -8,7 +8,7 @@ around this rank's cells, by their position. Rigid bodies act at the nodes betwe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from typing import Any
 
 import numpy as np
@@ -55,11 +55,14 @@ class Fused:
         done: Work of the stresses, and of loads and prescribed motions, since last asked (J).
         at_once: Steps that one call may take.
         instead: Why other steps are taken: they are not.
+        keeps_speed: Whether the critical step follows from the points' fields alone.
     """
 
     at_once, instead = 20, ""
     _means: Means | None = None
     _arrays: PointArrays
+    # whether window and arrays are those of a former step
+    _kept = False
 
     def __init__(
         self,
@@ -73,13 +76,14 @@ class Fused:
         domains: str = "stretch",
         rigid: RigidContacts | None = None,
     ):
-        self._rigid = rigid
+        self._rigid, self.keeps_speed = rigid, rigid is None
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
         # and the cells that the fastest point has crossed in a step
         self.done = np.zeros(3)
         self._live, self._travelled, self._rate = False, 0.0, 0.0
+        self._touched: Set[str] = frozenset()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
 
@@ -98,26 +102,33 @@ class Fused:
 
     def renew(self) -> None:
         """Begin the next call as the first one: with a window anew, and points put in order."""
-        self._window = None
+        self._window, self._kept = None, False
 
     @stages.activate
-    def start(self, rate: float) -> None:
+    def start(self, rate: float, touched: Set[str]) -> None:
         """Take the points as they are now, before steps that follow each other. Collective.
 
         Args:
             rate: Prescribed velocities over prescribed increments (1/s).
+            touched: Fields that may have been changed since the last of these, on any rank: what
+                follows from others is known.
         """
         self._rate, self._live = rate, False
+        self._touched = touched
         self._surround()
-        if self._laws.kind == NEO:
-            self._laws.gather()
-            self._laws.gained()
+        self._laws.start(touched)
+
+    def release(self) -> None:
+        """Let go of the fields' own arrays between calls: what nobody holds nobody changes."""
+        self._laws.release()
+        if self._kept:
+            self._arrays.release()
 
     def _surround(self) -> None:
         """Take a window around the cells that this rank computes. Collective."""
         points = self._points
         if self._window is None or self._window.basis.partition is not points.partition:
-            self._window = Window(points, self._basis, self._sides)
+            self._window, self._kept = Window(points, self._basis, self._sides), False
             if self._laws.fbar:
                 self._means = Means(self._window)
         self._window.cells.sort(points)
@@ -151,9 +162,8 @@ class Fused:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
                         self._prescribed.drive(begin(taken).t - dt, dt)
-                    self._window.box(self._points)
                     self._prepare()
-                self._live, self._travelled = True, 0.0
+                self._live = True
             elif self._loads.changed():
                 # what has been scattered has the loads of before if they differ by points
                 fresh = not self._loads.uniform
@@ -195,8 +205,17 @@ class Fused:
     def _prepare(self) -> None:
         """Take arrays of the points as the loops want them. Collective."""
         _, field = _AFFINE.get(self._settings.mapping.kind, (0, None))
-        self._arrays = PointArrays(self._points, self._laws, field)
-        self._loads.evaluate()
+        touched, self._touched = self._touched, frozenset()
+        if touched & {"x", "l"} or not self._kept or not 2 * self._travelled <= MARGIN:
+            self._window.box(self._points)
+            self._travelled = 0.0
+        self._laws.gather(frozenset())
+        if self._kept and self._arrays.still(touched):
+            self._arrays.take()
+        else:
+            self._arrays = PointArrays(self._points, self._laws, field)
+        self._kept = True
+        self._loads.follow(touched)
         if self._rigid is not None:
             self._rigid.surround(self._window)
 

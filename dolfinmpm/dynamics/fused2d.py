@@ -351,6 +351,7 @@ def kernel(
                             (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
                             + (tau_old[p, 2] + t01) * (h01 + h10)
                         )  # fmt: skip
+                    if kind != NEO or record:
                         tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
                     if record:
                         V[p] = J * vp

@@ -332,6 +332,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                             k00 * h00 + k11 * h11 + k22 * h22
                             + k01 * (h01 + h10) + k12 * (h12 + h21) + k02 * (h02 + h20)
                         )  # fmt: skip
+                    if kind != NEO or record:
                         tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
                         tau_old[p, 3], tau_old[p, 4], tau_old[p, 5] = t01, t12, t02
                     if record:

@@ -17,10 +17,19 @@ __all__ = [
     "lanes",
     "load",
     "logarithm",
+    "logarithm_near_one",
     "number_at",
     "store",
     "times",
 ]
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
+def logarithm_near_one(z):
+    """ln x of z = (x − 1)/(x + 1), for |z| ≤ 0.1."""
+    s = z * z
+    tail = 1.0 / 9.0 + s * (1.0 / 11.0 + s * (1.0 / 13.0 + s * (1.0 / 15.0)))
+    return 2.0 * z * (1.0 + s * (1.0 / 3.0 + s * (0.2 + s * (1.0 / 7.0 + s * tail))))
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
@@ -29,9 +38,7 @@ def logarithm(x):
     z = (x - 1.0) / (x + 1.0)
     if abs(z) > 0.1:
         return math.log(x)
-    s = z * z
-    tail = 1.0 / 9.0 + s * (1.0 / 11.0 + s * (1.0 / 13.0 + s * (1.0 / 15.0)))
-    return 2.0 * z * (1.0 + s * (1.0 / 3.0 + s * (0.2 + s * (1.0 / 7.0 + s * tail))))
+    return logarithm_near_one(z)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)

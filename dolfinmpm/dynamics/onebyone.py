@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 
 import numpy as np
 import numpy.typing as npt
@@ -37,9 +37,11 @@ class OneByOne(ABC):
     Attributes:
         at_once: Steps that one call may take.
         instead: The argument.
+        keeps_speed: Whether the critical step follows from the points' fields alone; other than
+            fused steps find it in every call.
     """
 
-    at_once = 1
+    at_once, keeps_speed = 1, False
 
     def __init__(
         self,
@@ -62,8 +64,11 @@ class OneByOne(ABC):
     def renew(self) -> None:  # noqa: B027 - nothing is to be done
         """Begin the next call as the first one; nothing is kept from step to step."""
 
-    def start(self, rate: float) -> None:  # noqa: B027 - nothing is to be done
+    def start(self, rate: float, touched: Set[str]) -> None:  # noqa: B027 - nothing is to be done
         """Begin a call; the points are taken as they are in every step."""
+
+    def release(self) -> None:  # noqa: B027 - nothing is to be done
+        """End a call; no arrays of the points are kept."""
 
     def run(
         self, count: int, dt: float, more: bool, begin: Callable[[int], Step]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,15 @@ Array = npt.NDArray[np.float64]
 _PAIRS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 
 
+# What else than elastic strain they follow from
+_SOURCES = frozenset(("stress", "V", "V0", "density"))
+
+
 class PointArrays:
     """Arrays of the points as the loops take them; anew when points have come or gone.
+
+    Those that follow from fields are kept from call to call, as long as the loops alone have
+    written to these.
 
     Args:
         points: Material points.
@@ -36,13 +44,15 @@ class PointArrays:
         rows, skipped: All points, and room for those that a loop skips or does not scatter.
     """
 
+    data: tuple[Any, ...]
+    J_bar: Array
+
     def __init__(self, points: MaterialPoints, laws: Laws, affine: str | None):
         self._points, self._laws = points, laws
         d = points.gdim
         n = len(points)
-        C = points[affine] if affine else np.empty((n, d, d))
-        laws.gather()
-        state = points[laws.state] if laws.state else np.ones((n, 6))
+        self._affine, self._revision = affine, points.revision
+        state = points[laws.state] if laws.state else np.empty((0, 6))
         small, logarithmic = laws.kind == SMALL, laws.kind == LAW
         e_out = 0.5 * np.log(state[:, 2]) if logarithmic else state[:, 2].copy()
         # Kirchhoff's stresses; by columns, since fancy indices are ten times slower
@@ -51,12 +61,30 @@ class PointArrays:
         for k, (i, j) in enumerate(zip(*_PAIRS[d])):
             tau[:, k] = J * stress[:, i, j]
         self.rows, self.skipped = np.arange(n, dtype=np.int32), np.empty((2, n), np.int32)
-        self.J_bar: Array = points["J_bar"] if laws.fbar and laws.kind == LAW else np.empty(0)
-        self.data: tuple[Any, ...] = (
+        self._own = point_masses(points), tau, e_out
+        self.take()
+
+    def still(self, touched: Set[str]) -> bool:
+        """Whether what is kept is that of the points, if others may have changed such fields."""
+        sources = _SOURCES | {self._laws.state}
+        return self._revision == self._points.revision and not sources & touched
+
+    def take(self) -> None:
+        """Take the fields' own arrays, which are the points' as long as no other is put in."""
+        points, laws, n, d = self._points, self._laws, len(self._points), self._points.gdim
+        m, tau, e_out = self._own
+        C = points[self._affine] if self._affine else np.empty((n, d, d))
+        state = points[laws.state] if laws.state else np.empty((0, 6))
+        self.J_bar = points["J_bar"] if laws.fbar and laws.kind == LAW else np.empty(0)
+        self.data = (
             points["x"], points["l"], points["l0"], points["velocity"], C, points["F"],
-            points["V"], points["V0"], point_masses(points), state, laws.internal,
-            points["stress"], points["acceleration"], tau, e_out,
+            points["V"], points["V0"], m, state, laws.internal, points["stress"],
+            points["acceleration"], tau, e_out,
         )  # fmt: skip
+
+    def release(self) -> None:
+        """Let go of the fields' own arrays."""
+        self.data, self.J_bar = (), np.empty(0)
 
     def strain(self) -> None:
         """Take stresses of the strains now, where the loops do not keep them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.dynamics.energies import Work
 
 __all__ = ["Snapshot"]
+
+# Fields that no step changes
+_FIXED = frozenset(("id", "tag", "x0", "V0", "l0", "density"))
 
 
 class Snapshot:
@@ -33,16 +36,27 @@ class Snapshot:
         self.time = math.nan
         self._bodies, self._of_bodies = bodies, bodies.memory()
         self._sets, self._work = [points, *markers], Work()
+        self._revision = -1
         self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
 
-    def take(self, time: float, work: Work) -> None:
-        """Copy what points and bodies have at a time (s), and the work done until then (J)."""
+    def take(self, time: float, work: Work, touched: Set[str]) -> None:
+        """Copy what points and bodies have at a time (s), and the work done until then (J).
+
+        Args:
+            touched: Fields of the points that others may have changed since the last copy.
+        """
+        revision = self._sets[0].revision
+        still = _FIXED - touched if revision == self._revision else frozenset()
+        self._revision = revision
         self.time, self._of_bodies = time, self._bodies.memory()
         self._work.internal, self._work.external = work.internal, work.external
         for k, (points, kept) in enumerate(zip(self._sets, self._fields)):
             self._fields[k] = {}
-            for name, values in points.fields.items():
-                own = kept.get(name)
+            for name in points.fields:
+                values, own = points.fields.read(name), kept.get(name)
+                if k == 0 and name in still and own is not None:
+                    self._fields[k][name] = own
+                    continue
                 if own is None or own.shape != values.shape:
                     own = np.empty_like(values)
                 np.copyto(own, values)

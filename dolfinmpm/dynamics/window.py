@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,7 +15,7 @@ from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.cellmeans import numbering
 from dolfinmpm.cut.held import Held
-from dolfinmpm.dynamics.cellfinder import CellFinder
+from dolfinmpm.dynamics.cellfinder import CellFinder, extent
 from dolfinmpm.dynamics.faces import Faces, Sides, set_velocities
 from dolfinmpm.dynamics.nodes import take_means
 from dolfinmpm.dynamics.passes import COLUMNS
@@ -95,7 +96,7 @@ class Window:
 
     def box(self, points: MaterialPoints) -> None:
         """Find nodes that points may reach until they are given to ranks again: see `MARGIN`."""
-        x, basis = points["x"], self.basis
+        basis = self.basis
         if self._exchange is not None:
             # sums of other ranks too must be cleared, and the work at every node counted
             return
@@ -103,10 +104,11 @@ class Window:
             self._first[:], self._last[:] = 0, 0
             return
         origin = basis.halo.origin
-        half = points["l"].max(axis=0) if basis.averaged else np.zeros(points.gdim)
+        ends = extent(points.fields.read("x"))
+        half = extent(points.fields.read("l"))[1] if basis.averaged else np.zeros(points.gdim)
+        ends += np.array([-half, half])
         for k, line in enumerate(basis.lattice.lines):
-            low, high = x[:, k].min() - half[k], x[:, k].max() + half[k]
-            i = np.searchsorted(line, [low, high], side="right") - 1 - origin[k]
+            i = np.searchsorted(line, ends[:, k], side="right") - 1 - origin[k]
             self._first[k] = min(max(i[0] - MARGIN, 0), self._shape[k])
             self._last[k] = min(max(i[1] + basis.degree + 1 + MARGIN, 0), self._shape[k])
 
@@ -172,11 +174,14 @@ class Prescribed:
     before: Array
     after: Array
 
-    _window: Window
+    _values: Array
+    _window: Window | None
     _rate: float
 
     def __init__(self, held: Held):
-        self._held = held
+        self._held, self._window = held, None
+        # flags and values as they were last taken
+        self._known: tuple[Any, ...] = (None, None, math.nan)
         # velocities prescribed in time, as nodes have them now
         self._driven: Sequence[float] | None = None
 
@@ -192,14 +197,23 @@ class Prescribed:
             window: The window.
             rate: Prescribed velocities over prescribed increments (1/s).
         """
-        self._window, self._rate, self._driven = window, rate, None
+        if window is not self._window:
+            self._window, self._known = window, (None, None, math.nan)
+        self._rate, self._driven = rate, None
         self._take()
 
     def _take(self) -> None:
-        fixed, values = self._held.at([self._window.basis], 1.0)
-        self.fixed = self._window.taken(fixed[0])
-        self.after = self._rate * self._window.taken(values[0])
-        self.before = self.after
+        window, (known, old, rate) = self._window, self._known
+        assert window is not None
+        (fixed,), (values,) = self._held.at([window.basis], 1.0)
+        # flags, and values that never change, are the same arrays as long as they are the same
+        if fixed is not known:
+            self.fixed = window.taken(fixed)
+        same = values is old and (rate == self._rate or not self._held.changing)
+        if not same:
+            self._values = self._rate * window.taken(values)
+        self.before = self.after = self._values
+        self._known = fixed, values, self._rate
 
     def drive(self, t: float, dt: float) -> None:
         """Take those prescribed in time for a step from t on. Collective."""

@@ -102,9 +102,10 @@ class Framework:
     def internal(self, rows: Rows | slice) -> Array:
         """The law's internal variables at some points, shape (rows, variables)."""
         columns = [self.points[name][rows] for name in self.law.internal]
-        if not columns:
-            return np.empty((len(self.points["id"][rows]), 0))
-        return np.stack(columns, axis=1)
+        if columns:
+            return np.stack(columns, axis=1)
+        number = len(range(len(self.points))[rows]) if isinstance(rows, slice) else len(rows)
+        return np.empty((number, 0))
 
     @property
     def keeps(self) -> int:

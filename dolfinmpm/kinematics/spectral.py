@@ -177,7 +177,8 @@ def stress_kernel(d: int):
                     if logarithmic:
                         if not strain > 0.0:
                             return p
-                        strain = 0.5 * math.log(strain)
+                        # beyond a plane most have none
+                        strain = 0.5 * math.log(strain) if strain != 1.0 else 0.0
                     kept[q, at_given + i] = kept[q, at_strain + i] = strain
                 row = p if parameters.shape[0] > 1 else 0
                 response = kept.ctypes.data + 8 * q * kept.shape[1]

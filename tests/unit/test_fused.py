@@ -11,6 +11,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError
 from dolfinmpm.dynamics import fused2d, fused3d
+from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import LAW, PASSES
 from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
 
@@ -416,3 +417,18 @@ def test_a_point_that_leaves_the_grid_is_an_error():
     p.points["velocity"][:] = 60.0, 0.0
     with pytest.raises(InstabilityError, match="left the grid"):
         p.step(1.0)
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("d", [2, 3])
+def test_stored_energy_is_that_of_the_law(d, far):
+    rng = np.random.default_rng(3)
+    F = np.eye(d) + 0.02 * rng.random((50, d, d))
+    if far:
+        F[7], F[20] = 1.4 * np.eye(d), np.diag([0.6] + [1.0] * (d - 1))
+    V0, (lmbda, mu) = rng.random(50), (2e5, 1e5)
+    found = stored_energy(F, V0, np.array([[lmbda, mu]]), np.zeros(1, np.uint8))
+    q = np.log(np.linalg.det(F))
+    trace = np.einsum("pij,pij->p", F, F) - d
+    expected = V0 @ (0.5 * mu * trace - mu * q + 0.5 * lmbda * q**2)
+    assert found == pytest.approx(expected, rel=1e-12)

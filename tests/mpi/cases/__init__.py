@@ -86,6 +86,7 @@ CASES = {
         rings.rings_restart,
         rings.rings_boundaries,
         explicit.explicit_steps,
+        explicit.explicit_one_by_one,
         explicit.explicit_restart,
         explicit.explicit_boundaries,
         porous.consolidation,

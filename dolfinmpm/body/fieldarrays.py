@@ -1,0 +1,93 @@
+"""Arrays of the points' fields, and since when they cannot have been changed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, MutableMapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["FieldArrays"]
+
+Array = npt.NDArray[Any]
+
+
+class FieldArrays(MutableMapping[str, Array]):
+    """Arrays by the names of their fields, as a dictionary.
+
+    Nobody sees a change of an array itself. What can be known is that there was none: since a
+    moment at which nobody else held the array, if nobody has asked for it. So whoever keeps
+    something that follows from the fields asks at the end of its work for a `moment`, and later for
+    those `touched` since.
+
+    Args:
+        arrays: The first arrays.
+    """
+
+    def __init__(self, arrays: Mapping[str, Array] | None = None):
+        self._arrays: dict[str, Array] = dict(arrays or {})
+        self._moment = 0
+        # the moment in which an array was last handed out or put in
+        self._handed = dict.fromkeys(self._arrays, 0)
+
+    def __getitem__(self, name: str) -> Array:
+        array = self._arrays[name]
+        self._handed[name] = self._moment
+        return array
+
+    def __setitem__(self, name: str, array: Array) -> None:
+        self._arrays[name] = array
+        self._handed[name] = self._moment
+
+    def __delitem__(self, name: str) -> None:
+        del self._arrays[name], self._handed[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._arrays
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._arrays!r})"
+
+    def read(self, name: str) -> Array:
+        """An array that is only read, at once, and not kept: this does not count as touching it."""
+        return self._arrays[name]
+
+    def moment(self) -> int:
+        """This moment, for `touched`: what others hold counts as touched from here on."""
+        self._moment += 1
+        for name in self._arrays:
+            if self._held(name):
+                self._handed[name] = self._moment
+        return self._moment
+
+    def touched(self, since: int | None) -> set[str]:
+        """Names of the fields that may have been changed since a moment, all if that is None."""
+        if since is None:
+            return set(self._arrays)
+        return {name for name, moment in self._handed.items() if moment >= since}
+
+    def _held(self, name: str) -> bool:
+        """Whether somebody else holds an array, or a view of it, which holds it too."""
+        array = self._arrays[name]
+        if array.base is not None or not array.flags.owndata:
+            # others may hold what it is a view of
+            return True
+        del array
+        return sys.getrefcount(self._arrays[name]) > _alone
+
+
+def _references() -> int:
+    """References that are counted where nobody else holds an array."""
+    arrays = {"": np.empty(0)}
+    return sys.getrefcount(arrays[""])
+
+
+_alone = _references()
