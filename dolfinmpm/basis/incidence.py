@@ -24,7 +24,7 @@ def by_nodes(begin, end, node_start, nodes):
     low, high = nodes[first], nodes[first]
     for e in range(first, last):
         low, high = min(low, nodes[e]), max(high, nodes[e])
-    start = np.zeros(high - low + 3, np.int64)
+    start = np.zeros(high - low + 3, np.int32)
     for e in range(first, last):
         start[nodes[e] - low + 2] += 1
     for a in range(2, start.size):

@@ -328,6 +328,9 @@ class LinearSolver:
             self._doubt.grow()
         elif method.incomplete:
             self._rivals.failed()
+            if self.reuse is not None:
+                # what they cost is not what the other method does
+                self.reuse.taken()
         elif not method.factors:
             self._excluded.iterations = True
         else:
