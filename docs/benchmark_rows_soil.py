@@ -56,8 +56,8 @@ ROWS = (
     Row("wall", STEEL, "smooth retaining wall, φ = 33.5°: error of the thrust, passive, active (%)",
         each("retaining_wall", "", "--direction active"), percent("thrust_error"),
         "{:+.2f}, {:+.2f}", "Rankine: 0"),
-    Row("wedge", STEEL, "wedge into clay, semi-angle 20°, 30°, 45°, 60°: error of the slope of the "
-        "force (%)", each("wedge", *(f"--semi-angle {a}" for a in (20, 30, 45, 60))),
+    Row("wedge", STEEL, "wedge into clay, semi-angle 15°, 20°, 30°, 45°: error of the slope of the "
+        "force (%)", each("wedge", *(f"--semi-angle {a}" for a in (15, 20, 30, 45))),
         percent("slope_error"), "{:+.1f}, {:+.1f}, {:+.1f}, {:+.1f}", "Hill, Lee & Tupper 1947: 0"),
     Row("cone", STEEL, "smooth cone in Tresca clay, I_r = 100: error of its factor, cells of R/2, "
         "R/4 (%)",

@@ -56,6 +56,8 @@ def arguments(words=None):
     add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
     add("--penalty", type=float, default=50.0, help="κ/E (1/m)")
+    add("--domains", choices=("stretch", "volume"), default="volume")
+    add("--corners", choices=("domains", "material"), default="domains")
     add("--growth", type=float, default=1.5, help="of cells beyond the fine ones")
     add("--solver", choices=("auto", "direct", "iterative"), default="auto")
     add("--tolerance", type=float, default=1e-6)
@@ -188,7 +190,8 @@ class Scene:
         ground = mpm.Deposit(0.0, mpm.Layer.of(sand))
         law = LAWS[args.law](E=ground.modulus(sand.E_ref, sand.exponent), **sand.parameters)
         mpm.set_stress(points, law, ground.stress)
-        V = mpm.Space(grid, args.basis)
+        grown = {} if args.basis == "linear" else {"domains": args.domains}
+        V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
         self.speed = 0.0
         share = self.share.mesh()
@@ -198,7 +201,9 @@ class Scene:
             fillet=0.25 * h / args.points_per_cell,
         )  # fmt: skip
         F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
-        F += mpm.contact(plough, points, u, v, friction=args.friction, penalty=args.penalty)
+        F += mpm.contact(
+            plough, points, u, v, friction=args.friction, penalty=args.penalty, corners=args.corners
+        )
         # the plates give way by a hundredth of a cell of sand at half the depth of the bed
         deep = np.array([[0.0], [0.0], [-0.5 * self.bed[2]]])
         stiffness = 100 * float(ground.modulus(sand.E_ref, sand.exponent)(deep)[0]) / h
