@@ -222,6 +222,8 @@ def _product(L: Array) -> Array:
 
     if not L.size:
         return L
-    upper = np.triu(lapack.dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0])
+    # a copy, also of a matrix of one entry, which has every order already
+    turned = np.array(L[::-1, ::-1], order="F")
+    upper = np.triu(lapack.dlauum(turned, overwrite_c=1)[0])
     upper += np.triu(upper, 1).T
     return upper[::-1, ::-1]

@@ -141,3 +141,11 @@ def test_a_library_that_is_not_there_is_done_without(monkeypatch, fault):
         for cached in (cholmod._library, cholmod.unavailable):
             cached.cache_clear()
     assert cholmod.unavailable() == ""
+
+
+@pytest.mark.parametrize("n", [0, 1, 5])
+def test_the_product_of_a_factor_leaves_the_factor(n):
+    L = np.tril(1.0 + np.arange(n * n).reshape(n, n))
+    before = L.copy()
+    np.testing.assert_allclose(substructures._product(L), before @ before.T, rtol=1e-14)
+    np.testing.assert_array_equal(L, before)
