@@ -28,6 +28,7 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
+from dolfinmpm.dynamics.between import Between
 from dolfinmpm.dynamics.clock import MotionRecord, Time
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
@@ -163,10 +164,7 @@ class Explicit(Problem):
         self.settings, self.time = settings, 0.0
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         markers = [of.boundary.markers for of in self.form.boundaries]
-        self._kept_state = Snapshot(points, self.bodies, markers)
-        # the end of the last call, since when fields may have been changed; see `FieldArrays`
-        self._moment: int | None = None
-        self._critical, self._since = math.nan, 0
+        self._between = Between(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -297,7 +295,7 @@ class Explicit(Problem):
             raise ParameterError(
                 f"t = {target:g} s must be later than the time of the state, {self.time:g} s"
             )
-        record = MotionRecord()
+        record, between = MotionRecord(), self._between
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
         whole = target - self.time
         touched = self._touched()
@@ -305,9 +303,9 @@ class Explicit(Problem):
             raise_together(self.comm, self.points.fault())
         record.migrated += balance(self.points)
         self._loop.start(1.0 / whole, touched)
-        self._kept_state.time = math.nan
-        if not (touched <= _BESIDE and self._loop.keeps_speed):
-            self._since = _EVERY
+        between.state.time = math.nan
+        if not (between.single and touched <= _BESIDE and self._loop.keeps_speed):
+            between.since = _EVERY
         while self.time < target:
             if record.parts % _EVERY == 0:
                 if record.parts:
@@ -316,11 +314,11 @@ class Explicit(Problem):
                 if record.parts or touched & _KINETIC:
                     self._check_energy(record.dt, begins=record.parts == 0)
                 if record.parts % _KEEP == 0:
-                    self._kept_state.take(self.time, self.balance.work, touched)
-            if self._since >= _EVERY or self.form.boundaries:
+                    between.state.take(self.time, self.balance.work, touched)
+            if between.since >= _EVERY or self.form.boundaries:
                 # what comes to a wall is held from then on
-                self._critical, self._since = self.critical_step(), 0
-            longest = self.courant * self._critical
+                between.critical, between.since = self.critical_step(), 0
+            longest = self.courant * between.critical
             left = target - self.time
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count
@@ -329,7 +327,7 @@ class Explicit(Problem):
             now = self.bodies.followed(dt, now)
             more = now < min(count, most - record.parts)
             self._advance(now, dt, whole, more, record)
-            self._since += now
+            between.since += now
             if abs(self.time - target) <= 1e-9 * dt:
                 # rounding must not add a step
                 self.time = target
@@ -342,7 +340,7 @@ class Explicit(Problem):
         record.imbalance = imbalance(self.points)
         record.bodies = self.bodies.record()
         self._loop.release()
-        self._moment = self.points.fields.moment()
+        between.moment, between.single = self.points.fields.moment(), record.parts == 1
         record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
         self.history.append(record)
         if isinstance(t, Time):
@@ -352,7 +350,8 @@ class Explicit(Problem):
     def _touched(self) -> Set[str]:
         """Fields that may have been changed since the last call, on any rank. Collective."""
         fields, comm = self.points.fields, self.comm
-        touched, self._moment = fields.touched(self._moment), None
+        between = self._between
+        touched, between.moment = fields.touched(between.moment), None
         if comm.size == 1:
             return touched
         names = sorted(fields)
@@ -417,19 +416,19 @@ class Explicit(Problem):
     def _go_back(self) -> None:
         """To the last state that was kept. Collective."""
         self.bodies.reset()
-        if math.isnan(self._kept_state.time):
+        if math.isnan(self._between.state.time):
             # nothing has moved yet
             return
-        self._kept_state.put(self.balance.work)
+        self._between.state.put(self.balance.work)
         self.balance.forget()
-        self.time = self._kept_state.time
+        self.time = self._between.state.time
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """See `Problem.save`. Collective."""
         super().save(path)
         # what goes on from the file begins with points in order, and so does this run
         self._loop.renew()
-        self._moment = None
+        self._between.moment = None
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()

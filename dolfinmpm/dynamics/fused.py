@@ -9,6 +9,7 @@ around this rank's cells, by their position. Rigid bodies act at the nodes betwe
 from __future__ import annotations
 
 from collections.abc import Callable, Set
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,23 @@ Array = npt.NDArray[np.float64]
 _AFFINE = {"apic": (1, "velocity_moment"), "tpic": (2, "velocity_gradient")}
 
 
+@dataclass
+class Worth:
+    """What window and arrays of former steps are still worth.
+
+    Attributes:
+        live: Whether the arrays are at the last step of this call.
+        kept: Whether window and arrays are those of a former call.
+        travelled: Cells that the fastest point has crossed since the window was made.
+        touched: Fields that may have been changed since the last call.
+    """
+
+    live: bool = False
+    kept: bool = False
+    travelled: float = 0.0
+    touched: Set[str] = frozenset()
+
+
 class Fused:
     """The fused loops of a problem.
 
@@ -55,14 +73,11 @@ class Fused:
         done: Work of the stresses, and of loads and prescribed motions, since last asked (J).
         at_once: Steps that one call may take.
         instead: Why other steps are taken: they are not.
-        keeps_speed: Whether the critical step follows from the points' fields alone.
     """
 
     at_once, instead = 20, ""
     _means: Means | None = None
     _arrays: PointArrays
-    # whether window and arrays are those of a former step
-    _kept = False
 
     def __init__(
         self,
@@ -76,16 +91,20 @@ class Fused:
         domains: str = "stretch",
         rigid: RigidContacts | None = None,
     ):
-        self._rigid, self.keeps_speed = rigid, rigid is None
+        self._rigid = rigid
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
         # and the cells that the fastest point has crossed in a step
         self.done = np.zeros(3)
-        self._live, self._travelled, self._rate = False, 0.0, 0.0
-        self._touched: Set[str] = frozenset()
+        self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
+
+    @property
+    def keeps_speed(self) -> bool:
+        """Whether the critical step follows from the points' fields alone."""
+        return self._rigid is None
 
     def work(self) -> tuple[float, float]:
         """Work (J) of the stresses, and of loads and prescribed motions, since last asked.
@@ -102,7 +121,7 @@ class Fused:
 
     def renew(self) -> None:
         """Begin the next call as the first one: with a window anew, and points put in order."""
-        self._window, self._kept = None, False
+        self._window, self._worth.kept = None, False
 
     @stages.activate
     def start(self, rate: float, touched: Set[str]) -> None:
@@ -113,22 +132,22 @@ class Fused:
             touched: Fields that may have been changed since the last of these, on any rank: what
                 follows from others is known.
         """
-        self._rate, self._live = rate, False
-        self._touched = touched
+        self._rate, self._worth.live = rate, False
+        self._worth.touched = touched
         self._surround()
         self._laws.start(touched)
 
     def release(self) -> None:
         """Let go of the fields' own arrays between calls: what nobody holds nobody changes."""
         self._laws.release()
-        if self._kept:
+        if self._worth.kept:
             self._arrays.release()
 
     def _surround(self) -> None:
         """Take a window around the cells that this rank computes. Collective."""
         points = self._points
         if self._window is None or self._window.basis.partition is not points.partition:
-            self._window, self._kept = Window(points, self._basis, self._sides), False
+            self._window, self._worth.kept = Window(points, self._basis, self._sides), False
             if self._laws.fbar:
                 self._means = Means(self._window)
         self._window.cells.sort(points)
@@ -156,14 +175,14 @@ class Fused:
         *others, main = PASSES[self._settings.scheme]
         while taken < count and reason is None:
             self._prescribed.drive(begin(taken).t - dt, dt)
-            fresh = not self._live
+            fresh = not self._worth.live
             if fresh:
                 with stages.activate:
                     if self._window.basis.partition is not self._points.partition:
                         self._surround()
                         self._prescribed.drive(begin(taken).t - dt, dt)
                     self._prepare()
-                self._live = True
+                self._worth.live = True
             elif self._loads.changed():
                 # what has been scattered has the loads of before if they differ by points
                 fresh = not self._loads.uniform
@@ -180,19 +199,19 @@ class Fused:
             if reason is None:
                 reason = self._step(others, main, dt, last, not ending)
             way = self._reach()
-            self._travelled += way
+            self._worth.travelled += way
             if reason is None and self._rigid is not None:
                 reason = self._rigid.end(way)
             if reason is None and last:
                 self._laws.scatter()
-            if reason is None and (ending or self._travelled > 0.5 * MARGIN):
+            if reason is None and (ending or self._worth.travelled > 0.5 * MARGIN):
                 if not last:
                     self._arrays.publish()
                 self._laws.scatter()
                 with stages.migrate:
                     migrated += self._window.cells.settle(self._points)
-                self._live = False
-        self._live = self._live and reason is None
+                self._worth.live = False
+        self._worth.live = self._worth.live and reason is None
         self._window.cells.steps += taken
         return taken, migrated, reason
 
@@ -205,16 +224,16 @@ class Fused:
     def _prepare(self) -> None:
         """Take arrays of the points as the loops want them. Collective."""
         _, field = _AFFINE.get(self._settings.mapping.kind, (0, None))
-        touched, self._touched = self._touched, frozenset()
-        if touched & {"x", "l"} or not self._kept or not 2 * self._travelled <= MARGIN:
+        touched, self._worth.touched = self._worth.touched, frozenset()
+        if touched & {"x", "l"} or not self._worth.kept or not 2 * self._worth.travelled <= MARGIN:
             self._window.box(self._points)
-            self._travelled = 0.0
+            self._worth.travelled = 0.0
         self._laws.gather(frozenset())
-        if self._kept and self._arrays.still(touched):
+        if self._worth.kept and self._arrays.still(touched):
             self._arrays.take()
         else:
             self._arrays = PointArrays(self._points, self._laws, field)
-        self._kept = True
+        self._worth.kept = True
         self._loads.follow(touched)
         if self._rigid is not None:
             self._rigid.surround(self._window)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,12 @@ class Excluded:
     Attributes:
         iterations: Whether only factors are left, because iterations have failed.
         parts: Why several ranks do not factorise a substructure each; empty if they may.
+        rivals: Whether incomplete factors are tried.
     """
 
     iterations: bool = False
     parts: str = ""
+    rivals: Rivals = field(default_factory=Rivals)
 
 
 class LinearSolver:
@@ -101,8 +103,7 @@ class LinearSolver:
     def __init__(self, comm: MPI.Intracomm, gdim: int, tangent: Tangent, options: Options):
         self._comm, self._gdim, self._options = comm, gdim, options
         self._tangent, self._checked = tangent, False
-        self._doubt, self._rivals = Doubt(), Rivals()
-        self._excluded = Excluded(parts=why_not(comm))
+        self._doubt, self._excluded = Doubt(), Excluded(parts=why_not(comm))
         if options.mentions("mat_mumps_"):
             self._excluded.parts = "MUMPS has been given settings"
         # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
@@ -221,7 +222,7 @@ class LinearSolver:
         whole = excluded.parts
         method = choose(
             tangent, count, self._gdim, ranks, excluded.iterations,
-            free and self._rivals.incomplete, not whole,
+            free and self._excluded.rivals.incomplete, not whole,
         )  # fmt: skip
         if ranks > 1 and whole and definite and method.pc == "cholesky":
             method = replace(method, why=f"{method.why}, not in substructures: {whole}")
@@ -237,7 +238,7 @@ class LinearSolver:
             return
         seconds, solutions, iterations = self.reuse.taken()
         if solutions:
-            self._rivals.weigh(seconds, solutions, iterations / solutions)
+            self._excluded.rivals.weigh(seconds, solutions, iterations / solutions)
 
     def _take(self, here: Activation) -> None:
         """Take the matrix of an activation. Collective."""
@@ -327,7 +328,7 @@ class LinearSolver:
         if tangent.symmetric and tangent.definite and self._doubt.left == 0:
             self._doubt.grow()
         elif method.incomplete:
-            self._rivals.failed()
+            self._excluded.rivals.failed()
             if self.reuse is not None:
                 # what they cost is not what the other method does
                 self.reuse.taken()
