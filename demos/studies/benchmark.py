@@ -65,7 +65,7 @@ options.add_argument("--scenes", type=words, default=list(scenes.SCENES), help="
 options.add_argument("--refinements", type=int, help="of each scene, from the coarsest; all")
 options.add_argument("--densities", type=int, help="numbers of points a cell of each scene; all")
 options.add_argument(
-    "--growth", type=words, default=["points", "cells", "ranks"], help="with which, by commas"
+    "--growth", type=words, default=list(benchmark_growth.WITH), help="with which, by commas"
 )
 options.add_argument("--explicit-points", type=whole, default=[10**k for k in range(3, 8)])
 options.add_argument(
@@ -73,14 +73,14 @@ options.add_argument(
     "factors or multigrid: 6 GB for the last"
 )  # fmt: skip
 options.add_argument(
-    "--solid-points", type=whole, default=[20_000, 80_000, 320_000], help="of cubes, implicit; "
-    "7 kB a point"
+    "--solid-points", type=whole, default=[160_000, 400_000, 1_000_000], help="of cubes, implicit: "
+    "2 kB a point, 7 kB with GIMP"
 )  # fmt: skip
 options.add_argument("--fixed-points", type=int, default=40_000, help="of growth with cells, ranks")
 options.add_argument("--ranks", type=whole, default=[1, 2, 4, 8], help="more than processors too")
 options.add_argument("--peers", action="store_true", help="Kratos on the column")
 args = options.parse_args()
-unknown = {*args.scenes} - {*scenes.SCENES} | {*args.growth} - {"points", "cells", "ranks"}
+unknown = {*args.scenes} - {*scenes.SCENES} | {*args.growth} - {*benchmark_growth.WITH}
 if unknown:
     options.error(f"not known: {', '.join(sorted(unknown))}")
 if MPI.COMM_WORLD.size > 1:
@@ -90,7 +90,7 @@ given, args.bases = args.repeat, args.bases or "gimp,linear"
 args.repeat = given or (1 if args.quick else 5)
 if args.quick:
     args.explicit_points, args.implicit_points = [1_000, 10_000], [1_000, 4_000]
-    args.fixed_points, args.ranks = 2_000, [1, 2]
+    args.solid_points, args.fixed_points, args.ranks = [1_000, 4_000], 2_000, [1, 2]
     if args.cases == options.get_default("cases"):
         args.cases = "1x16"
 

@@ -30,6 +30,9 @@ FITTED = 10.0
 # of what is explicit, as a loop over `times(end, dt="auto")` takes them: in all sizes as many share
 # what a call takes by itself
 STEPS_A_CALL = 20
+KINDS = ("explicit", "implicit", "solid", "solid-gimp")
+SOLIDS = KINDS[2:]
+WITH = ("points", "unknowns", "cells", "ranks")
 
 
 # -- one case --------------------------------------------------------------------------------
@@ -38,10 +41,10 @@ STEPS_A_CALL = 20
 def block(kind: str, count: int, room: int):
     """A block of about so many points on a grid `room` times as large as it needs; a stepper.
 
-    It is a square, or of kind "solid" a cube, whose steps are implicit too.
+    It is a square, or of kinds "solid" and "solid-gimp" a cube, whose steps are implicit too.
     """
     comm = MPI.COMM_WORLD
-    d = 3 if kind == "solid" else 2
+    d = 3 if kind in SOLIDS else 2
     cells = max(2, round(count ** (1 / d) / 2))
     h = 1.0 / cells
     # the grid that it needs, in cells, and that it gets
@@ -53,7 +56,7 @@ def block(kind: str, count: int, room: int):
     else:
         grid = mesh.create_box(comm, [low, high], [side] * d, mesh.CellType.hexahedron)
     points = mpm.fill(grid, mpm.Box((0,) * d, (1,) * d), 2, 1000.0)
-    basis = "bspline2" if kind == "explicit" else "gimp"
+    basis = {"explicit": "bspline2", "solid": "linear"}.get(kind, "gimp")
     V = mpm.Space(grid, basis)
     gravity = fem.Constant(grid, (0.0, -10.0 if kind == "explicit" else 0.0, 0.0)[:d])
     law = mpm.materials.NeoHookean if kind == "explicit" else mpm.materials.Hencky
@@ -182,15 +185,15 @@ def exponent(rows: Sequence[dict[str, Any]], by: str, of: str) -> float | None:
 def growth(args: Any) -> dict[str, Any]:
     """All series that `args.growth` names; on one rank."""
     found: dict[str, Any] = {}
-    if "points" in args.growth:
-        for case, sizes, by in (
-            ("explicit", args.explicit_points, "points"),
-            ("implicit", args.implicit_points, "points"),
-            ("solid", args.solid_points, "unknowns"),
-        ):
+    sizes = [
+        ("points", "explicit", args.explicit_points), ("points", "implicit", args.implicit_points),
+        *(("unknowns", case, args.solid_points) for case in SOLIDS),
+    ]  # fmt: skip
+    for by, case, numbers in sizes:
+        if by in args.growth:
             # about as long in all of them, but at least three calls
-            rows = [started(case, n, max(3, min(15, int(1e6 / n)))) for n in sizes]
-            found[f"points, {case}"] = {
+            rows = [started(case, n, max(3, min(15, int(1e6 / n)))) for n in numbers]
+            found[f"{by}, {case}"] = {
                 "rows": rows,
                 "exponent": exponent(rows, by, "seconds_processor"),
                 "exponent_memory": exponent(rows, "points", "memory"),
@@ -223,7 +226,7 @@ def growth(args: Any) -> dict[str, Any]:
 
 if __name__ == "__main__":
     options = parser("One case of the growth of time with points, cells and ranks.")
-    options.add_argument("--case", choices=("explicit", "implicit", "solid"), default="explicit")
+    options.add_argument("--case", choices=KINDS, default="explicit")
     options.add_argument("--points", type=int, default=10_000, help="about so many")
     options.add_argument("--room", type=int, default=1, help="times the grid that the body needs")
     options.add_argument("--calls", type=int, default=5, help="that are timed, see STEPS_A_CALL")

@@ -31,7 +31,7 @@ from dolfinmpm.cut.unknowns import FieldUnknowns, Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.grid.halo import Numbering
-from dolfinmpm.solve.method import iterative
+from dolfinmpm.solve.method import Tangent, crossover
 from dolfinmpm.solve.substructures import set_cholesky
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -375,7 +375,9 @@ class Mass:
         ksp.setType("cg")
         pc = ksp.getPC()
         pc.setType("jacobi")
-        if self._terms.factorised and not iterative(unknowns.total, self._terms.points.gdim):
+        mass = Tangent(symmetric=True, definite=True, softened=False)
+        many = unknowns.total >= crossover(mass, self._terms.points.gdim)
+        if self._terms.factorised and not many:
             set_cholesky(pc, matrix.petsc)
         ksp.setTolerances(rtol=_TOLERANCE, atol=0.0, max_it=_MOST)
         ksp.setInitialGuessNonzero(True)

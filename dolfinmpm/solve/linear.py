@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, iterative
+from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, crossover
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
@@ -122,7 +122,7 @@ class LinearSolver:
         pc = self._options.get("pc_type")
         if pc is not None:
             return pc in ("gamg", "hypre", "ml")
-        return iterative(count, self._gdim)
+        return count >= crossover(self._tangent, self._gdim)
 
     def _create(self) -> None:
         """Make PETSc's solver for the method. Collective."""

@@ -12,14 +12,16 @@ __all__ = [
     "Method",
     "Tangent",
     "choose",
-    "iterative",
+    "crossover",
     "only_momentum",
     "symmetric",
 ]
 
 # From so many unknowns on conjugate gradients with multigrid beat factors, by dimension of space;
-# measured on blocks of elastic soil (docs/benchmarks.md).
+# measured on blocks of elastic soil (docs/benchmarks.md). Functions wider than two cells make rows
+# four times as long, which iterations feel more than factors.
 _CROSSOVER = {1: 10**9, 2: 250_000, 3: 9_000}
+_CROSSOVER_OF_WIDE = {1: 10**9, 2: 250_000, 3: 60_000}
 
 # From so many unknowns on it is looked at whether factors are worth keeping for the next tangent,
 # as preconditioners, or whether incomplete ones do: below they cost less than the looking.
@@ -36,6 +38,10 @@ _MULTIGRID = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
 }
+
+# Functions wider than two cells overlap so much that Jacobi's smoothing leaves what oscillates:
+# cycles with Gauss–Seidel need a tenth of the iterations. Rows are long, and none is dropped.
+_MULTIGRID_OF_WIDE = {**_MULTIGRID, "mg_levels_pc_type": "sor", "pc_gamg_threshold": 0.0}
 
 
 # Of a displacement and a pressure: the upper factor of the block LDU decomposition, with one cycle
@@ -74,6 +80,8 @@ class Tangent:
         softened: Whether its matrix has terms more, so that it only preconditions.
         fields: Number of fields.
         porous: Whether they are a displacement and a scalar.
+        wide: Whether functions of the displacement are wider than two cells, as splines' are, or
+            averaged over domains, as those of GIMP.
     """
 
     symmetric: bool
@@ -81,6 +89,7 @@ class Tangent:
     softened: bool
     fields: int = 1
     porous: bool = False
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,9 +174,9 @@ def symmetric(form: WeakForm) -> bool:
     )
 
 
-def iterative(count: int, gdim: int) -> bool:
-    """Whether so many unknowns are solved for faster by iterations than by factors."""
-    return count >= _CROSSOVER[gdim]
+def crossover(tangent: Tangent, gdim: int) -> int:
+    """From how many unknowns on iterations are faster than factors."""
+    return (_CROSSOVER_OF_WIDE if tangent.wide and tangent.fields == 1 else _CROSSOVER)[gdim]
 
 
 def choose(
@@ -209,14 +218,16 @@ def choose(
     ):
         pc = "ilu" if ranks == 1 else "bjacobi"
         return Method("gmres", pc, "", f"{count} unknowns, {kind}, at the least cost so far", True)
-    if iterative(count, gdim) and not direct:
-        why = f"{count} unknowns, {kind} in {gdim}D, from {_CROSSOVER[gdim]} on"
+    least = crossover(tangent, gdim)
+    if count >= least and not direct:
+        why = f"{count} unknowns, {kind} in {gdim}D, from {least} on"
         if tangent.fields > 1:
             return Method("gmres", "fieldsplit", "", why, True, _BLOCKS)
         krylov = (
             "cg" if tangent.symmetric and tangent.definite and not tangent.softened else "gmres"
         )
-        return Method(krylov, "gamg", "", why, True, _MULTIGRID)
+        cycles = _MULTIGRID_OF_WIDE if tangent.wide else _MULTIGRID
+        return Method(krylov, "gamg", "", why, True, cycles)
     why = f"{count} unknowns, {kind}"
     ksp = "gmres" if tangent.softened else "preonly"
     keeps = count >= _KEPT[gdim] and not tangent.softened

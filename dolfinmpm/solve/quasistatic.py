@@ -131,9 +131,10 @@ class QuasiStatic(Problem):
         # several fields are as a rule a saddle point, and pressure on what is round turns with it
         definite = len(self.fields) == 1 and not self.form.parts.contacts
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
+        basis = self.form.spaces[0].basis
         tangent = Tangent(
             symmetric(self.form), definite, self.form.softening is not None, len(shapes),
-            shapes == [(points.gdim,), ()],
+            shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
             points.comm, points.gdim, tangent, options, tolerance, max_iterations

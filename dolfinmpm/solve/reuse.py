@@ -72,7 +72,7 @@ class Reuse:
             before: Called before a new one is made, or None.
         """
         pays = self._last * self._age < self._setup + self._spent
-        if not pays and self._age == 2:
+        if not pays and self._age == 2 and math.isfinite(self._last):
             self._wait, self._next = self._next, min(2 * self._next, 32)
         elif not pays and self._age > 2:
             self._next = 1
@@ -117,7 +117,8 @@ class Reuse:
             before: Norm of the right-hand side.
         """
         after = ksp.getResidualNorm()
-        digits = max(math.log10(before / after), 0.1) if before > 0 < after else 0.1
+        known = before > 0 and 0 < after < math.inf
+        digits = max(math.log10(before / after), 0.1) if known else 0.1
         seconds = self._slowest(seconds)
         self._taken = [a + b for a, b in zip(self._taken, (seconds, 1, ksp.getIterationNumber()))]
         if not self._old:

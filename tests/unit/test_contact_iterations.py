@@ -33,7 +33,8 @@ def pressed(touches: bool, friction: float = 0.3):
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_multigrid_takes_contact(monkeypatch, friction):
     """Rigid modes and point smoothers serve as well where corners stick and slip."""
-    monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+    for name in ("_CROSSOVER", "_CROSSOVER_OF_WIDE"):
+        monkeypatch.setattr(method, name, {1: 10**9, 2: 20, 3: 20})
     means = []
     for touches in (False, True):
         problem, body = pressed(touches, friction)

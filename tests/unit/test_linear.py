@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import ufl
@@ -41,10 +43,16 @@ def chosen(problem):
     return found.ksp, found.pc, found.package
 
 
+def few_at_all(monkeypatch):
+    """As if a handful of unknowns were too many for factors."""
+    for name in ("_CROSSOVER", "_CROSSOVER_OF_WIDE"):
+        monkeypatch.setattr(method, name, {1: 10**9, 2: 20, 3: 20})
+
+
 @pytest.fixture
 def few_are_many(monkeypatch):
     """As if a handful of unknowns were too many for factors."""
-    monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+    few_at_all(monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +74,19 @@ def test_what_is_chosen(tangent, count, gdim, ranks, expected):
     found = choose(tangent, count, gdim, ranks)
     assert (found.ksp, found.pc, found.package) == expected
     assert str(count) in str(found)
+
+
+@pytest.mark.parametrize(
+    ("wide", "count", "smoother"), [(False, 9000, "jacobi"), (True, 60000, "sor")]
+)
+def test_wide_functions_are_smoothed_by_gauss_seidel_and_solved_directly_for_longer(
+    wide, count, smoother
+):
+    tangent = Tangent(True, True, False, wide=wide)
+    assert choose(tangent, count - 1, 3, 1).factors
+    found = choose(tangent, count, 3, 1)
+    assert found.pc == "gamg"
+    assert found.options["mg_levels_pc_type"] == smoother
 
 
 def test_several_ranks_take_a_substructure_each_where_they_may():
@@ -205,7 +226,7 @@ def test_incomplete_factors_that_failed_wait_for_longer_each_time():
 def test_a_tangent_that_is_not_definite_is_solved_all_the_same(monkeypatch, many):
     """Springs that push instead of pull give the stiffness negative eigenvalues."""
     if many:
-        monkeypatch.setattr(method, "_CROSSOVER", {1: 10**9, 2: 20, 3: 20})
+        few_at_all(monkeypatch)
     grid = unit_grid("quadrilateral", 12)
     points = mpm.fill(grid, mpm.Box((0, 0), (0.95, 0.95)), 2, 1.0)
     V = mpm.Space(grid)
@@ -272,6 +293,31 @@ def test_a_preconditioner_is_kept_while_it_pays():
 def test_what_did_not_pay_is_tried_more_rarely():
     bad = [1.0, 9.0, 1.0, 9.0, 1.0, 1.0, 9.0, 1.0]
     assert keeps(bad, 2.0) == [False, True, False, True, False, False, True, False]
+
+
+def test_what_a_new_matrix_ends_is_tried_again():
+    """A preconditioner that another pattern of the matrix makes useless has not failed."""
+    import mpi4py.MPI as MPI
+
+    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+    for _ in range(4):
+        for old in (False, True):
+            reuse.prepare(ksp)
+            assert ksp.pc.kept is old
+            reuse._setup = 8.0
+            reuse.note(ksp, 1.0, 1.0)
+        reuse.renew()
+
+
+@pytest.mark.parametrize("after", [0.0, math.inf, math.nan])
+def test_residuals_that_are_no_numbers_count_no_digits(after):
+    import mpi4py.MPI as MPI
+
+    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+    reuse.prepare(ksp)
+    ksp.after = after
+    reuse.note(ksp, 1.0, 1.0)
+    assert reuse.iterations == [1]
 
 
 def test_info_tells_what_solves_and_how_work_is_spread():
