@@ -67,6 +67,11 @@ ROWS = (
         "reached (m), mean resistance of the last 2 m (MPa)",
         each("cone_penetration", "--law sand --h 0.2 --step 0.04"),
         lambda a: [a["reached"], 1e-6 * a["tip_resistance"]], "{:.1f}, {:.2f}"),
+    Row("plough", STEEL, "share 1 m deep and wide dragged through sand by 1 m, cells of 0.25 m, "
+        "two ranks: pull over the last fifth (MN), heap (m), Newton iterations a step",
+        ("mpirun -n 2 python3 demos/studies/plough.py",),
+        lambda a: [1e-6 * a["pull"], a["heap"], a["newton_iterations"] / len(a["pulls"])],
+        "{:.3f}, {:.2f}, {:.1f}"),
     Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "
         "displacement with ghost penalty, with aggregation",
         each("nitsche_ring", "--cells 4,8,16 --positions 0",
