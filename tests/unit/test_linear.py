@@ -87,6 +87,7 @@ def test_wide_functions_are_smoothed_by_gauss_seidel_and_solved_directly_for_lon
     found = choose(tangent, count, 3, 1)
     assert found.pc == "gamg"
     assert found.options["mg_levels_pc_type"] == smoother
+    assert choose(tangent, 10**6, 2, 1).options["mg_levels_pc_type"] == "jacobi"
 
 
 def test_several_ranks_take_a_substructure_each_where_they_may():
