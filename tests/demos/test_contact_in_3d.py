@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import figures_of
 
-PLOUGH = "--h", "0.5", "--distance", "0.1", "--step", "0.1"
+PLOUGH = "--h", "0.5", "--distance", "0.1", "--step", "0.1", "--tolerance", "1e-6"
 
 
 def figures(tmp_path, study, *options, ranks=1):
