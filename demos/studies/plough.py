@@ -17,9 +17,9 @@
 # - Corners overlap with the share by an eighth of a cell, on the average of the force. With a
 #   penalty ten times as hard the pull is 4 % more after a metre, but a few corners carry all the
 #   force, which jumps from one to the next, and Newton's method needs 40 % more iterations.
-#
-# - What is out of balance may be 2e-4 of the loads: to 1e-6 the pull differs by 1 % in waves of 10 %,
-#   and takes twice as long; after some metres single corners that touch by turns keep more than 1e-5.
+# - What is out of balance may be 2e-4 of the loads. To 1e-6 the pull differs by 1 %, in waves of
+#   10 %, and takes twice as long; after some metres single corners that touch by turns keep more
+#   than 1e-5.
 #
 # The pull rises to 0.21 MN over a metre, seven times Rankine's passive thrust on the share's width,
 # and the heap to 0.6 m. In cells of half a metre it stays about 0.28 MN from ten to twenty metres,
