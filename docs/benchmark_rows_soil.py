@@ -83,8 +83,8 @@ ROWS = (
         ("mpirun -n 2 python3 demos/studies/plough.py",),
         lambda a: [1e-6 * a["pull"], a["heap"], a["newton_iterations"] / len(a["pulls"])],
         "{:.3f}, {:.2f}, {:.1f}"),
-    Row("plough-20", STEEL, "the same by 20 m: mean pull from 4 to 12 m, from 12 to 20 m, least and "
-        "most from 4 m on (MN), heap (m), Newton iterations a step, halved steps, minutes",
+    Row("plough-20", STEEL, "the same by 20 m: mean pull from 4 to 12 m, from 12 to 20 m, least "
+        "and most from 4 m on (MN), heap (m), Newton iterations a step, halved steps, minutes",
         ("mpirun -n 2 python3 demos/studies/plough.py --distance 20",), _steady_pull,
         "{:.3f}, {:.3f}, {:.3f}–{:.3f}, {:.2f}, {:.1f}, {:.0f}, {:.0f}"),
     Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "

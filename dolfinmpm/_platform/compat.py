@@ -14,7 +14,6 @@ import ufl
 from dolfinx import cpp, fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
-from petsc4py import PETSc
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
@@ -110,15 +109,7 @@ def _libpetsc() -> ctypes.CDLL:
     import petsc4py.PETSc as module
 
     # the symbols of libpetsc are reached through the extension module that links it
-    library = ctypes.CDLL(module.__file__)
-    library.MatSetPreallocationCOO.argtypes = [
-        ctypes.c_void_p,
-        ctypes.c_ssize_t,
-        ctypes.c_void_p,
-        ctypes.c_void_p,
-    ]
-    library.MatSetValuesCOO.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
-    return library
+    return ctypes.CDLL(module.__file__)
 
 
 class _SymbolInfo(ctypes.Structure):
@@ -141,24 +132,3 @@ def library_of(symbol: str) -> Path | None:
     except (AttributeError, OSError):
         return None
     return Path(os.fsdecode(found.file)).resolve() if known and found.file else None
-
-
-def preallocate_coo(matrix: PETSc.Mat, rows, columns) -> None:
-    """MatSetPreallocationCOO with global indices, which PETSc permutes in place. Collective.
-
-    petsc4py 3.22 does not bind it.
-    """
-    rows, columns = (np.require(a, PETSc.IntType, ["C", "O", "W"]) for a in (rows, columns))
-    code = _libpetsc().MatSetPreallocationCOO(
-        matrix.handle, rows.size, rows.ctypes.data, columns.ctypes.data
-    )
-    if code:
-        raise RuntimeError(f"MatSetPreallocationCOO failed with PETSc error {code}")
-
-
-def set_values_coo(matrix: PETSc.Mat, values: npt.NDArray[np.float64]) -> None:
-    """MatSetValuesCOO, replacing what the matrix held. Collective."""
-    insert = int(PETSc.InsertMode.INSERT_VALUES)
-    code = _libpetsc().MatSetValuesCOO(matrix.handle, values.ctypes.data, insert)
-    if code:
-        raise RuntimeError(f"MatSetValuesCOO failed with PETSc error {code}")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from petsc4py import PETSc
 
-from dolfinmpm._platform.compat import preallocate_coo, set_values_coo
+from dolfinmpm.assembly.ownedrows import OwnedRows
 from dolfinmpm.assembly.stiffness import stiffness_kernel
 from dolfinmpm.basis import Stencils
 from dolfinmpm.cut.pattern import Blocks, Pattern
@@ -314,28 +314,27 @@ class Matrix:
     def __init__(self, pattern: Pattern, unknowns: Unknowns):
         self.pattern = pattern
         self.data = np.zeros(pattern.indices.size)
-        comm = unknowns.comm
-        size = (unknowns.owned, unknowns.rows)
+        comm, self._rows = unknowns.comm, None
         if comm.size == 1:
+            size = (unknowns.owned, unknowns.rows)
             self.petsc = PETSc.Mat().createAIJWithArrays(
                 (size, size), (pattern.indptr, pattern.indices, self.data), comm=comm
             )
         else:
-            self.petsc = PETSc.Mat().create(comm)
-            self.petsc.setSizes((size, size))
-            self.petsc.setType("aij")
-            rows = np.repeat(unknowns.to_global, np.diff(pattern.indptr))
-            preallocate_coo(self.petsc, rows, unknowns.to_global[pattern.indices])
+            self._rows = OwnedRows(
+                comm, pattern.indptr, pattern.indices, unknowns.to_global, unknowns.owned,
+                unknowns.rows,
+            )  # fmt: skip
+            self.petsc = self._rows.petsc
         self.petsc.setBlockSize(unknowns.block)
-        self._serial = comm.size == 1
 
     def finish(self) -> None:
         """Tell PETSc that the entries changed. Collective."""
         if self.pattern.still.size:
             # of the others' size, so that smoothers do not see them
             self.data[self.pattern.still] = max(self.data.max(), -self.data.min()) or 1.0
-        if self._serial:
+        if self._rows is None:
             self.petsc.assemble()
             self.petsc.stateIncrease()
         else:
-            set_values_coo(self.petsc, self.data)
+            self._rows.put(self.data)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,9 +44,6 @@ from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.partition import Partition
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["activate", "active_on_grid", "regions_of"]
 

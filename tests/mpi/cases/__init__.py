@@ -115,5 +115,6 @@ CASES = {
         touching.touching_restart,
         substructures.factors_in_parts,
         substructures.steps_in_parts,
+        substructures.rows_of_all_ranks,
     )
 }

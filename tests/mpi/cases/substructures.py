@@ -1,4 +1,4 @@
-"""Factors by substructures: those of MUMPS, whoever owns which unknowns."""
+"""Distributed matrices, and factors by substructures: whoever owns which unknowns."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
+from dolfinmpm.assembly.ownedrows import OwnedRows
 from dolfinmpm.solve import method
 from dolfinmpm.solve import substructures as module
 from dolfinmpm.solve.substructures import Substructures
@@ -145,3 +146,39 @@ def steps_in_parts():
     assert ("too many unknowns between" in problem.info()) == (COMM.size > 1)
     figures["between"].pop("moved")
     return figures
+
+
+def rows_of_all_ranks():
+    """A matrix that all ranks add to, whichever rows they have and own."""
+    n, found = 60, []
+    for share, ends in enumerate(_shares(n)):
+        owned = int(ends[COMM.rank + 1] - ends[COMM.rank])
+        # whoever runs this, what rank r has depends on r alone; one of them has nothing
+        of_ranks = [np.random.default_rng(10 * share + r) for r in range(COMM.size)]
+        parts = []
+        for r, random in enumerate(of_ranks):
+            count = 0 if share == 2 and r == 1 else 25
+            number = random.permutation(n)[:count].astype(np.int32)
+            own = sp.random(count, count, 0.3, format="csr", random_state=random)
+            parts.append((number, own))
+        number, own = parts[COMM.rank]
+        rows = OwnedRows(COMM, own.indptr, own.indices, number, owned, n)
+        for factor in (1.0, -2.5):
+            rows.put(factor * own.data)
+            whole = sp.csr_matrix((n, n))
+            for other, entries in parts:
+                entries = entries.tocoo()
+                at = other[entries.row], other[entries.col]
+                whole = whole + sp.csr_matrix((factor * entries.data, at), (n, n))
+            mine = slice(ends[COMM.rank], ends[COMM.rank + 1])
+            start, columns, values = rows.petsc.getValuesCSR()
+            got = sp.csr_matrix((values, columns, start), (owned, n)).toarray()
+            np.testing.assert_allclose(got, whole[mine].toarray(), rtol=1e-14, atol=1e-15)
+            # no entries but those that some rank has
+            assert np.array_equal(np.sort(columns), np.sort(whole[mine].indices))
+            x, y = rows.petsc.createVecs()
+            x.getArray()[:] = np.arange(n)[mine]
+            rows.petsc.mult(x, y)
+            np.testing.assert_allclose(y.getArray(), whole[mine] @ np.arange(n), atol=1e-11)
+        found.append(n)
+    return {"sizes": found}
