@@ -404,6 +404,8 @@ ROWS = (
         "0.1, 0"),
     Row("time-start", SPEED, "start to first step, all compiled before (s)",
         each("column_compaction", ""), keys("seconds_setup"), "{:.1f}"),
+    Row("time-process", SPEED, "column of 256 points, 40 steps, the whole process, all compiled "
+        "before (s)", each("column_compaction", "--elements 64"), keys("seconds_whole"), "{:.1f}"),
     Row("time-first", SPEED, "the whole first run ever (s)",
         each("column_compaction", ""), keys("seconds_whole"), "{:.0f}", fresh=True),
 )  # fmt: skip

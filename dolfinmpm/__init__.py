@@ -1,51 +1,54 @@
 """dolfinmpm: an unfitted material point method on FEniCSx."""
 
-from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
-from dolfinmpm import materials, study
-from dolfinmpm._platform import errors
-from dolfinmpm._platform.report import info
-from dolfinmpm._platform.stages import measure_stages
-from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
-from dolfinmpm.basis.space import Space
-from dolfinmpm.body.axisymmetry import gradient
-from dolfinmpm.body.boundary import Boundary
-from dolfinmpm.body.filling import fill
-from dolfinmpm.body.footing import RigidFooting
-from dolfinmpm.body.meshparts import partitioner
-from dolfinmpm.body.points import MaterialPoints, PointChange
-from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
-from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
-from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
-from dolfinmpm.dynamics import (
-    Collision,
-    Explicit,
-    GeneralisedAlpha,
-    Mapping,
-    Newmark,
-    Transient,
-    absorbing,
-    frictional,
-    times,
-)
-from dolfinmpm.forms.carriedfields import acceleration, carried
-from dolfinmpm.grid.graded import create_lattice, zoned_line
-from dolfinmpm.grid.lattice import cell_size
-from dolfinmpm.io import ParaView, figure, plot
-from dolfinmpm.io.history import History
-from dolfinmpm.io.progress import steps
-from dolfinmpm.kinematics import (
-    Deposit,
-    Layer,
-    dirichlet,
-    geostatic_stress,
-    momentum,
-    set_stress,
-    signorini,
-    stress,
-)
-from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrade
+from dolfinmpm._platform.collector import idle_collector as _idle_collector
+
+with _idle_collector():
+    from dolfinmpm._platform import start as _start  # noqa: F401 # isort: skip
+    from dolfinmpm import materials, study
+    from dolfinmpm._platform import errors
+    from dolfinmpm._platform.report import info
+    from dolfinmpm._platform.stages import measure_stages
+    from dolfinmpm.basis.conditions import fixed, moving, prescribed, rollers
+    from dolfinmpm.basis.space import Space
+    from dolfinmpm.body.axisymmetry import gradient
+    from dolfinmpm.body.boundary import Boundary
+    from dolfinmpm.body.filling import fill
+    from dolfinmpm.body.footing import RigidFooting
+    from dolfinmpm.body.meshparts import partitioner
+    from dolfinmpm.body.points import MaterialPoints, PointChange
+    from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
+    from dolfinmpm.body.surface import Surface
+    from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
+    from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
+    from dolfinmpm.dynamics import (
+        Collision,
+        Explicit,
+        GeneralisedAlpha,
+        Mapping,
+        Newmark,
+        Transient,
+        absorbing,
+        frictional,
+        times,
+    )
+    from dolfinmpm.forms.carriedfields import acceleration, carried
+    from dolfinmpm.grid.graded import create_lattice, zoned_line
+    from dolfinmpm.grid.lattice import cell_size
+    from dolfinmpm.io import ParaView, figure, plot
+    from dolfinmpm.io.history import History
+    from dolfinmpm.io.progress import steps
+    from dolfinmpm.kinematics import (
+        Deposit,
+        Layer,
+        dirichlet,
+        geostatic_stress,
+        momentum,
+        set_stress,
+        signorini,
+        stress,
+    )
+    from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
+    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrade
 
 __version__ = "0.1.0"
 
