@@ -80,9 +80,12 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
         if node_start[begin] == node_start[end]:
             return
         n = groups[end] - groups[begin]
-        # T with the pairs of components innermost
-        turned = np.zeros((n, ns * ns, 4 * wide))
+        # T with the pairs of components innermost; to fill by hand compiles faster than `np.zeros`
+        turned = np.empty((n, ns * ns, 4 * wide))
         for p in range(n):
+            for rs in range(ns * ns):
+                for v in range(nc * nc, 4 * wide):
+                    turned[p, rs, v] = 0.0
             for i in range(nc):
                 for s in range(ns):
                     for k in range(nc):
@@ -92,7 +95,9 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                             ]
         low, start, lists, places = by_nodes(begin, end, node_start, nodes)
         size = start.size - 1
-        slot, names = np.full(size, -1, np.int32), np.empty(size, np.int32)
+        slot, names = np.empty(size, np.int32), np.empty(size, np.int32)
+        for a in range(size):
+            slot[a] = -1
         rows, t = np.empty((size, 4 * wide)), np.empty((ns, 4 * wide))
         place, places_of = np.empty(indptr.size - 1, np.int32), np.empty(size, np.int64)
         turned_at, rows_at, t_at = turned.ctypes.data, rows.ctypes.data, t.ctypes.data
