@@ -30,9 +30,10 @@ from typing import Any
 
 import benchmark_rows
 import benchmark_rows_soil
+import benchmark_rows_speed
 from benchmark_rows import Row
 
-ROWS = (*benchmark_rows.ROWS, *benchmark_rows_soil.ROWS)
+ROWS = (*benchmark_rows.ROWS, *benchmark_rows_speed.ROWS, *benchmark_rows_soil.ROWS)
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent

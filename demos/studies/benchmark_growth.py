@@ -21,7 +21,7 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from petsc4py import PETSc
-from scene import finish, parser, say, stage_seconds
+from scene import finish, numbers, parser, say, stage_seconds
 
 import dolfinmpm as mpm
 
@@ -30,8 +30,10 @@ FITTED = 10.0
 # of what is explicit, as a loop over `times(end, dt="auto")` takes them: in all sizes as many share
 # what a call takes by itself
 STEPS_A_CALL = 20
-KINDS = ("explicit", "implicit", "solid", "solid-gimp")
-SOLIDS = KINDS[2:]
+# times the grid that a body needs
+ROOMS = (1, 4, 16)
+KINDS = ("explicit", "implicit", "aggregated", "solid", "solid-gimp")
+SOLIDS = KINDS[3:]
 WITH = ("points", "unknowns", "cells", "ranks")
 
 
@@ -41,7 +43,8 @@ WITH = ("points", "unknowns", "cells", "ranks")
 def block(kind: str, count: int, room: int):
     """A block of about so many points on a grid `room` times as large as it needs; a stepper.
 
-    It is a square, or of kinds "solid" and "solid-gimp" a cube, whose steps are implicit too.
+    It is a square, or of kinds "solid" and "solid-gimp" a cube, whose steps are implicit too. Of
+    kind "aggregated" its upper faces cut the cells.
     """
     comm = MPI.COMM_WORLD
     d = 3 if kind in SOLIDS else 2
@@ -55,7 +58,8 @@ def block(kind: str, count: int, room: int):
         grid = mesh.create_rectangle(comm, [low, high], [side] * d, mesh.CellType.quadrilateral)
     else:
         grid = mesh.create_box(comm, [low, high], [side] * d, mesh.CellType.hexahedron)
-    points = mpm.fill(grid, mpm.Box((0,) * d, (1,) * d), 2, 1000.0)
+    aggregated = kind == "aggregated"
+    points = mpm.fill(grid, mpm.Box((0,) * d, (1 + 0.3 * h * aggregated,) * d), 2, 1000.0)
     basis = {"explicit": "bspline2", "solid": "linear"}.get(kind, "gimp")
     V = mpm.Space(grid, basis)
     gravity = fem.Constant(grid, (0.0, -10.0 if kind == "explicit" else 0.0, 0.0)[:d])
@@ -71,7 +75,8 @@ def block(kind: str, count: int, room: int):
             return explicit.step(explicit.time + (STEPS_A_CALL - 0.01) * dt).parts
 
         return explicit, go
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    remedy = "aggregation" if aggregated else "none"
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy)
 
     def load() -> int:
         gravity.value[1] -= 0.2
@@ -95,10 +100,67 @@ def memory(kind: str) -> float:
     return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(kind))
 
 
+class Timed:
+    """A block whose steps are timed, some of them warm it up first. Collective.
+
+    Attributes:
+        problem: What takes its steps.
+    """
+
+    def __init__(self, case: str, points: int, room: int) -> None:
+        self.problem, self._go = block(case, points, room)
+        self._go()
+        self._go()
+        self._before = len(self.problem.history)
+        self._of_calls: list[list[float]] = []
+        self._steps, self._sent = 0, np.zeros(2)
+
+    def call(self) -> None:
+        """One call of as many steps as its kind takes at once. Collective."""
+        comm = MPI.COMM_WORLD
+        comm.barrier()
+        sent = messages()
+        started, processor = time.perf_counter(), time.process_time()
+        own = self._go()
+        processor = time.process_time() - processor
+        comm.barrier()
+        seconds = time.perf_counter() - started
+        self._of_calls.append([seconds / own, comm.allreduce(processor, op=MPI.SUM) / own])
+        self._steps += own
+        self._sent += messages() - sent
+
+    def figures(self) -> dict[str, Any]:
+        """Seconds, stages and messages of a step so far. Collective."""
+        comm, problem = MPI.COMM_WORLD, self.problem
+        # others may use the machine in some of the calls
+        seconds, processor = np.median(self._of_calls, axis=0)
+        sent = comm.allreduce(self._sent, op=MPI.SUM)
+        del problem.history[: self._before]
+        stages = stage_seconds(problem)
+        most = {
+            name: comm.allreduce(value, op=MPI.MAX) / self._steps for name, value in stages.items()
+        }
+        return {
+            "points": problem.points.total,
+            "cells": problem.points.grid.topology.index_map(problem.points.gdim).size_global,
+            "unknowns": problem.here.unknowns.total if problem.here is not None else 0,
+            "steps": self._steps,
+            "iterations": sum(record.iterations for record in problem.history),
+            "seconds": float(seconds),
+            "seconds_processor": float(processor),
+            "petsc_messages": float(sent[0]) / self._steps,
+            "petsc_bytes": float(sent[1]) / self._steps,
+            "stages": most,
+            "ranks": comm.size,
+        }
+
+
 def one_case(args: Any) -> dict[str, Any]:
-    """Seconds, stages and messages of a step, and memory beyond a small case. Collective."""
+    """Figures of a case with every room, in turn with each other, and memory. Collective.
+
+    Memory is that beyond a small case, of all rooms together.
+    """
     PETSc.Log.begin()
-    comm = MPI.COMM_WORLD
     small, go_small = block(args.case, 400, 1)
     go_small()  # compiles, or loads what was compiled before
     del small, go_small
@@ -106,54 +168,28 @@ def one_case(args: Any) -> dict[str, Any]:
     least = memory("VmRSS")
     # from here on the peak is counted anew
     Path("/proc/self/clear_refs").write_text("5")
-    problem, go = block(args.case, args.points, args.room)
-    go()
-    go()
-    before, sent = len(problem.history), messages()
-    steps, of_calls = 0, []
+    blocks = [Timed(args.case, args.points, room) for room in args.room]
     for _ in range(args.calls):
-        comm.barrier()
-        started, processor = time.perf_counter(), time.process_time()
-        own = go()
-        processor = time.process_time() - processor
-        comm.barrier()
-        seconds = time.perf_counter() - started
-        of_calls.append([seconds / own, comm.allreduce(processor, op=MPI.SUM) / own])
-        steps += own
-    # others may use the machine in some of the calls
-    seconds, processor = np.median(of_calls, axis=0)
-    sums = comm.allreduce(np.array([*(messages() - sent), memory("VmHWM") - least]), op=MPI.SUM)
-    del problem.history[:before]
-    stages = stage_seconds(problem)
-    most = {name: comm.allreduce(value, op=MPI.MAX) / steps for name, value in stages.items()}
-    iterations = sum(record.iterations for record in problem.history)
-    return {
-        "points": problem.points.total,
-        "cells": problem.points.grid.topology.index_map(problem.points.gdim).size_global,
-        "unknowns": problem.here.unknowns.total if problem.here is not None else 0,
-        "steps": steps,
-        "iterations": iterations,
-        "seconds": float(seconds),
-        "seconds_processor": float(processor),
-        "petsc_messages": float(sums[0]) / steps,
-        "petsc_bytes": float(sums[1]) / steps,
-        "memory": float(sums[2]),
-        "stages": most,
-        "ranks": comm.size,
-    }
+        for one in blocks:
+            one.call()
+    beyond = MPI.COMM_WORLD.allreduce(memory("VmHWM") - least, op=MPI.SUM)
+    return {"rows": [one.figures() for one in blocks], "memory": beyond}
 
 
 # -- many cases ------------------------------------------------------------------------------
 
 
-def started(case: str, points: int, calls: int, room: int = 1, ranks: int = 1) -> dict[str, Any]:
-    """One case in processes of its own; with `failed` where there was no memory for it.
+def started(
+    case: str, points: int, calls: int, room: Sequence[int] = (1,), ranks: int = 1
+) -> list[dict[str, Any]]:
+    """One case in processes of its own, a row for every room; `failed` if memory did not do.
 
     Messages are those of PETSc: what counts all of them in Open MPI fails on the neighbourhood
     collectives of DOLFINx.
     """
-    words = ["--case", case, "--points", str(points), "--calls", str(calls), "--room", str(room)]
-    command = [sys.executable, __file__, *words, "--json", "-"]
+    words = ["--case", case, "--points", str(points), "--calls", str(calls)]
+    command = [sys.executable, __file__, *words, "--room", ",".join(map(str, room))]
+    command += ["--json", "-"]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), *command]
     # ranks beyond the processors must let each other have them
@@ -161,15 +197,18 @@ def started(case: str, points: int, calls: int, room: int = 1, ranks: int = 1) -
     done = subprocess.run(command, env=own, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         say(f"{case}, {points} points, {ranks} rank(s): ended with code {done.returncode}")
-        return {"points": points, "ranks": ranks, "failed": done.returncode}
+        return [{"points": points, "ranks": ranks, "failed": done.returncode}]
     found = json.loads(done.stdout.splitlines()[-1])
-    say(
-        f"{case}, {found['points']} points in {found['cells']} cells, {ranks} rank(s): "
-        f"{found['seconds_processor']:.4g} s of processors a step, {found['seconds']:.4g} s, "
-        f"{found['memory'] / found['points'] / 1e3:.2f} kB a point, "
-        f"{found['petsc_messages']:.0f} messages of {found['petsc_bytes']:.3g} bytes by PETSc"
-    )
-    return found
+    if len(room) == 1:
+        found["rows"][0]["memory"] = found["memory"]
+    for row in found["rows"]:
+        held = f"{row['memory'] / row['points'] / 1e3:.2f} kB a point, " if "memory" in row else ""
+        say(
+            f"{case}, {row['points']} points in {row['cells']} cells, {ranks} rank(s): "
+            f"{row['seconds_processor']:.4g} s of processors a step, {row['seconds']:.4g} s, "
+            f"{held}{row['petsc_messages']:.0f} messages of {row['petsc_bytes']:.3g} bytes by PETSc"
+        )
+    return found["rows"]
 
 
 def exponent(rows: Sequence[dict[str, Any]], by: str, of: str) -> float | None:
@@ -189,21 +228,23 @@ def growth(args: Any) -> dict[str, Any]:
         ("points", "explicit", args.explicit_points), ("points", "implicit", args.implicit_points),
         *(("unknowns", case, args.solid_points) for case in SOLIDS),
     ]  # fmt: skip
-    for by, case, numbers in sizes:
+    for by, case, counts in sizes:
         if by in args.growth:
             # about as long in all of them, but at least three calls
-            rows = [started(case, n, max(3, min(15, int(1e6 / n)))) for n in numbers]
+            rows = [r for n in counts for r in started(case, n, max(3, min(15, int(1e6 / n))))]
             found[f"{by}, {case}"] = {
                 "rows": rows,
                 "exponent": exponent(rows, by, "seconds_processor"),
                 "exponent_memory": exponent(rows, "points", "memory"),
             }
     if "cells" in args.growth:
-        for case in ("explicit", "implicit"):
-            rows = [started(case, args.fixed_points, 5, room) for room in (1, 4, 16)]
+        for case in ("explicit", "implicit", "aggregated"):
+            rows = started(case, args.fixed_points, 15, ROOMS)
+            least, most = (row.get("seconds_processor") for row in (rows[0], rows[-1]))
             found[f"cells, {case}"] = {
                 "rows": rows,
                 "exponent": exponent(rows, "cells", "seconds_processor"),
+                "ratio": most / least if least and most else None,
             }
     if "ranks" in args.growth:
         for case in ("explicit", "implicit"):
@@ -211,7 +252,7 @@ def growth(args: Any) -> dict[str, Any]:
                 rows = []
                 for ranks in args.ranks:
                     points = args.fixed_points * (ranks if kind == "weak" else 1)
-                    rows.append(started(case, points, 5, ranks=ranks))
+                    rows += started(case, points, 5, ranks=ranks)
                 found[f"ranks, {case}, {kind}"] = {
                     "rows": rows,
                     # of a share of work that does not depend on ranks: 0 if strong, 1 if weak
@@ -219,7 +260,7 @@ def growth(args: Any) -> dict[str, Any]:
                     "exponent_bytes": exponent(rows[1:], "ranks", "petsc_bytes"),
                 }
     for name, series in found.items():
-        powers = {k: v for k, v in series.items() if k.startswith("exponent") and v is not None}
+        powers = {k: v for k, v in series.items() if k != "rows" and v is not None}
         say(f"{name}: " + ", ".join(f"{k} {v:.2f}" for k, v in powers.items()))
     return found
 
@@ -228,7 +269,9 @@ if __name__ == "__main__":
     options = parser("One case of the growth of time with points, cells and ranks.")
     options.add_argument("--case", choices=KINDS, default="explicit")
     options.add_argument("--points", type=int, default=10_000, help="about so many")
-    options.add_argument("--room", type=int, default=1, help="times the grid that the body needs")
+    options.add_argument(
+        "--room", type=numbers(int), default=[1], help="times the grid that the body needs; in turn"
+    )
     options.add_argument("--calls", type=int, default=5, help="that are timed, see STEPS_A_CALL")
     args = options.parse_args()
     finish(args, one_case(args))

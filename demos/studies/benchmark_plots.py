@@ -120,7 +120,7 @@ def growth(path: Any, found: dict[str, Any]) -> None:
     """Processor seconds a step against points, cells and ranks."""
     from matplotlib.ticker import NullLocator
 
-    looks = {"explicit": "o", "implicit": "s", "gimp": "v", "solid": "^"}
+    looks = {"explicit": "o", "implicit": "s", "gimp": "v", "solid": "^", "aggregated": "D"}
     kinds = list(dict.fromkeys(name.partition(",")[0] for name in found))
     with mpm.figure(path, 2.6 * len(kinds), 2.5, ncols=len(kinds), squeeze=False) as (_, axes):
         for kind, ax in zip(kinds, axes[0]):
