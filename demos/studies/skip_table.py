@@ -39,7 +39,7 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly import evaluation
+from dolfinmpm.assembly import evaluation, region
 from dolfinmpm.cut import activation
 
 PACKAGE = Path(mpm.__file__).parent
@@ -141,7 +141,7 @@ def without_means():
     def prepare(self) -> None:
         self._known.clear()
 
-    return mock.patch.object(evaluation._Region, "prepare", prepare)
+    return mock.patch.object(region.Region, "prepare", prepare)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,342 @@
+"""The terms of one part of the body, evaluated at its points some thousand at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform import stages
+from dolfinmpm.assembly.functions import function_values
+from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.cellmeans import add_outer
+from dolfinmpm.cut.facetmoduli import isotropic_moduli
+from dolfinmpm.cut.participants import ActiveRegion
+from dolfinmpm.cut.unknowns import Unknowns
+from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, Kept, PointOperator, if_kept
+from dolfinmpm.forms.pointterms import PointTerms
+from dolfinmpm.forms.pointwise import Program
+
+__all__ = ["PointFailure", "Region"]
+
+Array = npt.NDArray[np.float64]
+
+# Points that laws and programs work on at a time: their tangents fit into the cache.
+_CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class PointFailure:
+    """A point at which a law finds no stress.
+
+    Attributes:
+        point: Which point of this rank.
+        cause: Why, in the law's own words; may be empty.
+    """
+
+    point: int
+    cause: str
+
+
+class Region:
+    """The terms of a part of the body on its points."""
+
+    def __init__(
+        self,
+        terms: PointTerms,
+        points: MaterialPoints,
+        unknowns: Unknowns,
+        part: ActiveRegion,
+        shared: Mapping[tuple, Array],
+    ):
+        self.terms, self.part = terms, part
+        self.failure: PointFailure | None = None
+        self._points, self._unknowns = points, unknowns
+        self._rows = np.sort(part.stencils[0].order)
+        widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
+        self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
+        # what operators' laws keep in the order of the stencils, and whose is of these increments
+        self._kept: dict[int, Array] = {}
+        self._known: set[int] = set()
+        self._data = dict(shared)
+        for k, (function, gradient) in enumerate(terms.slots.functions):
+            self._data["function", k] = function_values(function, gradient, points)
+        for key in terms.slots.sources.values():
+            if key[0] == "tagged":
+                self._data[key] = np.isin(points["tag"], key[1]).astype(float)
+        self.update_constants()
+
+    def update_constants(self) -> None:
+        """Read the form's constants again."""
+        self._known.clear()
+        for k, constant in enumerate(self.terms.slots.constants):
+            self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
+
+    def prepare(self) -> None:
+        """Forget old increments, let laws take means over cells. Collective if there are any."""
+        self._known.clear()
+        for k in self.terms.by_mean:
+            means = self.part.means
+            assert means is not None
+            everywhere = np.arange(len(self._points))
+            law = self.averaging(k)
+            law.prepare(self.operand(k, everywhere), means.mean)
+
+    def averaging(self, k: int) -> AveragingLaw:
+        """The law of the k-th operator, which takes means over cells."""
+        law = self.terms.operators[k].law
+        assert isinstance(law, AveragingLaw)
+        return law
+
+    def operand(self, k: int, rows: npt.NDArray[np.integer]) -> Array:
+        """Operand of the k-th operator at some points, shape (len(rows), size)."""
+        source = self.terms.operands[k]
+        if not isinstance(source, Program):
+            return self._data[source].take(rows, axis=0)
+        values = np.empty((len(rows), source.size))
+        source.run(self._taken(source.inputs, rows), values)
+        return values
+
+    def _taken(self, keys, rows) -> dict[tuple, Array]:
+        """Data of some points; constants have one row for all."""
+        return {
+            key: self._data[key] if key[0] == "constant" else self._data[key].take(rows, axis=0)
+            for key in keys
+        }
+
+    def _chunks(self) -> Iterator[tuple[int, int]]:
+        """Ranges of groups of some thousand points each."""
+        groups, first = self.part.stencils[0].groups, 0
+        while first < groups.size - 1:
+            last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
+            last = max(last, first + 1)
+            yield first, last
+            first = last
+
+    def _run(
+        self, programs: Sequence[Program], tangent: bool
+    ) -> Iterator[tuple[int, int, list[Array]]]:
+        """Operators and programs, some thousand points at a time, in the order of the stencils.
+
+        Yields the range of groups and the programs' values at their points; ends
+        early, with the point in `failure`, where a law finds no stress.
+        """
+        self.failure = None
+        terms, s = self.terms, self.part.stencils[0]
+        inputs = {key for program in programs for key in program.inputs}
+        # dead loads, say, do not ask a law for its stress
+        asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
+        plain = [key for key in inputs if not key[0].startswith("operator")]
+        known = self._known & set(asked)
+        # a law that fails on the way leaves the rest as it was
+        self._known -= set(asked)
+        for first, last in self._chunks():
+            stages.evaluate.enter()
+            try:
+                rows = s.order[s.groups[first] : s.groups[last]]
+                data = self._taken(plain, rows)
+                for k in asked:
+                    operator, operand = terms.operators[k], self.operand(k, rows)
+                    value = np.empty((rows.size, int(np.prod(operator.ufl_shape))))
+                    slope = np.empty((*value.shape, operand.shape[1])) if tangent else None
+                    by_mean = None
+                    if slope is not None and k in terms.by_mean:
+                        data["operator by mean", k] = by_mean = np.empty_like(value)
+                    kept = self._kept_in(k, first, last, k in known)
+                    bad = self._ask(k, operand, value, slope, rows, by_mean, kept)
+                    if bad >= 0:
+                        self._fail(operator, int(rows[bad]), operand[bad])
+                        return
+                    data["operator", k] = value
+                    if slope is not None:
+                        data["operator tangent", k] = slope
+                out: list[Array] = [np.empty((rows.size, program.size)) for program in programs]
+                for program, values in zip(programs, out):
+                    program.run(data, values)
+            finally:
+                stages.evaluate.leave()
+            yield first, last, out
+        self._known |= {k for k in asked if k in self._kept}
+
+    def _kept_in(self, k: int, first: int, last: int, known: bool) -> Kept | None:
+        """What the k-th operator's law keeps of the points of some groups, or None."""
+        law, s = self.terms.operators[k].law, self.part.stencils[0]
+        if not (self.terms.sloped and isinstance(law, KeepingLaw) and law.keeps):
+            return None
+        if k not in self._kept:
+            self._kept[k] = np.empty((s.order.size, law.keeps))
+        return Kept(self._kept[k][s.groups[first] : s.groups[last]], known)
+
+    def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: Kept | None) -> int:
+        """The k-th operator at some points, zero at those of other laws; the first that fails."""
+        operator = self.terms.operators[k]
+
+        def evaluate(operand, outs, rows, kept) -> int:
+            law: Any = operator.law
+            tangent = outs[1] if slope is not None else None
+            further = if_kept(kept)
+            if by_mean is not None:
+                further["by_mean"] = outs[2]
+            return law.evaluate(operand, outs[0], tangent, rows, **further)
+
+        whole = [a for a in (value, slope, by_mean) if a is not None]
+        own = None
+        if operator.tags is not None:
+            own = np.isin(self._points["tag"][rows], operator.tags)
+        if own is None or own.all():
+            return evaluate(operand, whole, rows, kept)
+        mine = np.flatnonzero(own)
+        part = [np.empty((mine.size, *a.shape[1:])) for a in whole]
+        of_mine = _taken_of(kept, mine)
+        bad = evaluate(operand[mine], part, rows[mine], of_mine)
+        if kept is not None and of_mine is not None and not kept.known:
+            kept.values[mine] = of_mine.values
+        for a, values in zip(whole, part):
+            a[:] = 0.0
+            a[mine] = values
+        return int(mine[bad]) if bad >= 0 else -1
+
+    def _fail(self, operator: PointOperator, point: int, operand: Array) -> None:
+        describe = getattr(operator.law, "describe", None)
+        cause = "" if describe is None else describe(operand, point)
+        self.failure = PointFailure(point, cause)
+
+    def add_flux(self, program: Program | None, out: Sequence[Array]) -> None:
+        """Add a program's fluxes by the nodes, of each field to its array."""
+        self.failure = None
+        if program is None:
+            return
+        for first, last, (flux,) in self._run([program], False):
+            for s, column, nodal in zip(self.part.stencils, self._columns, out):
+                add_vector(s, first, last, flux, column, nodal)
+
+    def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """Add the tangent at the last increments; `entries` by row and column field."""
+        terms, couplings = self.terms, self.part.couplings
+        pairs = list(terms.tangent)
+        means = list(terms.by_mean)
+        if not pairs:
+            return
+        left = {k: [c.forces(f.components) for c, f in self._coupled()] for k in means}
+        programs = [terms.tangent[pair].program for pair in pairs]
+        programs += [terms.by_mean[k] for k in means]
+        for first, last, values in self._run(programs, True):
+            for (i, j), value in zip(pairs, values):
+                block = terms.tangent[i, j]
+                slope = Slope(value, block.row_value, block.value)
+                s = self.part.stencils
+                add_stiffness(s[i], s[j], first, last, slope, entries[i, j])
+            for k, flux in zip(means, values[len(pairs) :]):
+                assert couplings is not None
+                for c, column, out in zip(couplings, self._columns, left[k]):
+                    c.add_forces(first, last, flux, column, out)
+        for k in means:
+            assert couplings is not None
+            field = terms.field_of(k)
+            assert field is not None
+            right = self._mean_slope(k, field)
+            for i, force in enumerate(left[k]):
+                to = entries[i, field]
+                add_outer(
+                    couplings[i], couplings[field], force, right, (to.rows, to.columns), to.pattern,
+                    to.data, to.prescribed, to.lift,
+                )  # fmt: skip
+
+    def _coupled(self):
+        assert self.part.couplings is not None
+        return zip(self.part.couplings, self._unknowns.fields)
+
+    def _mean_slope(self, k: int, field: int) -> Array:
+        """How the k-th operator's sums over cells change with the nodal increments of a field."""
+        assert self.part.couplings is not None
+        s, coupling = self.part.stencils[field], self.part.couplings[field]
+        d, components = self._points.gdim, self._unknowns.fields[field].components
+        slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
+        slopes *= coupling.means.weight[s.order, None]
+        flux = np.zeros((len(slopes), components, 1 + d))
+        # a rank without points has no size that could be found
+        flat = flux.reshape(len(flux), components * (1 + d))
+        program = self.terms.mean_flux.get(k)
+        if program is None:
+            flux[:, :, 1:] = slopes.reshape(len(slopes), components, d)
+        else:
+            own = "mean slope", k
+            data = self._taken([key for key in program.inputs if key != own], s.order)
+            program.run({**data, own: slopes}, flat)
+        out = coupling.forces(components)
+        coupling.add_forces(0, s.groups.size - 1, flat, 0, out)
+        return out
+
+    def ask(self, k: int, out: Array) -> None:
+        """Write the value of the k-th operator at the region's points."""
+        rows = self._rows
+        value = np.empty((rows.size, out.shape[1]))
+        if self._ask(k, self.operand(k, rows), value, None, rows, None, None) >= 0:
+            value[:] = np.nan
+        out[rows] = value
+
+    def moduli(self, out: Array) -> None:
+        """Write the moduli of the tangents of laws at their points."""
+        s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
+        chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
+        for k in chosen:
+            for first, last in self._chunks():
+                rows = s.order[s.groups[first] : s.groups[last]]
+                operand = self.operand(k, rows)
+                value = np.empty((rows.size, d * d))
+                slope = np.empty((rows.size, d * d, d * d))
+                by_mean = np.empty_like(value) if k in self.terms.by_mean else None
+                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                if self._ask(k, operand, value, slope, rows, by_mean, kept) >= 0:
+                    # the end of the step tells of it
+                    return
+                if by_mean is not None:
+                    # as of deformation that is the same in the whole cell
+                    slope += by_mean[:, :, None] * self.averaging(k).measure_slope(operand)[:, None]
+                found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
+                share = points["V0"][rows] / points["V"][rows]
+                out[rows] += share[:, None] * found
+
+    def commit(self, new: dict[str, Array]) -> None:
+        """Write what the laws' fields are at the end of the step into new arrays."""
+        self.failure = None
+        s, points = self.part.stencils[0], self._points
+        # a rank without points has the fields all the same
+        chunks = list(self._chunks()) or [(0, 0)]
+        for k, operator in enumerate(self.terms.operators):
+            law: Any = operator.law
+            whole = operator.tags is None and s.order.size == len(points)
+            for first, last in chunks:
+                rows = s.order[s.groups[first] : s.groups[last]]
+                kept = self._kept_in(k, first, last, True) if k in self._known else None
+                if operator.tags is not None:
+                    mine = np.flatnonzero(np.isin(points["tag"][rows], operator.tags))
+                    rows, kept = rows[mine], _taken_of(kept, mine)
+                operand = self.operand(k, rows)
+                found = law.commit(operand, rows, **if_kept(kept))
+                for name, values in found.items():
+                    if name not in new:
+                        shape = len(points), *values.shape[1:]
+                        new[name] = np.empty(shape) if whole else points[name].copy()
+                    new[name][rows] = values
+                    if self.failure is None and not np.isfinite(values).all():
+                        finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+                        bad = int(np.argmin(finite))
+                        self._fail(operator, int(rows[bad]), operand[bad])
+        # the state of the points may be another from here on
+        self._known.clear()
+        self._kept.clear()
+
+
+def _is_stress(operator: PointOperator) -> bool:
+    """Whether an operator is the stress of a law, and not its derivative."""
+    return operator.declaration is not None and operator.declaration.operator is operator
+
+
+def _taken_of(kept: Kept | None, rows: npt.NDArray[np.integer]) -> Kept | None:
+    """What is kept of some of the points, copied."""
+    return None if kept is None else Kept(kept.values[rows], kept.known)
