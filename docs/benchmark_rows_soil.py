@@ -87,6 +87,13 @@ ROWS = (
         "and most from 4 m on (MN), heap (m), Newton iterations a step, halved steps, minutes",
         ("mpirun -n 2 python3 demos/studies/plough.py --distance 20",), _steady_pull,
         "{:.3f}, {:.3f}, {:.3f}–{:.3f}, {:.2f}, {:.1f}, {:.0f}, {:.0f}"),
+    Row("nitsche-kappa", STEEL, "the same ring in 200 positions, 4 cells over its thickness: worst "
+        "over best condition number, worst, with ghost penalty, with aggregation",
+        each("nitsche_ring", "--cells 4 --positions 200",
+             "--cells 4 --positions 200 --stabilisation aggregation"),
+        lambda *answers: [f for a in answers for f in (max(a["kappas"]) / min(a["kappas"]),
+                                                       max(a["kappas"]))],
+        "{:.1f}, {:.0f}; {:.1f}, {:.0f}", "bounded"),
     Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "
         "displacement with ghost penalty, with aggregation",
         each("nitsche_ring", "--cells 4,8,16 --positions 0",

@@ -62,6 +62,7 @@ def arguments(words=None):
     add("--points-per-cell", type=int, default=2)
     add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
+    add("--ghost", type=float, help="factor of the remedy's penalty; see above")
     add("--penalty", type=float, help="κ/E (1/m); 1.25 a cell by default")
     add("--domains", choices=("stretch", "volume"), default="volume")
     add("--corners", choices=("domains", "material"), default="domains")
@@ -223,8 +224,9 @@ class Scene:
             "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},
             "iterative": {"ksp_type": "gmres", "pc_type": "gamg"},
         }[args.solver]  # fmt: skip
+        remedy = mpm.Stabilisation(args.stabilisation, gamma=args.ghost)
         problem = mpm.QuasiStatic(
-            F, u, points, bcs, stabilisation=args.stabilisation, tolerance=args.tolerance,
+            F, u, points, bcs, stabilisation=remedy, tolerance=args.tolerance,
             petsc_options=options,
         )  # fmt: skip
         return problem, plough
