@@ -166,7 +166,7 @@ ROWS = (
         "; ".join(3 * ["{:.0f}, {:.1f}, {:.0f}"])),
     Row("solid-slope", SPEED, "slope of Mohr–Coulomb soil in 3D until its toe yields, ten steps: "
         "points, unknowns, seconds a step, halved steps, memory (GB)",
-        each("solid_3d", "--scene slope --cells 30"), one_solid,
+        each("solid_3d", "--scene slope --cells 34"), one_solid,
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
     Row("solid-million", SPEED, "elastic cube of a million points, one step on two ranks: points, "
         "unknowns, seconds, halved steps, memory (GB)",
