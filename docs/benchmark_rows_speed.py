@@ -164,6 +164,12 @@ ROWS = (
         "steps: unknowns, seconds a step, most iterations of a solution",
         each("solid_3d", "--cells 20,28,36"), solids,
         "; ".join(3 * ["{:.0f}, {:.1f}, {:.0f}"])),
+    Row("solid-ranks", SPEED, "elastic cube with multigrid, 76 560 unknowns, a step (s): one rank; "
+        "two; one over the other",
+        tuple(f"{launch}demos/studies/solid_3d.py --cells 28 --steps 4"
+              for launch in ("", "mpirun -n 2 python3 ")),
+        lambda one, two: ratio("seconds_a_step")(one["runs"][0], two["runs"][0]),
+        "{:.1f}; {:.1f}; {:.2f}"),
     Row("solid-slope", SPEED, "slope of Mohr–Coulomb soil in 3D until its toe yields, ten steps: "
         "points, unknowns, seconds a step, halved steps, memory (GB)",
         each("solid_3d", "--scene slope --cells 34"), one_solid,
