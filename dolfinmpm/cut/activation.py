@@ -107,12 +107,13 @@ def activate(
     if unknowns is None or not unknowns.same(remaining, fixed, blocked):
         unknowns = Unknowns([b.nodes for b in bases], remaining, fixed, blocked)
         old = None
-    grid, soft = terms.grid_blocks(active)
+    grid, soft, changes = terms.grid_blocks(active)
     here = Participants(bodies, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
     of_boundaries = regions_of(terms.boundaries, here, terms.boundaries)
     mass = terms.mass_blocks(active)
-    pairs = pairs_of([*grid, *soft, *mass, *(f.penalty for f in active if f.penalty)], unknowns)
+    penalties = (f.penalty for f in active if f.penalty)
+    pairs = pairs_of([*grid, *soft, *changes, *mass, *penalties], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
     every = [*regions, *(region for parts in of_boundaries for region in parts)]
@@ -121,8 +122,8 @@ def activate(
     later = Later(couple)
     driven = held.changing and held.driven
     return Activation(
-        bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft, mass,
-        later, of_boundaries, facing, tuple(sets),
+        bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft,
+        changes, mass, later, of_boundaries, facing, tuple(sets),
     )  # fmt: skip
 
 
@@ -219,11 +220,11 @@ def _renewed(
     _, prescribed = held.at(bases, share)
     regions = [region_on(region, points, old) for region in terms.regions]
     of_boundaries = regions_of(terms.boundaries, old, terms.boundaries)
-    grid, soft = terms.grid_blocks(old.fields)
+    grid, soft, changes = terms.grid_blocks(old.fields)
     driven = held.changing and held.driven
     return replace(
         old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft,
-        of_boundaries=of_boundaries,
+        changes=changes, of_boundaries=of_boundaries,
     )  # fmt: skip
 
 
@@ -302,10 +303,11 @@ def _with_roots(
     roots: list[Any] = [None] * len(fields)
     for k, field in enumerate(fields):
         basis = bases[k]
-        if not field.ties_nodes or isinstance(basis, LatticeBasis):
+        tying = field.tying
+        if tying is None or isinstance(basis, LatticeBasis):
             continue
-        filled = field.remedy.measure(where, seen[k], basis)
-        roots[k] = mesh_roots(basis, nodes[k], filled, field.remedy.level(basis.degree))
+        filled = tying.measure(where, seen[k], basis)
+        roots[k] = mesh_roots(basis, nodes[k], filled, tying.level(basis.degree))
         wider = basis.knowing(*roots[k].unknown)
         # fields of one basis stay fields of one basis
         bases = [wider if b is basis else b for b in bases]
@@ -343,14 +345,14 @@ def _field(
     entities: Entities, rings: bool,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
-    remedy, penalty, active = field.remedy, None, nodes
-    C = remedy.ties(where, basis, seen, nodes, fixed, roots) if field.ties_nodes else None
-    if C is not None and remedy.kind == "weak-aggregation":
+    tying, penalty, active = field.tying, None, nodes
+    C = None if tying is None else tying.ties(where, basis, seen, nodes, fixed, roots)
+    if C is not None and field.remedy.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
         radius = basis.node_coordinates()[:, 0] if rings else None
-        rows, columns, values = remedy.penalty(field.space, C, owned, radius)
+        rows, columns, values = field.remedy.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
-    level = None if C is None else remedy.level(basis.degree)
+    level = None if C is None or tying is None else tying.level(basis.degree)
     if field.prolongate is not None:
         from scipy import sparse
 

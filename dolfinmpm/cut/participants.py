@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -40,6 +40,7 @@ __all__ = [
     "Region",
     "Terms",
     "movers",
+    "with_ties",
 ]
 
 Basis = LatticeBasis | LinearBasis
@@ -96,8 +97,12 @@ class Terms(Protocol):
     def boundaries(self) -> Sequence[BoundaryOf]:
         """Boundaries that do not fit the grid, with the parts that have terms of their own."""
 
-    def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
-        """Tangent of its terms over the grid, and of terms of the tangent only. Collective."""
+    def grid_blocks(
+        self, fields: Sequence[ActiveField]
+    ) -> tuple[list[Blocks], list[Blocks], list[Blocks]]:
+        """Tangent of its terms over the grid, of those of the tangent only, and of penalties on
+        changes of the velocity. Collective.
+        """
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
@@ -118,16 +123,30 @@ class Field:
         space: The space.
         remedy: The remedy.
         prolongate: Function of stencils and active nodes that returns a matrix C, or None.
+        beside: What ties nodes beside a remedy that ties none, or None.
     """
 
     space: Space
     remedy: Stabilisation
     prolongate: Prolongate | None = None
+    beside: Stabilisation | None = None
 
     @functools.cached_property
+    def tying(self) -> Stabilisation | None:
+        """What ties nodes to others, or None."""
+        return self.remedy if self.remedy.ties_nodes else self.beside
+
+    @property
     def ties_nodes(self) -> bool:
-        """Whether the remedy ties nodes to others."""
-        return self.remedy.ties_nodes
+        """Whether nodes are tied to others."""
+        return self.tying is not None
+
+
+def with_ties(field: Field) -> Field:
+    """A field whose nodes are tied where the points hardly support them, whatever its remedy."""
+    if field.ties_nodes or field.prolongate is not None:
+        return field
+    return replace(field, beside=Stabilisation("aggregation"))
 
 
 @dataclass(frozen=True)
@@ -272,6 +291,7 @@ class Activation(Participants):
         grid: Tangent of terms over the grid at the start of the step, between the nodes
             that remain behind C.
         soft: The same of terms of the tangent only.
+        changes: The same of penalties on what steps in time change of the velocity.
         mass: The mass between these nodes (kg), if there are inertial forces.
         later: What is made when it is first asked for.
         of_boundaries: The parts of each boundary that does not fit the grid.
@@ -285,6 +305,7 @@ class Activation(Participants):
     regions: list[ActiveRegion]
     grid: list[Blocks]
     soft: list[Blocks]
+    changes: list[Blocks]
     mass: list[Blocks]
     later: Later
     of_boundaries: list[list[ActiveRegion]]

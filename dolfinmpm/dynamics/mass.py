@@ -83,7 +83,7 @@ class MassTerms:
         own = movers([field.space for field in fields])
         found = [self._of(k, fields[k]) for k in own]
         if self.ghost is not None:
-            grid, _ = self.ghost.grid_blocks(fields)
+            grid, _, _ = self.ghost.grid_blocks(fields)
             found += [b for b in grid if b.row_field == b.column_field and b.row_field in own]
         return found
 
@@ -152,7 +152,7 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
     """The ghost penalty of a field's mass, or None. Collective."""
     space = field.space
     if factor is None:
-        tied = field.remedy.kind in ("aggregation", "extended")
+        tied = field.ties_nodes and field.remedy.kind != "weak-aggregation"
         factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None

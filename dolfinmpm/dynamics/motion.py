@@ -35,12 +35,20 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rule:
-    """Parameters of a rule of Newmark's family, with α_m = α_f = 0 Newmark's own."""
+    """Parameters of a rule of Newmark's family, with α_m = α_f = 0 Newmark's own.
+
+    Attributes:
+        beta, gamma, alpha_m, alpha_f: See `dolfinmpm.dynamics.newmark`.
+        by_forces: Whether each step begins with the accelerations that the forces give, M a = f.
+            Else these are means of those that the points have from the last step, which have lost
+            what does not vary smoothly, and energy with it.
+    """
 
     beta: float
     gamma: float
     alpha_m: float = 0.0
     alpha_f: float = 0.0
+    by_forces: bool = False
 
     def acceleration(self, u: Array, V: Array, A: Array, dt: float) -> Array:
         """a' at the nodes (m/s²)."""
@@ -158,7 +166,7 @@ class Motion:
             rates: Velocities of held components (m/s), (nodes, d) for each field.
         """
         start = None
-        if self._starting:
+        if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
             plain.start()
             start = plain.forces()
@@ -180,6 +188,9 @@ class Motion:
         forces = mass.nodal()
         if start is not None:
             forces.arrays[0][:] = -start
+            faces = self._sides.on(field.basis)
+            if faces is not None and faces.dashpots is not None:
+                forces.arrays[0][:] -= faces.dashpots * V
         else:
             m = point_masses(points)
             scatter(field.stencils, m, points["acceleration"], forces.arrays[0])

@@ -12,7 +12,7 @@ w = (1 − α_f) u, under the loads of that time, with the acceleration (1 − �
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from collections.abc import Sequence
 from typing import Any
 
@@ -61,6 +61,7 @@ class InertialOperator(Operator):
         masses: The masses of the fields that move points, in the order of `here.movers`.
         factor: Derivative of the accelerations by the increments (1/s²).
         known: The rest of them (m/s²), shape (nodes, d) each.
+        expected: Increments by the velocities at the start of the step (m), likewise.
         dashpots: Dashpots on the nodes by the increments, and forces of the velocities that do
             not depend on these (N), shape (nodes, d); or None.
     """
@@ -72,11 +73,13 @@ class InertialOperator(Operator):
         masses: Sequence[Mass],
         factor: float,
         known: Sequence[Array],
+        expected: Sequence[Array],
         dashpots: tuple[Blocks, Array] | None = None,
     ):
         self._known, self._dashpots = dict(zip(here.movers, known)), dashpots
+        self._expected = dict(zip(here.movers, expected))
         self._masses = [b for mass in masses for b in mass.blocks]
-        self._inertia = [dataclasses.replace(b, values=factor * b.values) for b in self._masses]
+        self._inertia = [replace(b, values=factor * b.values) for b in self._masses]
         if dashpots is not None:
             self._inertia.append(dashpots[0])
         super().__init__(form, here)
@@ -85,9 +88,10 @@ class InertialOperator(Operator):
         super().renew_external()
         # M times what is known acts as a load does
         forces = self.here.unknowns.nodal()
-        known = [self._known.get(k, none) for k, none in enumerate(self._u.arrays)]
         for b in self._masses:
-            add_product(b, known, forces.arrays)
+            add_product(b, self._on_all(self._known), forces.arrays)
+        for b in self.here.changes:
+            add_product(replace(b, values=-b.values), self._on_all(self._expected), forces.arrays)
         forces.add_up()
         self._loads = [np.array(values) for values in self._external.arrays]
         for k in self._known:
@@ -100,7 +104,11 @@ class InertialOperator(Operator):
         return self._loads
 
     def _linear(self) -> list[Blocks]:
-        return [*super()._linear(), *self._inertia]
+        return [*super()._linear(), *self.here.changes, *self._inertia]
+
+    def _on_all(self, given: dict[int, Array]) -> list[Array]:
+        """Nodal values of all fields, those that none are given of being zero."""
+        return [given.get(k, np.zeros_like(u)) for k, u in enumerate(self._u.arrays)]
 
 
 class TimeStepping(QuasiStatic):
@@ -150,6 +158,9 @@ class TimeStepping(QuasiStatic):
                     f"the frictional face at '{face.where}' is of explicit steps; hold the side "
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
+        self._ties_movers = mass == "consistent" and ghost_mass is None
+        own = rule.alpha_m == rule.alpha_f == 0.0
+        rule = replace(rule, by_forces=self._ties_movers and own)
         super().__init__(form, increment, points, conditions, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
@@ -230,9 +241,10 @@ class TimeStepping(QuasiStatic):
         if rule.alpha_f and here.driven:
             bases = [field.basis for field in here.fields]
             level = self._held.at(bases, (1 - rule.alpha_f) * step.share)[1]
-            here = dataclasses.replace(here, prescribed=level)
+            here = replace(here, prescribed=level)
         self._free(step)
         known = [rule.known(one.V, one.A, step.dt) for one in motion.nodes]
+        expected = [(1 - rule.alpha_f) * step.dt * one.V for one in motion.nodes]
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
         self.points.inertia.value = factor
         for field in self.form.parts.carried:
@@ -242,7 +254,7 @@ class TimeStepping(QuasiStatic):
                     found = collect(here.fields[one.k].stencils, own)
                     self.points[field.name][rows] = found[rows]
         masses = [one.mass for one in motion.nodes]
-        return InertialOperator(self.form, here, masses, factor, known, dashpots)
+        return InertialOperator(self.form, here, masses, factor, known, expected, dashpots)
 
     def _free(self, step: Step) -> None:
         """Begin the step of the free rigid bodies, at the level where forces balance."""
@@ -345,10 +357,15 @@ class Newmark(TimeStepping):
         mapping: How velocities go to the grid and come back: a `Mapping` or the name of one.
             By default "pic" with a consistent mass, which is then a projection and damps
             nothing, and "accel" with a lumped one.
-        ghost_mass: γ_M of the ghost penalty of a consistent mass, in units of the largest density;
-            by default 1/4, on quadratic and cubic splines 100 and 10⁴ times that, and 0 where
-            aggregation ties nodes. Without it nodes with small shares of points make the
-            mass singular.
+        ghost_mass: γ_M of a ghost penalty of the consistent mass, in units of the largest density:
+            Coombs (2023) has 1/4. By default there is none. Nodes that the points hardly support
+            are tied to well-filled cells instead, as "aggregation" ties them, whatever the
+            stabilisation; and the ghost penalty of `stabilisation="ghost"` acts on what a step
+            changes of the velocity, on u − Δt v, not on u. So neither takes energy from the body.
+            A penalty of the mass takes some in every step, the more the smaller the steps. With a
+            `prolongation`, and beside weak aggregation, the default is 1/4, and on
+            quadratic and cubic splines 100 and 10⁴ times that. With 0 nodes with small shares of
+            points make the mass singular.
         error: Largest error of a step's displacement, as a share of the largest displacement of a
             step so far; a step that exceeds it is halved. None for no bound.
         time: DOLFINx constant that holds the time (s), for forms that depend on it.

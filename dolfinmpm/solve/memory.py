@@ -101,5 +101,4 @@ def set_memory(newton: Newton, form: WeakForm, state: State, local: Arrays | Non
 
 
 def _spline_blocks(form: WeakForm) -> list[FacetBlock]:
-    assemblers = [form.grid] + ([form.softening] if form.softening else [])
-    return [block for a in assemblers for block in a.spline_blocks]
+    return [block for grid in form.grids for block in grid.spline_blocks]

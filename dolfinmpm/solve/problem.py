@@ -31,7 +31,7 @@ from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import Kept
 from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers
+from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, with_ties
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.io import checkpoint
@@ -83,6 +83,8 @@ class Problem:
     # whether steps have a length in seconds, and whether forces balance with inertia at their level
     _in_time = False
     _has_inertia = False
+    # whether nodes that move points are tied where the points hardly support them
+    _ties_movers = False
 
     def __init__(
         self,
@@ -122,8 +124,11 @@ class Problem:
         self.history: list[StepRecord] = []
         remedies = with_moduli(remedies, spaces, form, points)
         self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
-        whole, softening = with_remedies(form, self.fields, points)
-        self.form = WeakForm(whole, spaces, points, softening)
+        if self._ties_movers:
+            for k in movers(spaces):
+                self.fields[k] = with_ties(self.fields[k])
+        whole, softening, changes = with_remedies(form, self.fields, points)
+        self.form = WeakForm(whole, spaces, points, softening, changes)
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         refuse_increments(bcs, self.form.parts.carried)

@@ -77,18 +77,30 @@ def _with_modulus(
 
 def with_remedies(
     form: ufl.Form, fields: Sequence[Field], points: MaterialPoints
-) -> tuple[ufl.Form, ufl.Form | None]:
-    """The form with the forces of the fields' remedies, and what these add to the tangent only."""
-    softening = None
+) -> tuple[ufl.Form, ufl.Form | None, ufl.Form | None]:
+    """The form with the forces of the fields' remedies, and what is no force on increments.
+
+    Returns:
+        The form; what the remedies add to the tangent only; and ghost penalties on what a step
+        changes of the velocity, of fields whose nodes are tied beside their remedy.
+    """
+    softening = changes = None
     for field in fields:
-        trial = field.space.increment, field.space.test
-        known = penalty_of(form, trial[0]) if field.remedy.E is None else None
-        extra = field.remedy.force_terms(points, *trial, known)
+        trial, remedy = (field.space.increment, field.space.test), field.remedy
+        known = penalty_of(form, trial[0]) if remedy.E is None else None
+        if field.beside is not None and remedy.kind == "ghost" and remedy.gamma is None:
+            # ties have done what the factors of splines are for
+            remedy = replace(remedy, gamma=1.0)
+        extra = remedy.force_terms(points, *trial, known)
+        if field.beside is not None:
+            changes, extra = _sum(changes, extra), None
         form = form if extra is None else form + extra
-        soft = field.remedy.tangent_terms(points, *trial)
-        if soft is not None:
-            softening = soft if softening is None else softening + soft
-    return form, softening
+        softening = _sum(softening, remedy.tangent_terms(points, *trial))
+    return form, softening, changes
+
+
+def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
+    return first if second is None else second if first is None else first + second
 
 
 def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:

@@ -49,6 +49,8 @@ class WeakForm:
         spaces: Spaces of the increments.
         points: Material points.
         softening: Terms of the tangent only, or None.
+        changes: Penalties on what a step in time changes of the velocity, as terms of the
+            increments, or None.
 
     Attributes:
         given: The form as it was given.
@@ -58,6 +60,7 @@ class WeakForm:
         grid: What DOLFINx assembles.
         moduli: What of it has moduli of the laws' tangents at facets.
         softening: The same of the terms of the tangent only, or None.
+        changes: The same of the penalties on changes of the velocity, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
         updates: Fields of each boundary's markers that a step sets.
@@ -74,6 +77,7 @@ class WeakForm:
         spaces: Sequence[Space],
         points: MaterialPoints,
         softening: ufl.Form | None = None,
+        changes: ufl.Form | None = None,
     ):
         self.given = form
         self.parts: SplitForm = split(form, spaces, points)
@@ -83,12 +87,11 @@ class WeakForm:
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
-        self._facets = self.grid.moduli
+        self.softening = self._beside(softening)
+        self.changes = self._beside(changes)
+        self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
         self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
-        self.softening: GridAssembler | None = None
-        if softening is not None:
-            self.softening = GridAssembler(split(softening, spaces, points).grid, spaces)
         self.updates = [
             PointUpdates(
                 {name: e for c in of.conditions for name, e in c.updates.items()},
@@ -99,6 +102,18 @@ class WeakForm:
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # what cannot be compiled is to be told now; tangents wait until a solver asks
             region.external, region.internal, region.operands  # noqa: B018
+
+    def _beside(self, form: ufl.Form | None) -> GridAssembler | None:
+        """What assembles terms over the grid that are no forces on the increments, or None."""
+        if form is None:
+            return None
+        return GridAssembler(split(form, self.spaces, self.points).grid, self.spaces)
+
+    @property
+    def grids(self) -> list[GridAssembler]:
+        """All that DOLFINx assembles."""
+        beside = [g for g in (self.softening, self.changes) if g is not None]
+        return [self.grid, *beside]
 
     def bind(self) -> None:
         """Let laws give points that came since what they keep at first. Collective."""
@@ -199,7 +214,7 @@ class WeakForm:
     @property
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
-        own = self.grid.moving | (self.softening.moving if self.softening else set())
+        own: set[int] = set().union(*(grid.moving for grid in self.grids))
         return own | self.also | (self.inertia.moving if self.inertia else set())
 
     @property
@@ -213,19 +228,24 @@ class WeakForm:
         found += [load for contact in self.parts.contacts for load in contact.body.loads]
         return found + self.grid.loads
 
-    def grid_blocks(self, fields: Sequence[ActiveField]) -> tuple[list[Blocks], list[Blocks]]:
-        """Tangent of its terms over the grid, and of those of the tangent only. Collective."""
-        blocks: list[Blocks] = []
-        if self.parts.grid:
-            self.grid.attach(fields)
-            for modulus in self._facets:
-                (field,) = (f for f in fields if f.space.increment is modulus.increment)
-                update(modulus, field)
-            blocks = self.grid.tangent(fields)
-        if self.softening is None:
-            return blocks, []
-        self.softening.attach(fields)
-        return blocks, self.softening.tangent(fields)
+    def grid_blocks(
+        self, fields: Sequence[ActiveField]
+    ) -> tuple[list[Blocks], list[Blocks], list[Blocks]]:
+        """Tangent of its terms over the grid, of those of the tangent only, and of penalties on
+        changes of the velocity. Collective.
+        """
+        for modulus in self._facets:
+            (field,) = (f for f in fields if f.space.increment is modulus.increment)
+            update(modulus, field)
+        found: list[list[Blocks]] = []
+        for grid in (self.grid, self.softening, self.changes):
+            if grid is None or not grid.terms:
+                found.append([])
+                continue
+            grid.attach(fields)
+            found.append(grid.tangent(fields))
+        blocks, soft, changes = found
+        return blocks, soft, changes
 
     @property
     def beyond(self) -> int:
@@ -243,9 +263,8 @@ class WeakForm:
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were."""
-        for grid in (self.grid, self.softening):
-            if grid is not None:
-                grid.lay()
+        for grid in self.grids:
+            grid.lay()
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""
