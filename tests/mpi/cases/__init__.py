@@ -101,6 +101,8 @@ CASES = {
         boundaries.restart_boundaries,
         boundaries.restart_boundaries_total,
         boundaries.deposits,
+        boundaries.rest_under_a_penalty,
+        boundaries.rest_of_splines,
         boundaries.regraded,
         boundaries.regraded_splines,
         contact.contact_quasistatic,
