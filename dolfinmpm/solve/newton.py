@@ -147,9 +147,13 @@ class Newton:
         self.linear = LinearSolver(comm, gdim, tangent, options)
         self.guess = Guess()
 
-    def softened(self) -> Newton:
-        """The same for equations whose matrix has terms more than their tangent."""
-        tangent = replace(self._tangent, softened=True)
+    def anew(self, softened: bool = False) -> Newton:
+        """The same with nothing learnt yet.
+
+        Args:
+            softened: Whether the matrix of its equations has terms more than their tangent.
+        """
+        tangent = replace(self._tangent, softened=softened or self._tangent.softened)
         limits = self.tolerance, self.max_iterations
         return Newton(self._comm, self._gdim, tangent, self._options, *limits)
 

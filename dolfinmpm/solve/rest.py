@@ -177,7 +177,7 @@ class _Penalties:
         """
         problem = self._problem
         solver, fields = problem.solver, problem.fields
-        newton = problem.newton.softened()
+        newton = problem.newton.anew(softened=True)
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
         problem.changed = self._left_out
         if tied:

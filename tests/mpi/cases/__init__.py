@@ -66,6 +66,7 @@ CASES = {
         plasticity.layers,
         plasticity.wall,
         plasticity.incomplete_factors,
+        plasticity.safety_of_a_state,
         failures.errors_on_all_ranks,
         arguments.bad_inputs,
         arguments.of_one_rank,
