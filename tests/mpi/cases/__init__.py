@@ -61,6 +61,7 @@ CASES = {
         plasticity.law_in_ufl,
         bodies.points_from_data,
         bodies.numbers_of_points,
+        bodies.probes,
         bodies.staged,
         bodies.errors_of_bodies,
         plasticity.layers,
