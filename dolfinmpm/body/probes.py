@@ -170,7 +170,8 @@ class Probe:
     @property
     def settlement(self) -> float:
         """How far it has gone down since the body was made, along the last axis (m). Collective."""
-        return -float(self.displacement[-1])
+        # not −0 of what has not moved
+        return 0.0 - float(self.displacement[-1])
 
     def __getitem__(self, name: str) -> Any:
         """Mean value of a field of the points, with the field's shape. Collective.
