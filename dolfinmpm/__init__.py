@@ -16,6 +16,7 @@ with _idle_collector():
     from dolfinmpm.body.footing import RigidFooting
     from dolfinmpm.body.meshparts import partitioner
     from dolfinmpm.body.points import MaterialPoints, PointChange
+    from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
@@ -111,6 +112,7 @@ __all__ = [
     "plot",
     "poromechanics",
     "prescribed",
+    "probe",
     "regrade",
     "rollers",
     "set_stress",

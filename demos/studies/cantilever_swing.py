@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from motion import add_options, problem_of, times_of
+from motion import add_options, parse, problem_of, times_of
 from mpi4py import MPI
 from scene import draw_points, finish, parser, say, solver_figures
 from scipy.optimize import brentq
@@ -39,9 +39,9 @@ def arguments():
     options.add_argument("--poisson", type=float, default=0.3)
     options.add_argument("--density", type=float, default=1050.0, help="kg/m^2")
     options.add_argument("--gravity", type=float, default=5.0, help="downwards (m/s^2)")
-    add_options(options, h=0.25, courant=2.0)
+    add_options(options, h=0.25)
     options.add_argument("--duration", type=float, default=2.5, help="s")
-    return options.parse_args()
+    return parse(options, courant=2.0)
 
 
 args = arguments()

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import mesh
-from motion import add_options, problem_of, times_of
+from motion import add_options, parse, problem_of, times_of
 from mpi4py import MPI
 from scene import draw_points, finish, parser, say, solver_figures
 
@@ -30,17 +30,25 @@ def arguments():
     """The command line."""
     options = parser("Two elastic discs collide.")
     options.add_argument("--radius", type=float, default=0.2, help="m")
-    options.add_argument("--distance", type=float, default=0.6 * np.sqrt(2), help="of centres (m)")
+    options.add_argument(
+        "--distance", type=float, help="of centres (m), 3√2 times the radius by default"
+    )
     options.add_argument("--modulus", type=float, default=1000.0, help="Young's modulus (Pa)")
     options.add_argument("--poisson", type=float, default=0.3)
     options.add_argument("--density", type=float, default=1000.0, help="kg/m^2")
     options.add_argument("--speed", type=float, default=0.1 * np.sqrt(2), help="of each disc (m/s)")
-    add_options(options, h=0.05, courant=0.5)
+    add_options(options, h=None)
     options.set_defaults(mass="lumped", mapping="flip")
-    options.add_argument("--duration", type=float, default=3.2, help="s")
+    options.add_argument("--duration", type=float, help="s, 16 s/m times the radius by default")
     options.add_argument("--contact", choices=("none", "grid", "gap", "bodies"), default="none")
     options.add_argument("--friction", type=float, default=0.0, help="with contact")
-    given = options.parse_args()
+    given = parse(options, courant=0.5, share=0.5)
+    if not given.radius > 0:
+        options.error(f"the radius is {given.radius:g} m, it must be positive")
+    # everything else grows with the discs
+    for name, size in (("distance", 3 * np.sqrt(2)), ("h", 0.25), ("duration", 16.0)):
+        if getattr(given, name) is None:
+            setattr(given, name, size * given.radius)
     if not given.distance > 2 * given.radius:
         options.error("the discs must be apart at first")
     if given.contact == "bodies" and given.integrator == "explicit":
@@ -67,7 +75,7 @@ touch = (0.5 * args.distance - R) / args.speed
 
 # %%
 half = 0.5 * args.distance / np.sqrt(2) + R
-n = 2 * (int(np.ceil(half / h)) + 2)
+n = 2 * (int(np.ceil(half / h - 1e-9)) + 2)
 grid = mesh.create_rectangle(
     comm,
     [(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)],
@@ -117,7 +125,7 @@ def state():
 rows, drift, pictures = [state()], 0.0, {}
 start = rows[0]
 carried = 0.5 * comm.allreduce(float(points["density"] @ points["V0"])) * args.speed
-shown = [touch, touch + 0.4, args.duration]
+shown = [min(t, args.duration) for t in (touch, touch + 2 * R, args.duration)]
 for t in times_of(args, args.duration, wave, "collision"):
     problem.step(t)
     rows.append(state())

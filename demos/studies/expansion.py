@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import mesh
-from motion import add_options, give_affine_part, nodal_velocities, problem_of
+from motion import add_options, give_affine_part, nodal_velocities, parse, problem_of
 from mpi4py import MPI
 from scene import finish, parser, say
 
@@ -50,7 +50,7 @@ def arguments():
     options.add_argument("--length", type=float, default=1.0, help="of the block (m)")
     options.add_argument("--duration", type=float, default=1.0, help="s")
     options.add_argument("--steps", type=int, default=50, help="explicit ones may be more")
-    given = options.parse_args()
+    given = parse(options)
     if len(given.matrix) not in (1, 4):
         options.error("the matrix has one number or four")
     return given

@@ -18,7 +18,7 @@ MAPPINGS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
 
 
 def add_options(
-    options: argparse.ArgumentParser, h: float, points_per_cell: int = 2, courant: float = 1.0
+    options: argparse.ArgumentParser, h: float | None, points_per_cell: int = 2
 ) -> None:
     """Add what all of them take to a command line, with these defaults."""
     options.add_argument("--h", type=float, default=h, help="size of the cells (m)")
@@ -29,11 +29,9 @@ def add_options(
         "--rho-inf", type=float, default=1.0, help="of generalised-α; 1 is the midpoint rule"
     )
     options.add_argument(
-        "--courant",
-        type=float,
-        default=courant,
-        help="c Δt/h, or a share of the critical step",
-    )
+        "--courant", type=float,
+        help="c Δt/h, or in explicit steps the share of the critical one; by default what suits",
+    )  # fmt: skip
     options.add_argument(
         "--mass", choices=("lumped", "consistent", "aggregated"), default="consistent",
         help="aggregated: lumped behind aggregation, which ties the nodes of ill-filled cells",
@@ -47,6 +45,22 @@ def add_options(
     options.add_argument(
         "--ghost-mass", type=float, help="ghost penalty of a consistent mass, in units of ρ"
     )
+
+
+def parse(
+    options: argparse.ArgumentParser, courant: float = 1.0, share: float = 0.8
+) -> argparse.Namespace:
+    """The command line, with the length of steps that suits its integrator.
+
+    Args:
+        options: The command line with what `add_options` adds.
+        courant: c Δt/h of implicit steps where none is given.
+        share: Share of the critical step that explicit ones take where none is given.
+    """
+    given = options.parse_args()
+    if given.courant is None:
+        given.courant = share if given.integrator == "explicit" else courant
+    return given
 
 
 def problem_of(

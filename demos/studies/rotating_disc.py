@@ -15,7 +15,7 @@ import argparse
 
 import numpy as np
 from dolfinx import mesh
-from motion import add_options, give_affine_part, problem_of, times_of, total_energy
+from motion import add_options, give_affine_part, parse, problem_of, times_of, total_energy
 from mpi4py import MPI
 from scene import draw_points, finish, parser, say
 
@@ -49,7 +49,7 @@ def arguments():
     add_options(options, h=0.05)
     options.set_defaults(integrator="generalised-alpha")
     options.add_argument("--compare", action="store_true", help="turn with all mappings")
-    return options.parse_args()
+    return parse(options)
 
 
 args = arguments()

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import mesh
-from motion import add_options, problem_of, times_of, total_energy
+from motion import add_options, parse, problem_of, times_of, total_energy
 from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
 
@@ -39,7 +39,7 @@ def arguments():
     options.add_argument("--duration", type=float, help="s; five periods by default")
     options.add_argument("--moving", action="store_true", help="free at both ends, and moving")
     options.add_argument("--speed", type=float, default=1.0, help="of the moving bar (m/s)")
-    given = options.parse_args()
+    given = parse(options)
     if not abs(given.velocity) < 0.5 * np.sqrt(given.modulus / given.density):
         options.error("the velocity must be below half the speed of waves: the bar would fold")
     return given

@@ -119,6 +119,7 @@ class MaterialPoints:
         inertia: Derivative of the body's acceleration by the increment (1/s²), a constant that
             these two set; see `mpm.acceleration`.
         revision: How many times the rows of the arrays have changed.
+        restored: How many times all of them have been replaced by those of a checkpoint.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.
         shape_volume: Volume (m^d) of the shape that `fill` put the points into, None if unknown.
@@ -164,7 +165,7 @@ class MaterialPoints:
         self.laws: list[Any] = []
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
-        self.revision = 0
+        self.revision = self.restored = 0
         self.partition: Partition | None = None
         bounds(grid)  # all ranks ask for them together, once
 

@@ -18,6 +18,9 @@ __all__ = ["Bodies"]
 
 Array = npt.NDArray[np.float64]
 
+# Share of a cell below which a motion is rounding
+_STILL = 1e-9
+
 
 class Bodies:
     """The bodies that the contacts of a form are with.
@@ -70,6 +73,16 @@ class Bodies:
                     f"'{body.name}' moves {travel:.3g} m at once, more than a cell "
                     f"({self._limit:.3g} m)"
                 )
+        return None
+
+    def driven(self, dt: float) -> str | None:
+        """A body whose prescribed motion goes on in a step of that length (s; steps), or None."""
+        for body in self.all:
+            body.begin(dt)
+            if body.freedom is not None:
+                body.freedom.increment = np.zeros_like(body.freedom.increment)
+            if body.travel() > _STILL * self._limit:
+                return body.name
         return None
 
     def followed(self, dt: float, count: int) -> int:

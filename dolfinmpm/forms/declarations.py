@@ -72,6 +72,8 @@ class Declaration:
         stiffness: Gives the largest stiffness along one axis at its points (Pa).
         moduli: Gives the elastic P-wave and shear modulus at its points (Pa), shape (n, 2) or
             (1, 2).
+        weaken: Divides the law's strength at its points by a factor, until it is called with None;
+            None of laws that have no strength. Collective.
         terms: Integrands of the momentum terms that have been made of it.
     """
 
@@ -90,6 +92,7 @@ class Declaration:
     energy: Callable[[], npt.NDArray[np.float64] | None]
     stiffness: Callable[[], npt.NDArray[np.float64]]
     moduli: Callable[[], npt.NDArray[np.float64]]
+    weaken: Callable[[float | None], None] | None = None
     terms: list[Expr] = field(default_factory=list)
 
     @property

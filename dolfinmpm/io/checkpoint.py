@@ -67,6 +67,7 @@ class Checkpoint:
         for name in points.fields:
             points.fields[name] = self.fields[name]
         points.partition = self.computed
+        points.restored += 1
         points.recount()
 
 

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, file_path, shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
+from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.tables import write_table
 
 __all__ = ["History"]
@@ -20,8 +21,9 @@ class History:
     """Named numbers, one of each a step.
 
     `history.record(settlement=s.value, load=footing.load())` after every step;
-    what the step took goes with them as `record(..., **problem.history[-1].stages)` after
-    `measure_stages()`;
+    `record(crest=crest)` of an `mpm.probe` records its displacement (m) as `crest_x`, `crest_y` and
+    in 3D `crest_z`; what the step took goes with them as
+    `record(..., **problem.history[-1].stages)` after `measure_stages()`;
     `history["load"]` is then an array, and `history.write("curve.csv")` a table.
 
     Args:
@@ -37,13 +39,14 @@ class History:
         self._rows: list[dict[str, float]] = []
         self.names: tuple[str, ...] = ()
 
-    def record(self, **values: float) -> None:
-        """Add one of each number.
+    def record(self, **values: float | Probe) -> None:
+        """Add one of each number, and the displacement of each probe. Collective with probes.
 
         Raises:
             ParameterError: There is no number, the names are not those of the first record,
                 or a value is not a single number.
         """
+        values = _with_components(values)
         if self._rows and set(values) != set(self.names):
             raise ParameterError(
                 f"record has {', '.join(values)}; the first had {', '.join(self.names)}: give the "
@@ -68,6 +71,17 @@ class History:
         """Write a table as .csv or .json; see `study.write_table`. Collective."""
         file_path("path", path)
         write_table(self._rows, path, self._comm)
+
+
+def _with_components(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with the displacements of probes, component by component. Collective."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Probe):
+            found |= {f"{name}_{axis}": u for axis, u in zip("xyz", value.displacement)}
+        else:
+            found[name] = value
+    return found
 
 
 def _single(name: str, value: Any) -> float:

@@ -99,6 +99,10 @@ class Framework:
         """The law's parameters, shape (1, parameters) or, if any varies, (rows, parameters)."""
         return self._parameters.at(rows)
 
+    def weaken(self, factor: float | None) -> None:
+        """Divide the law's strength by a factor; see `PointParameters.weaken`. Collective."""
+        self._parameters.weaken(factor)
+
     def internal(self, rows: Rows | slice) -> Array:
         """The law's internal variables at some points, shape (rows, variables)."""
         columns = [self.points[name][rows] for name in self.law.internal]

@@ -9,7 +9,8 @@ from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import call_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.materials.base import Parametrised
+from dolfinmpm.materials.base import Law, Parametrised
+from dolfinmpm.materials.strength import weakened
 
 __all__ = ["PointParameters"]
 
@@ -70,6 +71,37 @@ class PointParameters:
             # a kernel may take numbers that follow from the parameters, besides these
             points.add_field(self.field, values.shape[1:], "", np.nan)
             points[self.field][rows] = values
+
+    def weaken(self, factor: float | None) -> None:
+        """Divide the strength that the law gives by a factor, see `weakened`. Collective.
+
+        Where parameters vary, the points keep what they were in a further field, until None.
+
+        Args:
+            factor: The factor; 0 for a body that does not yield, None for the law's own strength.
+
+        Raises:
+            ParameterError: The law does not tell what its strength is, or reduced parameters
+                contradict each other.
+        """
+        law, points = self.law, self.points
+        assert isinstance(law, Law)
+        if not self.field:
+            own = law.parameter_array()
+            self._numbers = own if factor is None else weakened(law, own, factor)
+            return
+        first = f"{self.field}_first"
+        if factor is None:
+            if first in points.fields:
+                points.fields[self.field] = points.fields[first]
+                del points.fields[first]
+            return
+        if first not in points.fields:
+            points.fields[first] = points[self.field].copy()
+        rows = rows_within(points, self.tags)
+        own = points.fields[first][rows]
+        found = call_together(points.comm, lambda: weakened(law, own, factor) if len(own) else own)
+        points[self.field][rows] = found
 
     def at(self, rows) -> Array:
         """Their values, shape (1, parameters) or, if any varies, (len(rows), parameters)."""

@@ -157,6 +157,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
         parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
         stiffness=inner.stiffness, moduli=inner.moduli,
+        weaken=None if law.strengths == () else inner.weaken,
     )  # fmt: skip
     operator.declaration = declaration
     return declaration

@@ -280,7 +280,15 @@ class Parametrised:
                 )
             result[:, k] = given
         self.admissible(dict(zip(self.parameters, result.T)))
-        return result
+        return self.completed(result)
+
+    def completed(self, parameters: Array) -> Array:
+        """The parameters, and behind them what a kernel takes that follows from them.
+
+        Args:
+            parameters: Those declared, shape (n, parameters).
+        """
+        return parameters
 
     def __repr__(self) -> str:
         inside = ", ".join(
@@ -300,9 +308,15 @@ class Law(Parametrised):
 
     A law whose stress by trial strain is symmetric, elastic or of associated flow, says so by
     `symmetric`: linear systems take half the time then. The first tangent is checked.
+
+    What `study.factor_of_safety` divides to reduce its strength it names in `strengths`, and angles
+    (degrees) whose tangents that divides in `friction_angles`; an elastic law has none. None says
+    that nothing is known of its strength.
     """
 
     symmetric: bool = False
+    strengths: tuple[str, ...] | None = None
+    friction_angles: tuple[str, ...] = ()
     internal: dict[str, tuple[str, float | str]] = {}
     kernel: _Kernel
 

@@ -160,6 +160,8 @@ class DruckerPrager(Law):
     }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _drucker_prager
+    strengths = ("cohesion", "hardening")
+    friction_angles = ("friction_angle",)
     fits = ("compression", "extension", "plane strain", "inner")
 
     def __init__(
@@ -194,20 +196,11 @@ class DruckerPrager(Law):
                 f"friction_angle = {friction[at]:g} degrees"
             )
 
-    def parameter_array(self, x: Array | None = None) -> Array:
-        """The parameters as the kernel takes them: those declared, then η, ξ and η̄.
-
-        Args:
-            x: First positions of the points (m), shape (n, gdim); needed if parameters
-                vary.
-
-        Raises:
-            ParameterError: See `Law.parameter_array`.
-        """
-        given = super().parameter_array(x)
-        friction, dilation = np.radians(given[:, 3]), np.radians(given[:, 4])
+    def completed(self, parameters: Array) -> Array:
+        """The parameters as the kernel takes them: those declared, then η, ξ and η̄."""
+        friction, dilation = np.radians(parameters[:, 3]), np.radians(parameters[:, 4])
         cone = _slope(friction, self.fit), _cohesive(friction, self.fit), _slope(dilation, self.fit)
-        return np.column_stack([given, *cone])
+        return np.column_stack([parameters, *cone])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """f = √J₂ + η p − ξ (c + H ε̄ᵖ) (Pa), shape (n,); see `Law.yield_function`."""

@@ -40,6 +40,7 @@ class Hencky(Law):
     parameters = ELASTIC
     kernel = _hencky
     symmetric = True
+    strengths = ()
 
     def __init__(self, E: Value, nu: Value):
         super().__init__(E=E, nu=nu)

@@ -267,6 +267,8 @@ class MohrCoulomb(Law):
     }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _mohrcoulomb
+    strengths = ("cohesion", "residual_cohesion")
+    friction_angles = ("friction_angle", "residual_friction_angle")
 
     def __init__(
         self,

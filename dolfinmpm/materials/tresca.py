@@ -50,6 +50,7 @@ class Tresca(Law):
     }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _tresca
+    strengths = ("cohesion", "ultimate_cohesion")
     symmetric = True
 
     def __init__(

@@ -95,6 +95,10 @@ class EnergyWithYield(Law):
             )
         self.internal = {HARDENING: ("", 0.0)} if yield_function else {}
         self._functions = {"energy": energy, "yield": yield_function, "potential": potential}
+        if yield_function is None:
+            self.strengths = ()
+        elif yield_function is mises:
+            self.strengths = ("yield_stress",)
         super().__init__(**values)
         self._keep: list[Any] = []
         self._compile(energy, yield_function, potential or yield_function)

@@ -135,6 +135,7 @@ class VonMises(Law):
     }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _vonmises
+    strengths = ("yield_stress", "hardening", "saturation")
     symmetric = True
 
     def __init__(

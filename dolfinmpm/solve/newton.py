@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -138,7 +138,7 @@ class Newton:
         tolerance: float,
         max_iterations: int,
     ):
-        self._options = options
+        self._comm, self._gdim, self._tangent, self._options = comm, gdim, tangent, options
         self.tolerance, self.max_iterations = tolerance, max_iterations
         chosen = options.has("snes_linesearch_type")
         self.searches: Sequence[str] = () if chosen else SEARCHES
@@ -146,6 +146,16 @@ class Newton:
         self._set: tuple[PETSc.SNES | None, str] = None, ""
         self.linear = LinearSolver(comm, gdim, tangent, options)
         self.guess = Guess()
+
+    def anew(self, softened: bool = False) -> Newton:
+        """The same with nothing learnt yet.
+
+        Args:
+            softened: Whether the matrix of its equations has terms more than their tangent.
+        """
+        tangent = replace(self._tangent, softened=softened or self._tangent.softened)
+        limits = self.tolerance, self.max_iterations
+        return Newton(self._comm, self._gdim, tangent, self._options, *limits)
 
     @stages.solve
     def solve(self, operator: Operator) -> Outcome:

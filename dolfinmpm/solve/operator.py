@@ -408,7 +408,7 @@ class Operator:
 
     def unsoftened(self, matrix: Matrix) -> PETSc.Mat:
         """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
-        if self.form.softening is None:
+        if not self.here.soft:
             return matrix.petsc
         return Unsoftened(self.here.unknowns, self.here.soft).operator(matrix.petsc)
 

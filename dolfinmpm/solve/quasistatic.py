@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Prolongate
+from dolfinmpm.cut.participants import Activation, Prolongate
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance, commit
 from dolfinmpm.solve.arguments import (
@@ -98,6 +98,9 @@ class QuasiStatic(Problem):
         FormError: A term of the form cannot be evaluated where it stands.
         ConflictingConditionsError: Two conditions contradict each other.
     """
+
+    # what is made of what takes part before it has equations, see `equilibrate`
+    changed: Callable[[Activation], Activation] | None = None
 
     def __init__(
         self,
@@ -230,7 +233,8 @@ class QuasiStatic(Problem):
     def _operator(self, step: Step) -> Operator:
         """The equations of a step. Collective."""
         self.bodies.begin(step.dt)
-        return Operator(self.form, self.activate(step))
+        here = self.activate(step)
+        return Operator(self.form, here if self.changed is None else self.changed(here))
 
     def _attempt(self, step: Step) -> Failed | None:
         """Solve and commit a step; returns why not, the state being untouched."""

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
+import ufl
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.body.boundary import OWN
-from dolfinmpm.solve.operator import Operator
+from dolfinmpm.body.points import GHOST_FACETS
+from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.forms.splitting import split
+from dolfinmpm.solve.arclength import ArcLength
+from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["equilibrate"]
@@ -19,9 +31,15 @@ def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -
 
     Steps are taken as usual, and each time the points are put back to where they were at first,
     undeformed, with the stress that they have come to. What is out of balance after that is
-    of the square of what was, so that two or three are enough, but for the force of a ghost
-    penalty, which is of increments and is not kept: with it each step leaves a share. A level
-    deposit whose stress and weight fit each other needs none.
+    of the square of what was, so that two or three are enough. A level deposit whose stress and
+    weight fit each other needs none.
+
+    The force of a ghost penalty, or of weak aggregation, is of increments and is not kept. Here
+    it only helps to solve, and has no share in the balance. Where the stress of the points cannot
+    balance every function of the grid without it, as at the edge of bodies in splines, nodes of
+    ill-filled cells follow others as in aggregation, and forces on both together are balanced: the
+    next step then moves the body by what the penalty allows, about a hundredth of what the steps
+    here do.
 
     Internal variables, such as plastic strain, and the records of the steps stay.
 
@@ -39,6 +57,11 @@ def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -
         ConvergenceError: More steps would be needed, or one failed.
     """
     check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
+    if problem._in_time or isinstance(problem, ArcLength):
+        raise ParameterError(
+            f"problem = {type(problem).__name__}(...): its steps have a length; bring the points "
+            "into balance with an mpm.QuasiStatic of the same form, and go on with this one"
+        )
     number("tolerance", tolerance, 0.0), whole("most", most, 1)
     points = problem.points
     F = points["F"]
@@ -49,25 +72,126 @@ def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -
             f"the points have been deformed, by F − I of {moved:.3g}; bring a body into balance "
             "before its first step"
         )
-    out = _out_of_balance(problem.operator())
-    for taken in range(most):
-        if out <= tolerance:
-            return taken
-        problem.step()
-        _put_back(problem)
-        out = _out_of_balance(problem.operator())
+    before = len(problem.history)
+    out = _out_of_balance(problem)
+    if out > tolerance:
+        penalties = _Penalties(problem)
+        if penalties:
+            out = _with_help(problem, penalties, tolerance, most)
+        else:
+            out = _steps(problem, tolerance, most)
     if out <= tolerance:
-        return most
+        return len(problem.history) - before
     raise ConvergenceError(
         f"after {most} steps the force out of balance is {out:.3g} of external forces and "
-        f"reactions (tolerance {tolerance:g}): the body flows under its loads, or a ghost penalty "
-        "holds what its stress should; take more steps, or aggregation"
+        f"reactions (tolerance {tolerance:g}): the body flows under its loads; take more steps, or "
+        "give it more strength or less load"
     )
 
 
-def _out_of_balance(operator: Operator) -> float:
+def _steps(problem: QuasiStatic, tolerance: float, most: int) -> float:
+    """Take steps until forces balance; returns what is out of balance. Collective."""
+    out = _out_of_balance(problem)
+    for _ in range(most):
+        if out <= tolerance:
+            break
+        problem.step()
+        _put_back(problem)
+        out = _out_of_balance(problem)
+    return out
+
+
+def _with_help(problem: QuasiStatic, penalties: _Penalties, tolerance: float, most: int) -> float:
+    """The same with penalties in the matrix alone, which its tangent does not have. Collective."""
+    with penalties.only_helping():
+        halvings, problem.max_halvings = problem.max_halvings, 0
+        try:
+            out = _steps(problem, tolerance, most)
+        except ConvergenceError:
+            out = np.inf
+        finally:
+            problem.max_halvings = halvings
+    if out <= tolerance:
+        return out
+    with penalties.only_helping(tied=True):
+        return _steps(problem, tolerance, most)
+
+
+def _out_of_balance(problem: QuasiStatic) -> float:
+    operator = problem.operator()
     found = operator.residual(np.zeros(operator.here.unknowns.owned))
     return found.norm / found.reference if found.reference > 0 else 0.0
+
+
+class _Penalties:
+    """Penalties on increments in a problem's equations: on jumps and on distances of nodes.
+
+    Args:
+        problem: The problem.
+    """
+
+    def __init__(self, problem: QuasiStatic):
+        self._problem = problem
+        form, points = problem.form, problem.points
+        jumps = []
+        for integral in form.given.integrals():
+            where = integral.subdomain_id()
+            if GHOST_FACETS in (where if isinstance(where, tuple) else (where,)):
+                jumps.append(integral)
+        self._jumps: GridAssembler | None = None
+        if jumps:
+            own = split(ufl.Form(jumps), form.spaces, points)
+            self._jumps = GridAssembler(own.grid, form.spaces)
+        # a field that is no increment, such as a pressure, keeps its own
+        self._moved = [name is None for name in form.values]
+
+    def __bool__(self) -> bool:
+        distances = any(
+            field.remedy.kind == "weak-aggregation" and moved
+            for field, moved in zip(self._problem.fields, self._moved)
+        )
+        # what is not linear in the increments is no penalty
+        linear = self._problem.form.parts.grid.linear
+        return linear and any(self._moved) and (distances or self._jumps is not None)
+
+    def _blocks(self, here: Activation) -> list[Blocks]:
+        """Their stiffness on what takes part. Collective."""
+        found = [f.penalty for f in here.fields if f.penalty is not None]
+        if self._jumps is not None:
+            self._jumps.attach(here.fields)
+            found += self._jumps.tangent(here.fields)
+        return [b for b in found if self._moved[b.row_field] and self._moved[b.column_field]]
+
+    def _left_out(self, here: Activation) -> Activation:
+        """What takes part with penalties in the tangent alone. Collective."""
+        blocks = self._blocks(here)
+        less = [replace(b, values=-b.values) for b in blocks]
+        return replace(here, grid=[*here.grid, *less], soft=[*here.soft, *blocks])
+
+    @contextlib.contextmanager
+    def only_helping(self, tied: bool = False) -> Iterator[None]:
+        """Let the problem's steps have them in the matrix alone, and put all back. Collective.
+
+        Args:
+            tied: Whether nodes of ill-filled cells follow others meanwhile.
+        """
+        problem = self._problem
+        solver, fields = problem.solver, problem.fields
+        newton = problem.newton.anew(softened=True)
+        problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
+        problem.changed = self._left_out
+        if tied:
+            follow = Stabilisation("aggregation")
+            problem.fields = [
+                replace(field, remedy=follow) if moved else field
+                for field, moved in zip(fields, self._moved)
+            ]
+            problem.here = None
+        try:
+            yield
+        finally:
+            del problem.changed
+            problem.solver, problem.fields, problem.here = solver, fields, None
 
 
 def _put_back(problem: QuasiStatic) -> None:

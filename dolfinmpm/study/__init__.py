@@ -12,8 +12,9 @@ from dolfinmpm.io.tables import (
 )
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.condition import Conditioning, conditioning
-from dolfinmpm.study.reduction import FactorOfSafety, Trial, factor_of_safety, reduced_strength
+from dolfinmpm.study.reduction import factor_of_safety, reduced_strength
 from dolfinmpm.study.sweeps import convergence, observed_orders, overall_order, sweep, worst
+from dolfinmpm.study.trial import FactorOfSafety, Trial
 
 __all__ = [
     "Conditioning",

@@ -68,6 +68,15 @@ def test_cantilever_swing(tmp_path):
     assert (tmp_path / "cantilever_swing.png").stat().st_size > 0
 
 
+def test_the_cantilever_swings_by_explicit_steps_of_a_length_of_their_own():
+    options = "--integrator explicit --h 0.5 --duration 0.5"
+    figures = run("cantilever_swing", "--no-plot", *options.split())
+    assert figures["courant"] == 0.8
+    right = figures["tip_deflection_conforming"]
+    assert figures["tip_deflection"] == pytest.approx(right, rel=0.03)
+    assert figures["energy_gap"] < 0.01
+
+
 @pytest.mark.long
 def test_a_thin_cantilever_that_swings_a_little():
     options = "--length 8 --gravity 0.001 --h 0.25 --courant 8 --duration 8"
@@ -148,6 +157,17 @@ def test_colliding_discs(tmp_path):
     assert figures["rebound"] == pytest.approx(0.93, abs=0.02)
     assert figures["momentum_drift"] < 1e-12
     assert figures["touch"] == pytest.approx(1.586, abs=1e-3)
+    assert (tmp_path / "colliding_discs.png").stat().st_size > 0
+
+
+def test_discs_of_another_radius_take_cells_and_ways_of_their_size(tmp_path):
+    figures = run("colliding_discs", "--radius", "0.5", "--output", str(tmp_path))
+    assert figures["points"] == 416
+    assert (figures["h"], figures["duration"]) == (0.125, 8.0)
+    # twice and a half as late as discs of 0.2 m
+    assert figures["touch"] == pytest.approx(2.5 * 1.586, abs=2e-3)
+    assert figures["time_of_min"] == pytest.approx(2.5 * 0.354, abs=5e-3)
+    assert figures["rebound"] == pytest.approx(0.91, abs=0.02)
     assert (tmp_path / "colliding_discs.png").stat().st_size > 0
 
 

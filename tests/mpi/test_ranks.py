@@ -31,6 +31,7 @@ VARIANTS = {
     "nested_restart",
     "regraded",
     "regraded_splines",
+    "rest_of_splines",
     "remedies_linear",
     "remedies_triangles",
     "restart_arch",

@@ -160,15 +160,17 @@ def test_level_ground_is_in_balance_at_once(options):
     np.testing.assert_allclose(problem.points["stress"], first, atol=1e-9)
 
 
-def test_ground_that_is_not_level_is_brought_into_balance():
-    problem = ground_of(slope=0.1, stabilisation="aggregation")
+@pytest.mark.parametrize("stabilisation", ["aggregation", "ghost", "weak-aggregation"])
+@pytest.mark.parametrize("slope", [0.1, 0.3])
+def test_ground_that_is_not_level_is_brought_into_balance(stabilisation, slope):
+    problem = ground_of(slope=slope, stabilisation=stabilisation)
     before = problem.points["stress"].copy()
     taken = mpm.equilibrate(problem)
     assert 1 <= taken <= 4
     points = problem.points
     np.testing.assert_array_equal(points["x"], points["x0"])
     np.testing.assert_array_equal(points["F"], np.broadcast_to(np.eye(2), points["F"].shape))
-    assert 10.0 < np.abs(points["stress"] - before).max() < 5e3
+    assert 10.0 < np.abs(points["stress"] - before).max() < 2e4
     moved = problem.step()
     assert moved.residuals[0] < 1e-9
     assert np.abs(points["x"] - points["x0"]).max() < 1e-9
@@ -182,6 +184,59 @@ def test_splines_too():
     assert problem.step().residuals[0] < 1e-9
 
 
+def heap(stabilisation, basis="gimp", law=None):
+    """A slope, two to one, with the stress of level ground; K0 = 1/2."""
+    height, run, weight = 10.0, 20.0, 20e3
+    grid = mesh.create_rectangle(COMM, [(0, 0), (36, 12)], (36, 12), mesh.CellType.quadrilateral)
+    shape = mpm.Polygon([(0, 0), (32, 0), (12, height), (0, height)])
+    points = mpm.fill(grid, shape, 2, weight / 10)
+    V = mpm.Space(grid, basis)
+    u, v = V.increment, V.test
+    law = law or mpm.materials.Hencky(1e8, 0.3)
+    g = ufl.as_vector((0.0, -10.0))
+    F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * g, v) * points.dX
+
+    def surface(x):
+        return np.clip((32 - x[0]) / run * height, 0.0, height)
+
+    mpm.set_stress(points, law, mpm.geostatic_stress(surface, weight, 0.5))
+    bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
+    return mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
+
+
+def test_a_ghost_penalty_does_not_hold_what_the_stress_should():
+    """Before, .56 of what was out of balance stayed in each step: 20 were not enough."""
+    found = []
+    for stabilisation in ("ghost", "none"):
+        problem = heap(stabilisation)
+        assert 1 <= mpm.equilibrate(problem) <= 4
+        found.append(problem.points["stress"].copy())
+        assert problem.step().residuals[0] < 1e-9
+    # the penalty has no share in it
+    np.testing.assert_allclose(found[0], found[1], atol=1.0)
+
+
+def test_a_ghost_penalty_of_ones_own_has_no_share_either():
+    problem = heap("none")
+    V = problem.form.spaces[0]
+    F = problem.form.given + mpm.ghost(problem.points, V.increment, V.test, gamma=1e8 / 30)
+    own = mpm.QuasiStatic(F, V.increment, problem.points, problem.bcs)
+    assert 1 <= mpm.equilibrate(own) <= 4
+
+
+def test_splines_that_the_points_do_not_hold_follow_others_meanwhile():
+    problem = heap("ghost", "bspline2")
+    solver, fields = problem.solver, problem.fields
+    assert 1 <= mpm.equilibrate(problem) <= 4
+    assert (problem.solver, problem.fields) == (solver, fields)
+    assert problem.stabilisation.kind == "ghost"
+    x = problem.points["x"].copy()
+    problem.step()
+    moved = np.abs(problem.points["x"] - x).max()
+    # a step under the stress that it was given first moves it by 1.8 mm
+    assert 0 < moved < 3e-5
+
+
 def test_what_cannot_be_brought_into_balance():
     problem = ground_of(slope=0.1)
     with pytest.raises(ConvergenceError, match="force out of balance"):
@@ -191,3 +246,6 @@ def test_what_cannot_be_brought_into_balance():
         mpm.equilibrate(problem)
     with pytest.raises(ParameterError, match="QuasiStatic"):
         mpm.equilibrate(problem.points)
+    form, u, points = problem.form.given, problem.form.spaces[0].increment, problem.points
+    with pytest.raises(ParameterError, match=r"Transient.*its steps have a length"):
+        mpm.equilibrate(mpm.Transient(form, u, points, problem.bcs))

@@ -256,3 +256,46 @@ def active_cells(path):
     reader.Update()
     cells = reader.GetOutput().GetCellData()
     return int(vtk_to_numpy(cells.GetArray("active")).sum())
+
+
+def probes():
+    """Places that points of several ranks follow, from rank to rank, while points come and go."""
+    grid = mesh.create_rectangle(COMM, [(0, 0), (6, 4)], (12, 8), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (3, 3)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, 0.0))
+    F = hencky(points, V, E=2e5) - ufl.inner(points.density * g, V.test) * points.dX
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    # at a corner, at a face between cells and ranks, and at the middle of a cell
+    places = {"crest": (3.0, 3.0), "border": (1.5, 1.5), "inside": (2.2, 0.8)}
+    every = {name: mpm.probe(points, place) for name, place in places.items()}
+    history, figures = mpm.History(), {}
+    for k in range(1, 6):
+        g.value[:] = 0.4 * k, -0.8 * k
+        problem.step()
+        history.record(load=k, **every)
+        if k == 3:
+            points.add(mpm.fill(grid, mpm.Box((4.5, 0), (5, 0.5)), 2, 1000.0))
+    figures["history"] = {name: list(history[name]) for name in history.names}
+    for name, one in every.items():
+        ours = one.displacement.tolist()
+        assert COMM.allgather(ours) == [ours] * COMM.size
+        figures[name] = {
+            "position": list(one.position), "stress": list(one["stress"].ravel()),
+            "weights": list(one.weights),
+        }  # fmt: skip
+    message = expect(errors.ParameterError, lambda: mpm.probe(points, (0.1, 4.0)))
+    assert "from the next material point" in message
+    if COMM.size > 1:
+        other = 0.1, 0.1 + 0.1 * COMM.rank
+        message = expect(errors.ParameterError, lambda: mpm.probe(points, other))
+        assert "give the same on all ranks" in message
+        # one of them cannot make a position of it
+        other = (0.1, 0.1) if COMM.rank else (0.1, "top")
+        message = expect(errors.ParameterError, lambda: mpm.probe(points, other))
+        assert "must be a position" in message
+    points.remove(lambda x: x[0] + x[1] > 5.7)
+    message = expect(errors.ParameterError, lambda: every["crest"].settlement)
+    assert "have been removed; make a new probe" in message
+    figures["left"] = list(every["inside"].displacement)
+    return figures | {"moved": sum(record.migrated for record in problem.history)}

@@ -148,7 +148,7 @@ def restart_boundaries_total():
     return goes_on(build, 4)
 
 
-def deposits():
+def deposits(remedy="aggregation", basis="gimp"):
     """Ground in layers with a water table on a slope, brought into balance."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (4, 3)], (8, 6), mesh.CellType.quadrilateral)
     loose, dense = (mpm.materials.sand(RD) for RD in (0.3, 0.7))
@@ -159,7 +159,7 @@ def deposits():
     shape = mpm.Polygon([(0, 0), (4, 0), (4, top + 0.2), (0, top)])
     points = mpm.fill(grid, shape, 2, ground.density)
     points["tag"] = np.where(points["x"][:, 1] > 1.5, 1, 2).astype(np.int32)
-    V = mpm.Space(grid, "gimp")
+    V = mpm.Space(grid, basis)
     u, v = V.increment, V.test
     F = -ufl.inner(ground.body_force(points), v) * points.dX
     for tag, sand in ((1, loose), (2, dense)):
@@ -168,9 +168,19 @@ def deposits():
         mpm.set_stress(points, law, ground.stress, tag=tag)
         F += mpm.momentum(law, points, u, v, tag=tag)
     bcs = mpm.rollers(V, "left", "right", "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
     steps = mpm.equilibrate(problem)
     return {"steps": steps, **sums(points, "x", "stress", "mohrcoulomb_parameters")}
+
+
+def rest_under_a_penalty():
+    """The same with a ghost penalty, which has no share in the balance."""
+    return deposits("ghost")
+
+
+def rest_of_splines():
+    """The same with splines, some of which the points do not hold without their neighbours."""
+    return deposits("ghost", "bspline2")
 
 
 def regraded():

@@ -13,6 +13,7 @@ import dolfinmpm as mpm
 from dolfinmpm.solve import linear, method
 
 from .common import COMM, run, sums
+from .restart import REPEATABLE
 
 
 def _measure(strain):
@@ -171,3 +172,43 @@ def wall():
     # the wall holds: no point changes rank
     figures.pop("moved")
     return figures | sums(points, "plastic_strain", "be")
+
+
+def safety_of_a_state():
+    """A slope under its weight whose strength is reduced; it then goes on as if it had not been."""
+    found = {}
+    # a number, and a field that goes with the points
+    for name, cohesion in (("number", 1e4), ("field", lambda x: 1e4 + 1e-9 * x[0])):
+        one, g = _slope(cohesion)
+        other, g_of_other = _slope(cohesion)
+        one.step(), other.step()
+        safety = mpm.study.factor_of_safety(one, 1.0, 2.0, tolerance=0.1)
+        for problem, gravity in ((one, g), (other, g_of_other)):
+            gravity.value[1] = -10.5
+            problem.step()
+        for field in ("x", "stress", "be"):
+            np.testing.assert_array_equal(one.points[field], other.points[field])
+        found[name] = {
+            "bracket": safety.bracket,
+            "stands": [trial.stands for trial in safety.trials],
+            "growth": [trial.growth for trial in safety.trials if trial.stands],
+            **sums(one.points, "x", "stress"),
+        }
+    return found
+
+
+def _slope(cohesion):
+    """A slope of one to one; points of its trials change rank."""
+    kind = mesh.CellType.quadrilateral
+    grid = mesh.create_rectangle(COMM, [(0, 0), (16, 8)], (16, 8), kind)
+    shape = mpm.Polygon([(0, 0), (12, 0), (6, 6), (0, 6)])
+    points = mpm.fill(grid, shape, 2, 2000.0)
+    V = mpm.Space(grid, "gimp")
+    g = fem.Constant(grid, (0.0, -10.0))
+    law = mpm.materials.MohrCoulomb(2e7, 0.3, cohesion, 25.0, 0.0)
+    F = mpm.momentum(law, points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
+    options = {"tolerance": 1e-12, "petsc_options": REPEATABLE}
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost", **options)
+    return problem, g

@@ -1,0 +1,66 @@
+"""Strength of laws that is divided by a factor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.materials.base import Array, Law
+
+__all__ = ["reduced_angle", "weakened"]
+
+# a strength that nothing reaches (Pa)
+_ENDLESS = 1e300
+
+
+def reduced_angle(angle: npt.ArrayLike, factor: float) -> Array:
+    """Friction angle arctan(tan φ / F) (degrees).
+
+    Args:
+        angle: Friction angle φ (degrees), from 0 to below 90.
+        factor: F, positive.
+    """
+    return np.asarray(np.degrees(np.arctan(np.tan(np.radians(angle)) / factor)), np.float64)
+
+
+def weakened(law: Law, parameters: Array, factor: float) -> Array:
+    """A law's parameters with its strength divided by a factor.
+
+    Strengths over F, tangents of friction angles over F; a dilation angle stays as long as it does
+    not exceed the friction angle, and then is that.
+
+    Args:
+        law: The law.
+        parameters: As its kernel takes them, shape (n, parameters).
+        factor: F, positive; or 0 for a body that does not yield.
+
+    Returns:
+        The same shape.
+
+    Raises:
+        ParameterError: The law does not tell what its strength is, or reduced parameters
+            contradict each other.
+    """
+    if law.strengths is None:
+        raise ParameterError(
+            f"{type(law).__name__} does not tell what its strength is: name the parameters to be "
+            'divided, as strengths = ("cohesion",), and friction_angles, in the law\'s class; or '
+            "give factor_of_safety a function of the factor that builds the body anew"
+        )
+    names = list(law.parameters)
+    values: dict[str, npt.NDArray[Any]] = dict(zip(names, parameters[:, : len(names)].T.copy()))
+    for name in law.strengths:
+        values[name] = values[name] / factor if factor else np.full(len(parameters), _ENDLESS)
+    if factor:
+        for name in law.friction_angles:
+            # beyond the largest that the law takes nothing gets stronger
+            angle = reduced_angle(values[name], factor)
+            values[name] = np.minimum(angle, law.parameters[name].high)
+        if law.friction_angles and "dilation_angle" in values:
+            smallest = np.minimum.reduce([values[name] for name in law.friction_angles])
+            values["dilation_angle"] = np.minimum(values["dilation_angle"], smallest)
+        law.admissible(values)
+    return law.completed(np.column_stack([values[name] for name in names]))

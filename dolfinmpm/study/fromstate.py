@@ -1,0 +1,247 @@
+"""A body that is loaded already, with its strength divided by one factor after another."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
+from types import TracebackType
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinmpm._platform.checks import number, whole
+from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
+from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.cut.held import Held
+from dolfinmpm.dynamics.transient import Transient
+from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.kinematics.jaumann import Jaumann
+from dolfinmpm.kinematics.large import LargeStrain
+from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.solve.arclength import ArcLength
+from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.keptstate import KeptState
+from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.study.trial import Trial
+
+__all__ = ["FromState"]
+
+# Field of the points: where they were before strength was reduced (m)
+_BEFORE = "x_before_reduction"
+# A step of the reduction is made so much shorter before it is given up
+_SHORTEST = 1 / 8
+
+
+class FromState:
+    """Trials from the present state of a problem, which it has again in the end. Collective.
+
+    A context: `with FromState(...) as attempt: trial = attempt(1.3)`. Loads stay, prescribed
+    increments rest, and what the laws give changes: strength goes from its own to that over the
+    factor in equal steps, and stresses outside the yield surface return to it.
+
+    Args:
+        problem: The problem, between steps.
+        growth: Displacement since the state, and that of the loads on the elastic body, together
+            over the latter, that still counts as standing.
+        steps: Steps from the own strength to the reduced one.
+        over: Time that they take (s), of problems in time.
+
+    Raises:
+        ParameterError: The problem has no state that trials can start from, or no law with a
+            strength; or a number is not what it may be.
+    """
+
+    def __init__(self, problem: QuasiStatic, growth: float, steps: int, over: float | None):
+        self._problem, self._growth = problem, growth
+        self._steps = whole("steps", steps, 1)
+        timed = isinstance(problem, Transient)
+        if isinstance(problem, ArcLength) or (problem._in_time and not timed):
+            raise ParameterError(
+                f"problem = {type(problem).__name__}(...): strength is reduced in quasi-static "
+                "steps; make an mpm.QuasiStatic or mpm.Transient of the same points, laws and loads"
+            )
+        if timed != (over is not None):
+            raise ParameterError(
+                "over = None: give the time (s) in which a trial reduces the strength, in which "
+                "water flows: short for undrained, long for drained" if timed else
+                f"over = {over!r} is of mpm.Transient alone: the steps of {type(problem).__name__} "
+                "take no time"
+            )  # fmt: skip
+        self._over = None if over is None else number("over", over, 0.0, unit="s")
+        moving = problem.bodies.driven(1.0 if over is None else over)
+        if moving is not None:
+            raise ParameterError(
+                f"'{moving}' goes on moving, and a factor of safety is of a body whose loads stay: "
+                "give it no velocity and a displacement that has been reached, or weight"
+            )
+        if not self._laws():
+            raise ParameterError("no law of the problem has a strength that could be reduced")
+
+    def _laws(self) -> list[Declaration]:
+        """Laws with a strength, those at boundaries too."""
+        form = self._problem.form
+        every = [*form.parts.declarations, *(d for of in form.boundaries for d in of.declarations)]
+        return [d for d in every if d.weaken is not None]
+
+    def _weaken(self, factor: float | None) -> None:
+        for declaration in self._laws():
+            assert declaration.weaken is not None
+            declaration.weaken(factor)
+
+    def __enter__(self) -> FromState:
+        problem = self._problem
+        self._kept = KeptState(problem)
+        self._own = problem.solver, problem.here, problem._kept, problem.max_halvings
+        # what the solver learns from trials it is to forget
+        newton, solver = problem.newton.anew(), problem.solver
+        problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
+        problem.max_halvings = 0
+        try:
+            self._elastic = self._settlement()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        problem = self._problem
+        self._weaken(None)
+        self._kept.put()
+        problem.solver, problem.here, problem._kept, problem.max_halvings = self._own
+
+    def __call__(self, factor: float) -> Trial:
+        """A trial from the state. Collective.
+
+        Args:
+            factor: What strength is divided by in its end.
+        """
+        points = self._problem.points
+        self._weaken(None)
+        self._kept.put()
+        points.fields[_BEFORE] = points["x"].copy()
+        with self._at_rest():
+            return self._reduced(factor)
+
+    def _reduced(self, factor: float) -> Trial:
+        points = self._problem.points
+        done, share = 0.0, 1.0 / self._steps
+        taken, iterations, displacement, reason = 0, 0, 0.0, ""
+        while done < 1.0 and not reason:
+            share = min(share, 1.0 - done)
+            now = 1.0 + (factor - 1.0) * (done + share)
+            self._weaken(now)
+            try:
+                iterations += self._step(share)
+            except (ConvergenceError, PointsOutsideGridError) as error:
+                left = isinstance(error, PointsOutsideGridError)
+                if left or share * self._steps < _SHORTEST * (1 + 1e-9):
+                    reason = f"with strength over {now:.4g}: {error}"
+                share *= 0.5
+                continue
+            done = 1.0 if 1.0 - done - share < 1e-12 else done + share
+            taken += 1
+            way = np.linalg.norm(points["x"] - points[_BEFORE], axis=1)
+            displacement = _largest(points.comm, way)
+            if 1.0 + displacement / self._elastic > self._growth:
+                reason = (
+                    f"with strength over {now:.4g}: the largest displacement since the state, "
+                    f"{displacement:.4g} m, and that which the loads give the body as long as it "
+                    f"is elastic, {self._elastic:.4g} m, are together "
+                    f"{1.0 + displacement / self._elastic:.3g} times the latter, more than "
+                    f"{self._growth:g}"
+                )
+        grown = 1.0 + displacement / self._elastic
+        return Trial(factor, not reason, reason, taken, displacement, grown, iterations)
+
+    def _step(self, share: float) -> int:
+        """A step that takes that share of a trial's time; returns its iterations. Collective."""
+        problem = self._problem
+        if isinstance(problem, Transient):
+            assert self._over is not None
+            return problem.step(problem.time + self._over * share).iterations
+        return problem.step().iterations
+
+    @contextlib.contextmanager
+    def _at_rest(self) -> Iterator[None]:
+        """Let prescribed increments be zero meanwhile, but not pressures. Collective."""
+        problem = self._problem
+        held = problem._held
+        still = [
+            condition if condition.whole else replace(condition, value=0.0, velocity=None)
+            for condition in held.conditions
+        ]
+        problem._held = Held(still, problem.form.spaces)
+        try:
+            yield
+        finally:
+            problem._held = held
+
+    def _settlement(self) -> float:
+        """Largest displacement by which the loads would move the elastic body (m). Collective.
+
+        The loads are what stands against the stress: weight and tractions, pore pressure, contact.
+
+        Raises:
+            ParameterError: There is none.
+        """
+        problem = self._problem
+        self._weaken(0.0)
+        for kinematics in (LargeStrain, SmallStrain, Jaumann):
+            if kinematics.state in problem.points.fields:
+                problem.points[kinematics.state] = kinematics.rest
+        operator = problem.operator()
+        here = operator.here
+        operator.move(_moved_by(problem, operator))
+        way = np.linalg.norm(operator.points.motion(here.movers)[0], axis=1)
+        found = _largest(problem.comm, way)
+        if not 0.0 < found < np.inf:
+            raise ParameterError(
+                f"the loads of the problem move its elastic body by {found:g} m: a factor of "
+                "safety is of a body under loads, such as its weight, that is held"
+            )
+        return found
+
+
+def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
+    """Owned unknowns of the displacements that balance the forces at the start. Collective."""
+    here, linear = operator.here, problem.newton.linear
+    if here.unknowns.total == 0:
+        return np.zeros(here.unknowns.owned)
+    linear.attach(operator)
+    operator.start()
+    force = here.unknowns.restrict(operator.forces())
+    if len(here.movers) == len(here.fields):
+        assert linear.matrix is not None
+        operator.tangent(linear.matrix)
+        return linear.solve(-force)
+    # pressures as they are
+    matrix = Matrix(here.pattern, here.unknowns)
+    operator.tangent(matrix)
+    own = sum(here.unknowns.only(k, np.ones(here.unknowns.owned)) for k in here.movers)
+    rows = np.flatnonzero(own)
+    first = matrix.petsc.getOwnershipRange()[0]
+    moving = PETSc.IS().createGeneral((first + rows).astype(np.int32), comm=problem.comm)
+    block = matrix.petsc.createSubMatrix(moving, moving)
+    ksp = PETSc.KSP().create(problem.comm)
+    ksp.setType("preonly")
+    ksp.getPC().setType("lu")
+    ksp.getPC().setFactorSolverType("mumps")
+    ksp.setOperators(block)
+    right, found = block.createVecs()[1], block.createVecs()[0]
+    right.getArray()[:] = -force[rows]
+    ksp.solve(right, found)
+    x = np.zeros(here.unknowns.owned)
+    x[rows] = found.getArray(readonly=True)
+    return x
+
+
+def _largest(comm: MPI.Intracomm, way: np.ndarray) -> float:
+    return float(comm.allreduce(way.max(initial=0.0), op=MPI.MAX))
