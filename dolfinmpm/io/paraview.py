@@ -15,6 +15,7 @@ from dolfinx import fem, plot
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.balance import occupied
 from dolfinmpm.body.location import bounds
@@ -82,6 +83,7 @@ class ParaView:
         OSError: The folder or the file cannot be written.
     """
 
+    @together
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -123,6 +125,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Nothing is left to do: the files are complete after every write."""
 
+    @together
     @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points, and of the grid. Collective.

@@ -7,6 +7,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -14,6 +15,7 @@ from dolfinmpm.solve.quasistatic import QuasiStatic
 __all__ = ["equilibrate"]
 
 
+@together
 def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 
