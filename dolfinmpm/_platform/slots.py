@@ -18,7 +18,7 @@ from pathlib import Path
 __all__ = ["Memory", "Slot", "find", "own_memory", "remove_all"]
 
 # Whole numbers of a slot, by their places
-GROUP, DOORS, AT_DOOR, DEPTH, SINCE, FAILED, ENDED, ASKED = range(8)
+GROUP, DOORS, AT_DOOR, INSIDE, SINCE, FAILED, ENDED, ASKED = range(8)
 _NUMBERS = 8
 _TEXT = 448
 _BYTES = 8 * _NUMBERS + _TEXT
@@ -35,7 +35,7 @@ class Slot:
         group: Which ranks it met last, or waits for, as a number.
         doors: To how many collective calls of theirs it has come.
         at_door: Whether it waits for them to come to the last one.
-        depth: Whether it is in a call, of these ranks or of others.
+        inside: Whether it is in a call, of these ranks or of others.
         since: When it last came to a call, entered or left one (ns of the monotonic clock).
         failed: Whether the last call that it left ended in an error.
         ended: Whether its script has come to its end.
@@ -46,7 +46,7 @@ class Slot:
     group: int = 0
     doors: int = 0
     at_door: bool = False
-    depth: int = 0
+    inside: bool = False
     since: int = 0
     failed: bool = False
     ended: bool = False
@@ -72,7 +72,7 @@ class Memory:
         n = self.numbers
         text = bytes(self._text).rstrip(b"\0").decode(errors="ignore")
         return Slot(
-            rank, n[GROUP], n[DOORS], bool(n[AT_DOOR]), n[DEPTH], n[SINCE], bool(n[FAILED]),
+            rank, n[GROUP], n[DOORS], bool(n[AT_DOOR]), bool(n[INSIDE]), n[SINCE], bool(n[FAILED]),
             bool(n[ENDED]), text,
         )  # fmt: skip
 

@@ -39,7 +39,7 @@ class Here:
     """What this process does now.
 
     Attributes:
-        depth: Whether it is in one of these calls.
+        inside: Whether it is in one of these calls.
         call: Name of the last one that it came to.
         failed: Whether the last one that it left ended in an error.
         door: Ranks at whose door it stands, or None.
@@ -48,7 +48,7 @@ class Here:
     """
 
     def __init__(self) -> None:
-        self.depth = 0
+        self.inside = False
         self.call = ""
         self.failed = False
         self.door: Ranks | None = None
@@ -62,7 +62,7 @@ class Here:
         """Tell others that it came to a call, entered or left one."""
         if self.memory is not None:
             n = self.memory.numbers
-            n[slots.DEPTH], n[slots.SINCE] = self.depth, time.monotonic_ns()
+            n[slots.INSIDE], n[slots.SINCE] = self.inside, time.monotonic_ns()
             n[slots.FAILED], n[slots.ENDED] = self.failed, 0
 
     def come(self, ranks: Ranks, doors: int) -> None:
@@ -157,14 +157,11 @@ class Ranks:
             found = difference(first[2], other[2])
             if found is not None:
                 name, a, b = found
-                remedy = "every rank must build the same problem and take the same steps"
-                if nearly(a, b):
-                    remedy += (
-                        ": send a number that ranks compute themselves from one to all (bcast)"
-                    )
+                bcast = "; a number that ranks compute goes from one to all by bcast"
                 raise ParameterError(
                     f"{name} differs between ranks: {in_words(a)} on rank 0, {in_words(b)} on rank "
-                    f"{rank}; {remedy}"
+                    f"{rank}; every rank must build the same problem and take the same steps"
+                    f"{bcast if nearly(a, b) else ''}"
                 )
 
 
@@ -292,10 +289,10 @@ def _with_door(function: Callable, own: frozenset[str], given: Any, of: Any) -> 
 
     @functools.wraps(function)
     def within(*arguments: Any, **options: Any) -> Any:
-        if here.depth > 0:
+        if here.inside:
             return function(*arguments, **options)
         meeting(arguments, options)
-        here.depth, here.failed = 1, False
+        here.inside, here.failed = True, False
         here.write()
         try:
             return function(*arguments, **options)
@@ -303,7 +300,7 @@ def _with_door(function: Callable, own: frozenset[str], given: Any, of: Any) -> 
             here.failed = True
             raise
         finally:
-            here.depth = 0
+            here.inside = False
             here.write()
 
     return within
@@ -338,7 +335,7 @@ def meet(comm: MPI.Intracomm, call: str, name: str) -> None:
         call: Name of the call.
         name: What it is given.
     """
-    if MPI.COMM_WORLD.size == 1 or here.depth > 0:
+    if MPI.COMM_WORLD.size == 1 or here.inside:
         return
     here.call = call
     ranks = ranks_of(comm)

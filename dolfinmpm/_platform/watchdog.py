@@ -68,7 +68,7 @@ class Patience:
         """
         self.missing = [s for s in slots if not _waits_with(s, me)]
         ended = any(s.ended for s in self.missing)
-        busy = any(s.depth and not s.ended and not _left(s, me) for s in self.missing)
+        busy = any(s.inside and not s.ended and not _left(s, me) for s in self.missing)
         if not me.at_door or not self.missing or (busy and not ended):
             self.begin()
             return ""
@@ -234,6 +234,7 @@ def _in_words(slot: Slot, waiting: str) -> str:
     if slot.ended:
         return f"Rank {slot.rank} has come to the end of its script. "
     at = f" at {slot.text}" if slot.text else ""
-    if slot.depth:
+    if slot.inside:
         return f"Rank {slot.rank} is{at} in a call that {waiting} left by an error. "
-    return f"Rank {slot.rank} is{at} in no call of dolfinmpm. "
+    where = "a call with other ranks" if slot.at_door else "no call of dolfinmpm"
+    return f"Rank {slot.rank} is{at} in {where}. "

@@ -184,8 +184,8 @@ def test_a_rank_that_others_leave_alone_tells_once_and_ends():
 
 
 def test_ranks_that_work_are_waited_for():
-    inside = Slot(1, group=1, doors=4, depth=1, since=7)
-    elsewhere = Slot(1, group=2, doors=9, depth=1, since=7)
+    inside = Slot(1, group=1, doors=4, inside=True, since=7)
+    elsewhere = Slot(1, group=2, doors=9, inside=True, since=7)
     together = Slot(1, group=1, doors=5, at_door=True)
     for other in (inside, elsewhere, together):
         assert set(looks(Patience(3.0), [other], 50)) == {""}
@@ -199,7 +199,7 @@ def test_ranks_that_work_are_waited_for():
 
 def test_ranks_that_will_not_come_are_not_waited_for():
     gone = Slot(1, group=1, doors=4, since=7, ended=True)
-    inside = Slot(2, group=1, doors=4, depth=1, since=7)
+    inside = Slot(2, group=1, doors=4, inside=True, since=7)
     assert looks(Patience(100.0), [gone], 1) == ["end"]
     assert looks(Patience(100.0), [gone, inside], 1) == ["end"]
     assert looks(Patience(0.0), [gone], 3) == ["tell", "", ""]
@@ -220,7 +220,7 @@ def test_what_is_told_names_ranks_and_places():
     patience = Patience(60.0)
     others = [
         Slot(1, since=7, text="line 3 of a.py"), Slot(2, ended=True),
-        Slot(3, group=1, doors=4, depth=1),
+        Slot(3, group=1, doors=4, inside=True), Slot(5, group=2, at_door=True),
     ]  # fmt: skip
     patience.look([ME, *others], ME, 12.0)
     text = in_words([0, 4], patience, "fill, line 9 of a.py", False)
@@ -228,6 +228,7 @@ def test_what_is_told_names_ranks_and_places():
     assert "Rank 1 is at line 3 of a.py in no call of dolfinmpm. " in text
     assert "Rank 2 has come to the end of its script. " in text
     assert "Rank 3 is in a call that ranks 0, 4 left by an error. " in text
+    assert "Rank 5 is in a call with other ranks. " in text
     assert text.endswith("All ranks are ended after 60 s (DOLFINMPM_WAIT = 60; 0 is never).")
     assert in_words([0], patience, "", True).endswith("All ranks are ended (DOLFINMPM_WAIT = 60).")
     assert in_words([0], Patience(0.0), "", False).endswith("for ever (DOLFINMPM_WAIT = 0).")

@@ -222,7 +222,9 @@ def steps_of_different_ranks():
     _differs(lambda: problem.save(_last("a.h5", "b.h5")), f"path {of}'a.h5' on", "'b.h5' on")
     # a load that each rank has summed itself differs by rounding: whether it changed is not clear
     s.g.value[1] = _last(-1.0, -1.0 - 1e-15)
-    _differs(lambda: problem.step(1.5e-3), "-1.000000000000001) on rank", "from one to all (bcast)")
+    _differs(
+        lambda: problem.step(1.5e-3), "-1.000000000000001) on rank", "from one to all by bcast"
+    )
     s.g.value[:] = before
     return {"time": 0.0}
 
