@@ -23,7 +23,6 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.rigid import RigidBody
-from dolfinmpm.contact.terms import Contact
 from dolfinmpm.materials.base import Parametrised
 
 if TYPE_CHECKING:
@@ -155,10 +154,11 @@ def _body(body: RigidBody) -> Any:
     return told(kept)
 
 
-@told.register(Contact)
-def _contact(contact: Contact) -> Any:
-    names = "friction", "stiffness", "penalty", "slip_share", "penetration", "tags", "material"
-    return told({"body": contact.body, **{name: getattr(contact, name) for name in names}})
+def _mark(mark: Any) -> Any:
+    """What a form says of a contact or a weak condition: its numbers, words, bodies, boundaries."""
+    kinds = bool, int, float, str, tuple, type(None), RigidBody, Boundary, Surface
+    kept = {name: value for name, value in vars(mark).items() if isinstance(value, kinds)}
+    return told({"kind": type(mark).__name__, **kept})
 
 
 @told.register(ufl.Form)
@@ -166,9 +166,11 @@ def _form(form: ufl.Form) -> Any:
     parts: list[tuple[str, Any]] = [("number of terms", len(form.integrals()))]
     for k, integral in enumerate(form.integrals()):
         marks = integral.metadata() or {}
-        for mark in ("contact", "boundary"):
+        for mark in ("contact", "condition"):
             if mark in marks:
-                parts.append((f"{mark} of term {k + 1}", told(marks[mark])))
+                parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
+        if "boundary" in marks:
+            parts.append((f"boundary of term {k + 1}", told(marks["boundary"])))
         parts.append((f"measure of term {k + 1}", integral.integral_type()))
         parts += [(f"{name} of term {k + 1}", value) for name, value in told(integral.integrand())]
     return tuple(parts)

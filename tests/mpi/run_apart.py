@@ -43,6 +43,14 @@ def series(one: mpm.QuasiStatic) -> mpm.ParaView:
 
 FOLDER = COMM.bcast(tempfile.mkdtemp() if FIRST else None)
 
+
+def recorded(_: object) -> mpm.History:
+    """A record of one number. Not collective."""
+    history = mpm.History(COMM)
+    history.record(load=1.0)
+    return history
+
+
 # calls that rank 0 makes alone: what all make before, and the call
 ALONE = {
     "step": (problem, lambda one: one.step()),
@@ -59,6 +67,7 @@ ALONE = {
     "ParaView": (problem, series),
     "write": (lambda: series(problem()), lambda one: one.write(0.0)),
     "table": (problem, lambda _: mpm.study.write_table([{"a": 1}], f"{FOLDER}/a.csv")),
+    "History.write": (lambda: recorded(problem()), lambda one: one.write(f"{FOLDER}/a.csv")),
     "fill": (problem, lambda one: mpm.fill(one.points.grid, mpm.Box((0, 0), (1, 1)), 2, 1.0)),
     "Space": (problem, lambda one: mpm.Space(one.points.grid, "gimp")),
     "fixed": (problem, lambda one: mpm.fixed(one.form.spaces[0], "left")),

@@ -173,6 +173,19 @@ def _different_problems(s) -> None:
             for v in (0.0, _last(-1e-3, -2e-3))]  # fmt: skip
     touching = s.F + mpm.contact(lids[1], s.points, s.u, s.v)
     _differs(lambda: s.solver(form=touching), f"motion of body of contact of term 3 of form {of}")
+    rubbing = s.F + mpm.contact(lids[0], s.points, s.u, s.v, friction=_last(0.1, 0.2))
+    _differs(lambda: s.solver(form=rubbing), f"friction of contact of term 3 of form {of}0.1 on")
+    side = mpm.Boundary.from_side(s.points, "bottom")
+    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, beta=_last(10.0, 20.0))
+    _differs(lambda: s.solver(form=held), f"of form {of}10.0 on", "20.0 on")
+    walls = lambda: mpm.signorini(s.law, side, s.u, s.v, friction=_last(0.0, 0.1))  # noqa: E731
+    _differs(walls, f"friction {of}0.0 on")
+    _differs(lambda: s.solver(form=s.F, updates=_last(None, {})), f"updates {of}None on")
+    if COMM.rank == 0:
+        s.points.add_field("of_one_rank")
+    _differs(lambda: s.solver(), "fields of points", "of_one_rank")
+    if COMM.rank != 0:
+        s.points.add_field("of_one_rank")
 
 
 def _different_calls(s) -> None:
