@@ -257,7 +257,8 @@ def together(
         function: The function. The first of its arguments that has a communicator tells which
             ranks meet.
         own: Names of arguments of which each rank has its own.
-        given: Tells from the arguments what ranks compare, by name; by default all of them.
+        given: Tells from the arguments what ranks compare, by name; by default all of them. Of
+            methods of what has a communicator.
         of: Tells from the arguments which ranks meet.
     """
     if function is None:
@@ -275,17 +276,21 @@ def _with_door(function: Callable, own: frozenset[str], given: Any, of: Any) -> 
 
     def meeting(arguments: tuple, options: dict[str, Any]) -> None:
         try:
-            bound = signature.bind(*arguments, **options)
+            # for a step this would take too long, and what it is given is looked at below
+            bound = signature.bind(*arguments, **options) if given is None else None
+            pairs = given(*arguments, **options) if given is not None else []
         except TypeError:
             # the call itself says what is wrong with it
             return
-        bound.apply_defaults()
-        comm = of(*arguments, **options) if of else _first_comm(bound.arguments.values())
+        if bound is None:
+            comm = arguments[0].comm
+        else:
+            bound.apply_defaults()
+            comm = of(*arguments, **options) if of else _first_comm(bound.arguments.values())
         here.call = _name(function, None if plain else arguments[0])
-        ranks = None if comm is None or comm == MPI.COMM_NULL else ranks_of(comm)
+        ranks = None if comm is None else ranks_of(comm)
         if ranks is not None:
-            pairs = given(*arguments, **options) if given else _pairs(bound, plain, own)
-            ranks.meet(pairs)
+            ranks.meet(pairs if bound is None else _pairs(bound, plain, own))
 
     @functools.wraps(function)
     def within(*arguments: Any, **options: Any) -> Any:

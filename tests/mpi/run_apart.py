@@ -116,11 +116,9 @@ def work(comm: MPI.Comm, seconds: float, fails: bool = False, waits: bool = Fals
 
 def slow() -> None:
     """Ranks that take long, within a call and outside of one, are waited for."""
-    work(COMM, 6.0)
+    work(COMM, 9.0)
     work(COMM, 0.0)
-    time.sleep(4.0 * (not FIRST))
-    work(COMM, 0.0)
-    time.sleep(4.0 * (not FIRST))
+    time.sleep(6.5 * (not FIRST))
     work(COMM, 0.0)
     print("all are here", flush=True)
 
