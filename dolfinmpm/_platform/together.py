@@ -12,6 +12,7 @@ from __future__ import annotations
 import atexit
 import functools
 import inspect
+import os
 import sys
 import time
 import zlib
@@ -54,6 +55,7 @@ class Here:
         self.door: Ranks | None = None
         self.memory: Memory | None = None
         self.file = ""
+        self._process = os.getpid()
         if MPI.COMM_WORLD.size > 1:
             self.memory, self.file = slots.own_memory(MPI.COMM_WORLD.rank)
             atexit.register(self.end)
@@ -80,10 +82,10 @@ class Here:
             self.memory.numbers[slots.AT_DOOR] = 0
 
     def end(self) -> None:
-        """Tell others that the script has come to its end."""
-        if self.memory is not None:
+        """Tell others that the script has come to its end; not that of a copy of the process."""
+        if self.memory is not None and os.getpid() == self._process:
             self.memory.numbers[slots.ENDED] = 1
-        slots.remove_all()
+            slots.remove_all()
 
 
 class Ranks:

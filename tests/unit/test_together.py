@@ -18,7 +18,7 @@ from dolfinmpm._platform import slots
 from dolfinmpm._platform.alike import difference, digest, nearly, told
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.slots import Slot
-from dolfinmpm._platform.together import line_of
+from dolfinmpm._platform.together import Here, line_of
 from dolfinmpm._platform.watchdog import Patience, _limit, in_words
 from dolfinmpm.solve.agreement import of_step
 
@@ -288,6 +288,19 @@ def test_files_of_a_run_are_removed_by_who_ends_last(folder):
     open(killed, "w").close()
     slots.own_memory(0)
     assert not os.path.exists(killed)
+
+
+def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
+    here = Here()
+    here.memory, _ = slots.own_memory(0)
+    here._process += 1
+    here.end()
+    assert not here.memory.read(0).ended
+    here._process -= 1
+    here.end()
+    assert here.memory.read(0).ended
+    here.write()
+    assert not here.memory.read(0).ended
 
 
 def test_without_a_file_a_process_writes_for_itself(monkeypatch, tmp_path):
