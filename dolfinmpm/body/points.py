@@ -546,7 +546,7 @@ class MaterialPoints:
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
         """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
 
-        Collective: called on rank 0 alone it waits for the others for ever.
+        Collective: called on rank 0 alone it waits for the others.
         """
         pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
         if pieces is None:

@@ -43,7 +43,7 @@ class ParaView:
     in the folder `output/column/`. Both are complete after every write, so that a
     run that was broken off can still be opened. Parent folders are created; files
     of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
-    others for ever.
+    others.
 
     The points carry, with two components padded to three and 2 × 2 tensors to nine
     (F_zz is 1 then, the rest 0), d being the dimension of space:
