@@ -9,7 +9,9 @@ from mpi4py import MPI
 from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.kernelcache import forget_outdated
 from dolfinmpm._platform.kernelloading import load_at_once
+from dolfinmpm._platform.watchdog import watch
 
 forget_outdated(Path(__file__).parents[1])
 load_at_once("dolfinmpm")
 end_all_ranks(MPI.COMM_WORLD)
+watch(MPI.COMM_WORLD)

@@ -21,6 +21,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.positions import ask, choose
@@ -162,6 +163,7 @@ def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
+@together(own=("value",))
 def prescribed(
     space: Space,
     where: Where,
@@ -208,6 +210,7 @@ def prescribed(
     return [Condition(space, nodes, int(component), given, name, None, not increment, place)]
 
 
+@together
 def moving(
     space: Space, where: Where, component: int, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
@@ -278,6 +281,7 @@ def _one_a_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     return given
 
 
+@together
 def fixed(space: Space, *where: Where) -> list[Condition]:
     """Hold all components. Collective; see `prescribed` for `where`.
 
@@ -294,6 +298,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
     ]
 
 
+@together
 def rollers(space: Space, *sides: str) -> list[Condition]:
     """Hold the component across each side and leave those along it free. Collective.
 

@@ -15,6 +15,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.checks import as_tags, choice, shown, truth, whole
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.lattice import first_parts
@@ -232,6 +233,7 @@ class Space:
     ()
     """
 
+    @together
     def __init__(
         self,
         grid: Mesh,

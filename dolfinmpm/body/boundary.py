@@ -21,6 +21,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.arguments import check_displacement, check_points
@@ -86,6 +87,7 @@ class Boundary:
         PointsOutsideGridError: A marker is outside the grid.
     """
 
+    @together(own=("x", "area"))
     def __init__(
         self,
         points: MaterialPoints,
@@ -152,6 +154,7 @@ class Boundary:
     # -- where markers come from ----------------------------------------------
 
     @classmethod
+    @together
     def from_polygon(
         cls,
         points: MaterialPoints,
@@ -208,6 +211,7 @@ class Boundary:
         return made
 
     @classmethod
+    @together
     def from_side(
         cls, points: MaterialPoints, side: str, rule: int = 2, name: str | None = None
     ) -> Boundary:
@@ -242,6 +246,7 @@ class Boundary:
         return cls(points, x, area, False, name or word, activates=False)
 
     @classmethod
+    @together
     def from_triangles(
         cls,
         points: MaterialPoints,
@@ -290,6 +295,7 @@ class Boundary:
         return cls(points, x, area, follows, name, activates)
 
     @classmethod
+    @together
     def from_level_set(
         cls,
         points: MaterialPoints,
@@ -392,6 +398,7 @@ class Boundary:
         back = in_section(self.markers, ufl.inv(dF))
         return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v) * self.ds
 
+    @together
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
 
@@ -406,6 +413,7 @@ class Boundary:
         return self.points.gdim
 
     @property
+    @together
     def total_area(self) -> float:
         """Area now (m^(d-1); of rings m²), on all ranks. Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)

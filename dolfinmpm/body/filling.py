@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     ShapeOutsideGridError,
     call_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.exchange import numbers_in_order
@@ -37,6 +38,7 @@ Density = float | Callable[[Array], Array]
 _SLIVER = 1e-9
 
 
+@together
 def fill(
     grid: Mesh,
     shape: Shape,

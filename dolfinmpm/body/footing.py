@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
@@ -56,6 +57,7 @@ class RigidFooting:
             scalar constant, or neither E nor the stiffness is positive and finite.
     """
 
+    @together
     def __init__(
         self,
         surface: Surface,
@@ -130,6 +132,7 @@ class RigidFooting:
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
+    @together
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
@@ -138,6 +141,7 @@ class RigidFooting:
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 
+    @together
     def load(self) -> float:
         """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
         return float(-self.reaction() @ self.surface.normal)

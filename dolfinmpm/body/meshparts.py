@@ -12,6 +12,7 @@ from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_together, warn
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Shape
 from dolfinmpm.grid.lattice import lattice_of
@@ -38,6 +39,7 @@ _FACETS = {
 }  # fmt: skip
 
 
+@together(own=("vertices",))
 def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., Any]:
     """A cell partitioner for DOLFINx's meshes by which every rank has its share of a body.
 

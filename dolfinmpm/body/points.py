@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.together import meet, together
 from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
@@ -134,6 +135,7 @@ class MaterialPoints:
             rings is not two-dimensional, or reaches beyond the axis.
     """
 
+    @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))
     def __init__(
         self,
         grid: Mesh,
@@ -205,6 +207,7 @@ class MaterialPoints:
     # -- where points come from -----------------------------------------------
 
     @classmethod
+    @together(own=("x", "volume", "density", "tag", "half_length", "fields", "id"))
     def from_arrays(
         cls,
         grid: Mesh,
@@ -257,6 +260,7 @@ class MaterialPoints:
         return points
 
     @classmethod
+    @together
     def from_csv(
         cls,
         grid: Mesh,
@@ -289,6 +293,7 @@ class MaterialPoints:
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     @classmethod
+    @together(own=("mesh",))
     def from_mesh(
         cls,
         grid: Mesh,
@@ -380,6 +385,8 @@ class MaterialPoints:
         def first():
             return field.first_values(self["x0"])
 
+        if callable(value):
+            meet(self.comm, "MaterialPoints.add_field", name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -445,6 +452,7 @@ class MaterialPoints:
 
     # -- changes of the body --------------------------------------------------
 
+    @together
     def __add__(self, other: MaterialPoints) -> MaterialPoints:
         """A body of the points of both, with all their fields. Collective.
 
@@ -458,6 +466,7 @@ class MaterialPoints:
         """
         return joining.joined(self, other)
 
+    @together
     def add(self, other: MaterialPoints) -> PointChange:
         """Take the points of another body in, between steps. Collective.
 
@@ -475,6 +484,7 @@ class MaterialPoints:
         """
         return joining.add(self, other)
 
+    @together(own=("where",))
     def remove(
         self,
         where: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
@@ -510,6 +520,7 @@ class MaterialPoints:
             self._located = place if error is None else math.nan
         return error
 
+    @together
     def locate(self) -> int:
         """Find cells and ranks of points whose x was changed by hand. Collective.
 
@@ -532,10 +543,11 @@ class MaterialPoints:
         self.revision += moved > 0
         return moved
 
+    @together
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
         """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
 
-        Collective: called on rank 0 alone it waits for the others for ever.
+        Collective: called on rank 0 alone it waits for the others.
         """
         pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
         if pieces is None:

@@ -35,6 +35,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
@@ -105,6 +106,7 @@ class Surface:
         UnsupportedGridError: The grid is not rectangular.
     """
 
+    @together
     def __init__(
         self,
         points: MaterialPoints,
@@ -147,6 +149,7 @@ class Surface:
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
     @classmethod
+    @together(own=("offset", "area"))
     def from_arrays(
         cls,
         points: MaterialPoints,
@@ -346,6 +349,7 @@ class Surface:
         moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
+    @together
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area

@@ -160,6 +160,12 @@ class RigidBody:
         prescribe = [c.given for c in both if isinstance(c.given, fem.Constant)]
         return prescribe + ([] if self.freedom is None else self.freedom.loads)
 
+    def prescribed(self, t: float) -> list[Array]:
+        """What functions prescribe at a time (s; steps): places or rates, shift before turn."""
+        courses = self._shift, self._turn
+        both = [(c, f) for c in courses for f in (c.given, c.rate) if f is not None]
+        return [c.value(f, t) for c, f in both if not isinstance(f, fem.Constant)]
+
     # -- what solvers do with it ----------------------------------------------
 
     def begin(self, dt: float) -> None:

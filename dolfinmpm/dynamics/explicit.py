@@ -23,6 +23,7 @@ from ufl.algorithms.analysis import extract_constants
 from dolfinmpm._platform import garbage, stages
 from dolfinmpm._platform.checks import check_kind, choice, number
 from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
@@ -44,6 +45,7 @@ from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.dynamics.traces import Stiffness, check_boundaries, weighed
+from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
@@ -115,6 +117,7 @@ class Explicit(Problem):
     _of_step = MotionRecord
     _in_time = True
 
+    @together
     def __init__(
         self,
         form: ufl.Form,
@@ -230,14 +233,17 @@ class Explicit(Problem):
             rigid = RigidContacts(contacts, self.bodies, self.points)
         return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains, rigid)
 
+    @together
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
         return Energies.of(self.points, self.form.parts.declarations, self.balance.work)
 
+    @together
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
+    @together
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
@@ -246,6 +252,7 @@ class Explicit(Problem):
         spins = self.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
+    @together
     def critical_step(self, exact: bool = False) -> float:
         """The longest step that is stable (s). Collective.
 
@@ -273,6 +280,7 @@ class Explicit(Problem):
         fields = tuple(replace(field, penalty=None) for field in here.fields)
         self.form.set_penalties(replace(here, grid=[], soft=[], fields=fields), ghost=False)
 
+    @together(given=of_step)
     def step(self, t: float) -> MotionRecord:
         """Go to a time. Collective.
 
@@ -423,6 +431,7 @@ class Explicit(Problem):
         self.balance.forget()
         self.time = self._between.state.time
 
+    @together
     def save(self, path: str | os.PathLike[str]) -> None:
         """See `Problem.save`. Collective."""
         super().save(path)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.basis.conditions import Condition, prescribed, side_of
@@ -48,6 +49,7 @@ class Face:
     where: str
 
 
+@together
 def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     """Sides of the grid that the body may leave but not pass, with Coulomb friction. Collective.
 
@@ -66,6 +68,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     return [_face(space, side, mu, None) for side in sides]
 
 
+@together
 def absorbing(
     space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
 ) -> list[Face]:

@@ -23,6 +23,7 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -39,6 +40,7 @@ from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.checks import check_levels
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
+from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bodies import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
@@ -176,14 +178,17 @@ class TimeStepping(QuasiStatic):
         """Time that the state is of (s)."""
         return self.motion.time
 
+    @together
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
         return Energies.of(self.points, self.form.parts.declarations, self.motion.work)
 
+    @together
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
+    @together
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
@@ -192,6 +197,7 @@ class TimeStepping(QuasiStatic):
         spins = self.motion.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
+    @together(given=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 
@@ -378,6 +384,7 @@ class Newmark(TimeStepping):
         ParameterError: An argument is not what it may be.
     """
 
+    @together
     def __init__(
         self,
         form: ufl.Form,
@@ -408,6 +415,7 @@ class GeneralisedAlpha(TimeStepping):
             own rho_inf.
     """
 
+    @together
     def __init__(
         self,
         form: ufl.Form,

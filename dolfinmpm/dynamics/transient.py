@@ -15,11 +15,13 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
 from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.solve.advance import NewState
+from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -78,6 +80,7 @@ class Transient(QuasiStatic):
     _of_step = MotionRecord
     _in_time = True
 
+    @together
     def __init__(
         self,
         form: ufl.Form,
@@ -108,6 +111,7 @@ class Transient(QuasiStatic):
         """Time that the state is of (s)."""
         return self.clock.time
 
+    @together(given=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 

@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
+from dolfinmpm._platform.together import together
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
 __all__ = ["create_lattice", "lay_lines", "zoned_line"]
@@ -89,6 +90,7 @@ def _graded(length: float, cells: int, h: float) -> Array:
     return np.cumsum(sizes) * (length / sizes.sum())
 
 
+@together
 def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.Mesh:
     """A rectangular grid with given lines. Collective.
 

@@ -17,6 +17,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
+from dolfinmpm._platform.together import together
 from dolfinmpm.grid.constants import own_constant
 
 __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]
@@ -181,6 +182,7 @@ def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
 
 
 @once_per_grid
+@together
 def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     """Size of the cells, for UFL. Collective.
 
@@ -202,6 +204,7 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
 
 
 @once_per_grid
+@together
 def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
     """Size of the cells of `Lattice.coarsened`, as `cell_size`. Collective."""
     size = cell_size(grid)

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import check_kind, file_path, shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 from dolfinmpm.body.probes import Probe
+from dolfinmpm._platform.together import together
 from dolfinmpm.io.tables import write_table
 
 __all__ = ["History"]
@@ -67,6 +68,7 @@ class History:
             raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
         return np.array([row[name] for row in self._rows])
 
+    @together(of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a table as .csv or .json; see `study.write_table`. Collective."""
         file_path("path", path)

@@ -15,6 +15,7 @@ from dolfinx import fem, plot
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.balance import occupied
 from dolfinmpm.body.location import bounds
@@ -42,7 +43,7 @@ class ParaView:
     in the folder `output/column/`. Both are complete after every write, so that a
     run that was broken off can still be opened. Parent folders are created; files
     of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
-    others for ever.
+    others.
 
     The points carry, with two components padded to three and 2 × 2 tensors to nine
     (F_zz is 1 then, the rest 0), d being the dimension of space:
@@ -82,6 +83,7 @@ class ParaView:
         OSError: The folder or the file cannot be written.
     """
 
+    @together
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -123,6 +125,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Nothing is left to do: the files are complete after every write."""
 
+    @together
     @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points, and of the grid. Collective.

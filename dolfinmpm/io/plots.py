@@ -14,6 +14,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies
@@ -31,6 +32,7 @@ _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
 _MOST_CELLS = 200_000
 
 
+@together
 def plot(
     points: MaterialPoints,
     path: str | os.PathLike[str],

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.io.figures import figure
 
 __all__ = [
@@ -32,6 +33,7 @@ PathLike = str | os.PathLike[str]
 _MARKERS = "osD^vP*X"
 
 
+@together(own=("rows",))
 def write_table(rows: Iterable[Row], path: PathLike, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Write rows as CSV or as JSON; rank 0 writes them. Collective.
 
@@ -65,6 +67,7 @@ def write_table(rows: Iterable[Row], path: PathLike, comm: MPI.Comm = MPI.COMM_W
     call_together(comm, write if comm.rank == 0 else _nothing)
 
 
+@together
 def read_table(path: PathLike, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str, Any]]:
     """Read what `write_table` wrote; rank 0 reads, all ranks get the rows. Collective.
 

@@ -23,6 +23,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError, call_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.positions import ask
@@ -204,6 +205,7 @@ class Deposit:
 
     # -- of the points ----------------------------------------------------------
 
+    @together
     def body_force(self, points: MaterialPoints) -> Expr:
         """Body force per initial volume that goes with the effective stress (N/m³). Collective.
 

@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
@@ -368,6 +369,7 @@ def flux(
     return in_section(points, S), declaration
 
 
+@together(own=("stress",))
 def set_stress(
     points: MaterialPoints,
     law: Law | NeoHookean,

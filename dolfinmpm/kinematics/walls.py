@@ -27,6 +27,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -128,6 +129,7 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
+@together
 def signorini(
     law: Law | NeoHookean | None,
     boundary: Boundary,

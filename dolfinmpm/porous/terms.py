@@ -29,6 +29,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
@@ -51,6 +52,7 @@ _STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
 
+@together
 def poromechanics(
     soil: Any,
     points: MaterialPoints,

@@ -15,9 +15,11 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.checks import check_form
+from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (
     check_conditions,
     check_path,
@@ -137,6 +139,7 @@ class ArcLength(QuasiStatic):
     history: list[ArcRecord]  # type: ignore[assignment]
     _of_step = ArcRecord
 
+    @together
     def __init__(
         self,
         form: ufl.Form,
@@ -198,6 +201,7 @@ class ArcLength(QuasiStatic):
         """Load factor λ of the present state."""
         return self.path.factor
 
+    @together(given=of_step)
     def step(self) -> ArcRecord:
         """Take one step along the path. Collective.
 

@@ -29,7 +29,6 @@ from dolfinmpm.cut.remedies import KINDS, Stabilisation
 
 __all__ = [
     "advice",
-    "agree",
     "check_callable",
     "check_conditions",
     "check_limits",
@@ -118,40 +117,6 @@ def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None
     number("tolerance", tolerance, 0.0, 1.0)
     whole("max_iterations", max_iterations, 1)
     whole("max_halvings", max_halvings, 0)
-
-
-def agree(comm: MPI.Comm, **arguments: Any) -> None:
-    """Raise on all ranks if an argument is not the same on them. Collective.
-
-    Conditions are compared by their places, components and kinds of values.
-
-    Args:
-        comm: The ranks.
-        arguments: Name → value; what it is compared by must be short.
-
-    Raises:
-        ParameterError: It differs; the message has the values of the first two ranks that do.
-    """
-    if comm.size == 1:
-        return
-    told = {name: _told(value) for name, value in arguments.items()}
-    ranks = comm.allgather(told)
-    for name, first in ranks[0].items():
-        for rank, other in enumerate(ranks):
-            if other[name] != first:
-                raise ParameterError(
-                    f"{name} differs between ranks: {first} on rank 0, {other[name]} on rank "
-                    f"{rank}; every rank must build the same problem"
-                )
-
-
-def _told(value: Any) -> str:
-    if isinstance(value, Condition):
-        kind = "a constant" if isinstance(value.value, fem.Constant) else "numbers"
-        return f"component {value.component} at '{value.where}' by {kind}"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_told(v) for v in value) + "]"
-    return repr(value)
 
 
 # -- options ------------------------------------------------------------------

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     raise_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
@@ -36,7 +37,6 @@ from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
-    agree,
     check_callable,
     check_conditions,
     check_spaces,
@@ -64,7 +64,6 @@ class Problem:
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
-        agreed: Further arguments by name, which all ranks must give alike.
 
     Attributes:
         history: One record a step.
@@ -96,7 +95,6 @@ class Problem:
         updates: dict[str, Expr] | None = None,
         stabilisation: Remedies = "none",
         prolongation: Prolongate | None = None,
-        agreed: dict[str, Any] | None = None,
     ):
         increments = increments_of(increment, points)
         spaces = [u._dolfinmpm_space for u in increments]
@@ -119,7 +117,6 @@ class Problem:
         updates = check_updates(updates, points)
         remedies = remedies_of(stabilisation, len(spaces))
         check_callable("prolongation", prolongation)
-        agree(points.comm, bcs=bcs, stabilisation=remedies, **(agreed or {}))
         self.points = points
         self.history: list[StepRecord] = []
         remedies = with_moduli(remedies, spaces, form, points)
@@ -196,6 +193,7 @@ class Problem:
         first = next(iter(movers(spaces)), 0)
         return spaces[first].increment.ufl_shape == (self.points.gdim,)
 
+    @together
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all that it takes to go on from here into one HDF5 file. Collective.
@@ -214,6 +212,7 @@ class Problem:
         history = [dataclasses.asdict(record) for record in self.history]
         checkpoint.write(path, self.points, state, local, history, cells, self._laws)
 
+    @together
     def load(self, path: str | os.PathLike[str]) -> None:
         """Go on from where `save` was called, on any number of ranks. Collective.
 
@@ -303,6 +302,7 @@ class Problem:
         self.bodies.remember(state)
         self.here = None
 
+    @together
     @stages.activate
     def activate(self, step: Step | None = None) -> Activation:
         """What takes part in a step from where the points are now. Collective.
@@ -342,10 +342,12 @@ class Problem:
         """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""
         return False
 
+    @together
     def operator(self) -> Operator:
         """The weak form on what takes part now: residual, tangent and external. Collective."""
         return Operator(self.form, self.activate())
 
+    @together
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
         operator = self.operator()

@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     ConvergenceError,
     raise_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.balance import balance, imbalance
@@ -27,6 +28,7 @@ from dolfinmpm.cut.activation import active_on_grid
 from dolfinmpm.cut.participants import Activation, Prolongate
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance, commit
+from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (
     advice,
     check_limits,
@@ -102,6 +104,7 @@ class QuasiStatic(Problem):
     # what is made of what takes part before it has equations, see `equilibrate`
     changed: Callable[[Activation], Activation] | None = None
 
+    @together
     def __init__(
         self,
         form: ufl.Form,
@@ -121,13 +124,9 @@ class QuasiStatic(Problem):
         check_points(points)
         check_limits(tolerance, max_iterations, max_halvings)
         own = check_petsc_options(petsc_options, options_prefix, points.comm)
-        agreed = {
-            "tolerance": tolerance, "max_iterations": max_iterations,
-            "max_halvings": max_halvings, "petsc_options": own,
-        }  # fmt: skip
         super().__init__(
             form, increment, points, bcs, updates=updates, stabilisation=stabilisation,
-            prolongation=prolongation, agreed=agreed,
+            prolongation=prolongation,
         )  # fmt: skip
         self.max_halvings = max_halvings
         options = Options(self, options_prefix, own)
@@ -158,6 +157,7 @@ class QuasiStatic(Problem):
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
 
+    @together(given=of_step)
     def step(self) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.
 
@@ -202,6 +202,7 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
+    @together
     def info(self) -> str:
         """What takes part now and what solves it, in lines to be printed. Collective."""
         points, here, comm = self.points, self.here, self.comm

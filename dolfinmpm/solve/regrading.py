@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import check_kind
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.grid.graded import lay_lines
 from dolfinmpm.grid.lattice import lattice_of
@@ -16,6 +17,7 @@ from dolfinmpm.solve.problem import Problem
 __all__ = ["regrade"]
 
 
+@together
 def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     """Lay the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
 

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.participants import Activation
@@ -26,6 +27,7 @@ from dolfinmpm.solve.quasistatic import QuasiStatic
 __all__ = ["equilibrate"]
 
 
+@together
 def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 

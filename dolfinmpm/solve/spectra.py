@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.together import together
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
@@ -64,6 +65,7 @@ def _dense(matrix: PETSc.Mat) -> Array:
     return np.concatenate(matrix.comm.tompi4py().allgather(rows))
 
 
+@together(own=("kernel",))
 def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
@@ -128,6 +130,7 @@ def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
     return low, high
 
 
+@together
 def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool = False) -> float:
     """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
 
@@ -250,6 +253,7 @@ def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> P
     return PETSc.NullSpace().create(vectors=modes, comm=unknowns.comm)
 
 
+@together
 def rigid_modes(here: Activation) -> Array:
     """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
 

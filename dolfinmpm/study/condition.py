@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import ufl
 
+from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
@@ -36,6 +37,7 @@ class Conditioning:
     unknowns: int
 
 
+@together
 def conditioning(
     problem: QuasiStatic, density: float, gamma: float = 1.0, extra: ufl.Form | None = None
 ) -> Conditioning:

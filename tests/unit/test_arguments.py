@@ -24,7 +24,6 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis.conditions import free_motions, idle
 from dolfinmpm.forms.checks import check_signs
-from dolfinmpm.solve.arguments import agree
 
 COMM = MPI.COMM_WORLD
 
@@ -321,7 +320,3 @@ def test_accumulated_plastic_strain_has_one_name():
     ]
     for law in laws:
         assert list(law.internal) == ["plastic_strain"]
-
-
-def test_agree_is_silent_on_one_rank():
-    agree(MPI.COMM_SELF, bcs=scene().bcs, tolerance=1e-9)

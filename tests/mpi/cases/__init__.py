@@ -72,6 +72,8 @@ CASES = {
         arguments.bad_inputs,
         arguments.of_one_rank,
         arguments.of_few_cells,
+        arguments.of_different_ranks,
+        arguments.steps_of_different_ranks,
         tables.tables,
         restart.restart_ghost,
         restart.restart_aggregation,

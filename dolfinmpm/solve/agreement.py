@@ -1,0 +1,211 @@
+"""What ranks compare of problems and of steps; see `dolfinmpm._platform.together`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.algorithms import extract_coefficients
+from ufl.algorithms.analysis import extract_constants
+from ufl.classes import ScalarValue
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm._platform.alike import Told, told
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.shapes import Polygon, Shape
+from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.materials.base import Parametrised
+
+if TYPE_CHECKING:
+    from dolfinmpm.solve.problem import Problem
+
+__all__ = ["of_step"]
+
+
+def of_step(problem: Problem, t: Any = None) -> Told:
+    """What all ranks must give a step alike: its time, and what loads, holds and moves the body.
+
+    Args:
+        problem: The problem.
+        t: Time that the step goes to (s), if it goes to one.
+    """
+    end = getattr(t, "end", t)
+    found: Told = [("the number of the points' fields", len(problem.points.fields))]
+    found += [("t", _at_once(t)), ("the last time", _at_once(end))]
+    constants = [c for c in problem._loads.items if isinstance(c, fem.Constant)]
+    found += [(_name_of(c, k), _at_once(c.value)) for k, c in enumerate(constants)]
+    for k, condition in enumerate(problem.bcs):
+        if condition.velocity is not None:
+            name = f"velocity of condition {k + 1} at '{condition.where}'"
+            found.append((name, _asked(condition.velocity, end)))
+        elif isinstance(condition.value, fem.Constant):
+            name = f"increment of condition {k + 1} at '{condition.where}'"
+            found.append((name, _at_once(condition.value.value)))
+    for body in problem.bodies.all:
+        at = body.time + 1.0 if t is None else end
+        found.append((f"motion of '{body.name}'", _asked(body.prescribed, at)))
+    return found
+
+
+def _at_once(value: Any) -> Any:
+    """As `told`, which takes as long as all the rest of a step's comparison."""
+    kind = type(value)
+    if kind is np.ndarray and value.ndim < 2:
+        return value.item() if value.ndim == 0 else tuple(value.tolist())
+    return value if kind is float or value is None else told(value)
+
+
+def _asked(function: Any, t: Any) -> Any:
+    """What a user's function gives at a time; who calls it next tells what is wrong with it."""
+    try:
+        return told(function(t))
+    except Exception as error:
+        return f"a {type(error).__name__}"
+
+
+def _name_of(constant: fem.Constant, k: int) -> str:
+    name = getattr(constant, "name", None)
+    return f"constant {k + 1}" if name is None else f"constant '{name}'"
+
+
+# -- kinds of arguments -----------------------------------------------------------
+
+
+@told.register(Mesh)
+def _mesh(grid: Mesh) -> Any:
+    cells = grid.topology.index_map(grid.topology.dim).size_global
+    return ("cells", cells), ("kind", grid.topology.cell_name()), ("gdim", grid.geometry.dim)
+
+
+@told.register(fem.Constant)
+def _constant(constant: fem.Constant) -> Any:
+    return told(constant.value)
+
+
+@told.register(fem.Function)
+def _function(function: fem.Function) -> Any:
+    space = getattr(function, "_dolfinmpm_space", None)
+    return "a function of the grid" if space is None else told(space)
+
+
+@told.register(Space)
+def _space(space: Space) -> Any:
+    basis = space.basis
+    parts = {
+        "basis": type(basis).__name__, "degree": basis.degree, "averaged": basis.averaged,
+        "shape": space.increment.ufl_shape, "configuration": space.configuration,
+        "domains": space.domains, "coarsen": space.coarsen, "tag": space.tags,
+    }  # fmt: skip
+    return told(parts)
+
+
+@told.register(MaterialPoints)
+def _points(points: MaterialPoints) -> Any:
+    # sets of points have laws in the order in which forms are made
+    parts = {"number": points.total, "fields": list(points._ufl), "rings": points.axisymmetric}
+    return told(parts)
+
+
+@told.register(Shape)
+def _shape(shape: Shape) -> Any:
+    kept = {"low": shape.low, "high": shape.high, "volume": shape.volume}
+    kept |= {name: vars(shape)[name] for name in ("point", "normal") if name in vars(shape)}
+    if isinstance(shape, Polygon):
+        kept["vertices"] = shape.vertices
+    return told({"kind": type(shape).__name__, **kept})
+
+
+@told.register(Surface)
+def _surface(surface: Surface) -> Any:
+    return told({"name": surface.name, "total_area": surface.total_area})
+
+
+@told.register(Boundary)
+def _boundary(boundary: Boundary) -> Any:
+    return told({"name": boundary.name, "markers": boundary.markers.total})
+
+
+@told.register(Condition)
+def _condition(condition: Condition) -> Any:
+    value: Any = condition.value
+    if condition.velocity is not None:
+        value = _asked(condition.velocity, 0.0)
+    elif not isinstance(value, fem.Constant) and condition.increment.ndim:
+        value = "numbers"
+    return f"component {condition.component} at '{condition.where}'", told(value)
+
+
+@told.register(Parametrised)
+def _law(law: Parametrised) -> Any:
+    values = law.__dict__.get("values", {}).items()
+    kept = {name: value if isinstance(value, float) else "varying" for name, value in values}
+    return told({"kind": type(law).__name__, **kept})
+
+
+@told.register(RigidBody)
+def _body(body: RigidBody) -> Any:
+    surface, free = body.surface, body.freedom
+    kept = {
+        "name": body.name, "kind": type(surface).__name__, "low": surface.low,
+        "high": surface.high, "centre": body.position, "motion": _asked(body.prescribed, body.time),
+        "free": None if free is None else free.free, "mass": None if free is None else free.mass,
+    }  # fmt: skip
+    return told(kept)
+
+
+def _mark(mark: Any) -> Any:
+    """What a form says of a contact or a weak condition: its numbers, words, bodies, boundaries."""
+    kinds = bool, int, float, str, tuple, type(None), RigidBody, Boundary, Surface
+    kept = {name: value for name, value in vars(mark).items() if isinstance(value, kinds)}
+    return told({"kind": type(mark).__name__, **kept})
+
+
+@told.register(ufl.Form)
+def _form(form: ufl.Form) -> Any:
+    parts: list[tuple[str, Any]] = [("number of terms", len(form.integrals()))]
+    for k, integral in enumerate(form.integrals()):
+        marks = integral.metadata() or {}
+        for mark in ("contact", "condition"):
+            if mark in marks:
+                parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
+        if "boundary" in marks:
+            parts.append((f"boundary of term {k + 1}", told(marks["boundary"])))
+        parts.append((f"measure of term {k + 1}", integral.integral_type()))
+        parts += [(f"{name} of term {k + 1}", value) for name, value in told(integral.integrand())]
+    return tuple(parts)
+
+
+@told.register(Expr)
+def _expression(expression: Expr) -> Any:
+    """Its laws, constants, fields and numbers, and how often it has which operation.
+
+    Not in their order: UFL sorts operands by numbers that may differ between ranks.
+    """
+    coefficients, constants = extract_coefficients(expression), extract_constants(expression)
+    found = [getattr(c, "declaration", None) for c in (*coefficients, *constants)]
+    declared = {id(d): d for d in found if d is not None}.values()
+    parts: list[tuple[str, Any]] = []
+    for d in declared:
+        marks = ("strain", d.strain), ("tag", told(d.tags)), ("fbar", d.fbar)
+        parts.append((type(d.law).__name__, (*told(d.law), *marks)))
+    numbers_of = [c for c in constants if isinstance(c, fem.Constant)]
+    numbers_of = [c for c in numbers_of if getattr(c, "declaration", None) is None]
+    parts += [(_name_of(c, k), told(c)) for k, c in enumerate(numbers_of)]
+    fields = sorted(c.name for c in coefficients if isinstance(c, PointField))
+    numbers, operations = [], Counter[str]()
+    for node in unique_pre_traversal(expression):
+        if isinstance(node, ScalarValue):
+            numbers.append(float(node))
+        operations[type(node).__name__] += 1
+    parts += [("fields", told(fields)), ("numbers", told(sorted(numbers)))]
+    return (*parts, ("operations", told(sorted(operations.items()))))
