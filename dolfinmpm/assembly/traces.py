@@ -98,7 +98,9 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
         valued = width > field.components * d
         add_stiffness(s, s, 0, s.groups.size - 1, Slope(flat, valued, valued), entries)
     penalty = here.fields[k].penalty
-    blocks = [] if not grid else [*here.grid, *here.changes, *([penalty] if penalty is not None else [])]
+    blocks = (
+        [] if not grid else [*here.grid, *here.changes, *([penalty] if penalty is not None else [])]
+    )
     for b in blocks:
         if (b.row_field, b.column_field) == (k, k):
             add_blocks(b, entries)

@@ -12,8 +12,8 @@ w = (1 − α_f) u, under the loads of that time, with the acceleration (1 − �
 
 from __future__ import annotations
 
-from dataclasses import replace
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np

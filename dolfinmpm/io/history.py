@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, file_path, shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
-from dolfinmpm.body.probes import Probe
 from dolfinmpm._platform.together import together
+from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.tables import write_table
 
 __all__ = ["History"]

@@ -12,8 +12,8 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm._platform.together import together
+from dolfinmpm.assembly.gridterms import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.participants import Activation
