@@ -16,6 +16,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
+from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
@@ -37,6 +38,7 @@ _FLAT = 1e-12
 _AT = 1e-6
 
 
+@together
 def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     """Follow a place of a body, such as the crest of a slope. Collective.
 
@@ -71,6 +73,7 @@ class Probe:
         weights: Weights of the nearest points, whose sum is 1, shape (k,).
     """
 
+    @together
     def __init__(self, points: MaterialPoints, place: npt.ArrayLike):
         check_points(points)
         self.points = points
@@ -157,22 +160,26 @@ class Probe:
         return np.asarray(np.tensordot(self.weights, table[:, :size], 1).reshape(shape))
 
     @property
+    @together
     def position(self) -> Array:
         """Where the place is now (m), shape (gdim,). Collective."""
         return self._means(self.points.fields.read("x"))
 
     @property
+    @together
     def displacement(self) -> Array:
         """How far it has moved since the body was made (m), shape (gdim,). Collective."""
         fields = self.points.fields
         return self._means(fields.read("x") - fields.read("x0"))
 
     @property
+    @together
     def settlement(self) -> float:
         """How far it has gone down since the body was made, along the last axis (m). Collective."""
         # not −0 of what has not moved
         return 0.0 - float(self.displacement[-1])
 
+    @together
     def __getitem__(self, name: str) -> Any:
         """Mean value of a field of the points, with the field's shape. Collective.
 

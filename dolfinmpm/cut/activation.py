@@ -35,6 +35,7 @@ from dolfinmpm.cut.participants import (
     BoundaryOf,
     Entities,
     Field,
+    Inertia,
     Later,
     Participants,
     Region,
@@ -123,7 +124,7 @@ def activate(
     driven = held.changing and held.driven
     return Activation(
         bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft,
-        changes, mass, later, of_boundaries, facing, tuple(sets),
+        Inertia(mass, changes), later, of_boundaries, facing, tuple(sets),
     )  # fmt: skip
 
 
@@ -224,7 +225,7 @@ def _renewed(
     driven = held.changing and held.driven
     return replace(
         old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft,
-        changes=changes, of_boundaries=of_boundaries,
+        inertia=replace(old.inertia, changes=changes), of_boundaries=of_boundaries,
     )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ __all__ = [
     "BoundaryOf",
     "Entities",
     "Field",
+    "Inertia",
     "Later",
     "Participants",
     "Prolongate",
@@ -258,6 +259,19 @@ def movers(spaces: Sequence[Space]) -> tuple[int, ...]:
     return tuple(own)
 
 
+@dataclass(frozen=True)
+class Inertia:
+    """What acts with velocities that change.
+
+    Attributes:
+        mass: The mass (kg).
+        changes: Penalties on what steps in time change of the velocity, as terms of the increments.
+    """
+
+    mass: list[Blocks]
+    changes: list[Blocks]
+
+
 class Later:
     """The pattern of a matrix, made when it is first asked for.
 
@@ -291,8 +305,7 @@ class Activation(Participants):
         grid: Tangent of terms over the grid at the start of the step, between the nodes
             that remain behind C.
         soft: The same of terms of the tangent only.
-        changes: The same of penalties on what steps in time change of the velocity.
-        mass: The mass between these nodes (kg), if there are inertial forces.
+        inertia: What acts with velocities that change, between these nodes.
         later: What is made when it is first asked for.
         of_boundaries: The parts of each boundary that does not fit the grid.
         facing: Where bodies with fields of their own face each other.
@@ -305,12 +318,21 @@ class Activation(Participants):
     regions: list[ActiveRegion]
     grid: list[Blocks]
     soft: list[Blocks]
-    changes: list[Blocks]
-    mass: list[Blocks]
+    inertia: Inertia
     later: Later
     of_boundaries: list[list[ActiveRegion]]
     facing: list[Any]
     sets: tuple[Placement, ...] = ()
+
+    @property
+    def mass(self) -> list[Blocks]:
+        """The mass between the nodes that remain behind C (kg), if there are inertial forces."""
+        return self.inertia.mass
+
+    @property
+    def changes(self) -> list[Blocks]:
+        """Penalties on what steps in time change of the velocity, likewise."""
+        return self.inertia.changes
 
     @property
     def pattern(self) -> Pattern:

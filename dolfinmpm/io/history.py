@@ -41,7 +41,7 @@ class History:
         self.names: tuple[str, ...] = ()
 
     def record(self, **values: float | Probe) -> None:
-        """Add one of each number, and the displacement of each probe. Collective with probes.
+        """Add one of each number, and the displacement of each probe, for which all ranks call it.
 
         Raises:
             ParameterError: There is no number, the names are not those of the first record,

@@ -9,7 +9,7 @@ import ufl
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.participants import Activation, Inertia
 from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import cell_size, mean_size
@@ -85,4 +85,4 @@ def conditioning(
 def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
     """The lumped mass of explicit steps. Collective."""
     terms = MassTerms(points, "lumped", None)
-    return Mass(terms, replace(here, mass=terms.blocks(here.fields))).assembled()
+    return Mass(terms, replace(here, inertia=Inertia(terms.blocks(here.fields), []))).assembled()
