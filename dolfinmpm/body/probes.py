@@ -14,7 +14,6 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     UnknownNameError,
     call_together,
-    raise_together,
 )
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
@@ -218,16 +217,7 @@ def _position(points: MaterialPoints, place: Any) -> Array:
             )
         return given
 
-    found = call_together(points.comm, checked)
-    first = points.comm.bcast(found)
-    error = None
-    if not np.array_equal(first, found):
-        error = ParameterError(
-            f"place = {found.tolist()} m on rank {points.comm.rank} and {first.tolist()} m on rank "
-            "0; give the same on all ranks"
-        )
-    raise_together(points.comm, error)
-    return first
+    return call_together(points.comm, checked)
 
 
 def _chosen(d: Array, x: Array, least: float, count: int, most: int) -> npt.NDArray[np.intp]:
