@@ -35,6 +35,8 @@ class Bodies:
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
+        #: What the penalties of contact have stored (J).
+        self.stored = 0.0
         self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
@@ -44,6 +46,15 @@ class Bodies:
     def free(self) -> list[RigidBody]:
         """Those that have free components."""
         return [b for b in self.all if b.freedom is not None and b.freedom.free.size]
+
+    def kinetic(self) -> float:
+        """Kinetic energy of the free ones (J)."""
+        return sum(body.kinetic() for body in self.free)
+
+    @property
+    def rubbed(self) -> float:
+        """Work that friction on them has taken (J)."""
+        return sum(contact.dissipated for contact in self._contacts)
 
     def begin(self, dt: float) -> None:
         """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
@@ -115,8 +126,9 @@ class Bodies:
         """Take where the bodies are, and what acts on them. Collective.
 
         Returns:
-            The work that they have done in the step (J), by its mean forces. In the first one of
-            explicit steps what they were pressed in before counts, too.
+            Work of what moves them in the step (J): of loads on what is free of them, and by the
+            mean forces of what is prescribed. In the first one of explicit steps what they were
+            pressed in before counts, too.
         """
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
@@ -127,6 +139,7 @@ class Bodies:
             both[0] = both[0] + force
             both[1] = both[1] + moment
             active.contact.dissipated += active.dissipated()
+        self.stored = sum(active.stored() for active in contacts)
         before, self._before = self._before, 0.0
         return before + sum(body.commit(*sums[id(body)]) for body in self.all)
 
@@ -139,7 +152,8 @@ class Bodies:
         if not self.all:
             return {}
         rows = {f"rigid body {k}": body.memory() for k, body in enumerate(self.all)}
-        return {**rows, "friction's work": np.array([c.dissipated for c in self._contacts])}
+        rubbed = np.array([c.dissipated for c in self._contacts])
+        return {**rows, "friction's work": rubbed, "stored in contact": self.stored}
 
     def remember(self, state: dict[str, Any]) -> None:
         """Take what `memory` returned."""
@@ -148,3 +162,4 @@ class Bodies:
         if self.all:
             for contact, done in zip(self._contacts, state["friction's work"]):
                 contact.dissipated = float(done)
+            self.stored = float(state["stored in contact"])

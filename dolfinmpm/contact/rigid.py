@@ -207,18 +207,33 @@ class RigidBody:
         """Take where it has been put for where it is, and what acts on it there.
 
         Returns:
-            The work that it has done on what it touches (J), by the means of forces before and
-            after.
+            Work of what moves it (J): on what is prescribed of it, against the means of the forces
+            before and after, and of its loads on what is free.
         """
         before, after = self.start, self.pose
         turned = after.rotation @ before.rotation.T
         # of a small rotation
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
-        work = (self.force + force) @ (after.shift - before.shift) + (self.moment + moment) @ spin
+        way = np.concatenate([after.shift - before.shift, spin])
+        mean = 0.5 * np.concatenate([self.force + force, self.moment + moment])
+        against = -mean
+        if self.freedom is not None:
+            own = self.freedom.free
+            load = self.freedom.external(self.time + 0.5 * self.dt)
+            against[own] = load[own]
         self.start, self.time = self.pose, self.time + self.dt
         self.force, self.moment = force, moment
-        return -0.5 * float(work)
+        return float(against @ way)
+
+    def kinetic(self) -> float:
+        """Kinetic energy of what is free of it (J)."""
+        free = self.freedom
+        if free is None or free.mass is None:
+            return 0.0
+        v = np.zeros_like(free.velocity)
+        v[free.free] = free.velocity[free.free]
+        return 0.5 * float(v @ free.inertia(self.start) @ v)
 
     def travel(self) -> float:
         """How far any part of it, but of a plane its centre, goes in this step (m)."""

@@ -133,7 +133,8 @@ class Colliding(OneByOne):
         if isinstance(state, str):
             return state
         external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)
-        self._work.add(points, state.fields, operator, external)
+        self._work.external += external
+        self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
         got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         self.force = points.comm.allreduce(got, op=MPI.SUM) / dt

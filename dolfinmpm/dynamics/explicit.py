@@ -29,17 +29,19 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.balance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
+from dolfinmpm.dynamics.balance import Balance
 from dolfinmpm.dynamics.between import Between
 from dolfinmpm.dynamics.clock import MotionRecord, Time
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
-from dolfinmpm.dynamics.energies import Balance, Energies, angular_momentum, momentum_of
+from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
 from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import General
+from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings
@@ -165,7 +167,8 @@ class Explicit(Problem):
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
+        self.ledger = Ledger(points, self.form.parts.declarations, self.bodies, settings.scaling)
+        self.balance = Balance(self.ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points)
@@ -236,7 +239,7 @@ class Explicit(Problem):
     @together
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
-        return Energies.of(self.points, self.form.parts.declarations, self.balance.work)
+        return self.ledger.energies()
 
     @together
     def momentum(self) -> Array:
@@ -310,6 +313,8 @@ class Explicit(Problem):
         if touched:
             raise_together(self.comm, self.points.fault())
         record.migrated += balance(self.points)
+        if touched & _KINETIC or not self.ledger.started:
+            self.ledger.begin()
         self._loop.start(1.0 / whole, touched)
         between.state.time = math.nan
         if not (between.single and touched <= _BESIDE and self._loop.keeps_speed):
@@ -322,7 +327,7 @@ class Explicit(Problem):
                 if record.parts or touched & _KINETIC:
                     self._check_energy(record.dt, begins=record.parts == 0)
                 if record.parts % _KEEP == 0:
-                    between.state.take(self.time, self.balance.work, touched)
+                    between.state.take(self.time, self.ledger.work, touched)
             if between.since >= _EVERY or self.form.boundaries:
                 # what comes to a wall is held from then on
                 between.critical, between.since = self.critical_step(), 0
@@ -371,7 +376,7 @@ class Explicit(Problem):
         self, count: int, dt: float, whole: float, more: bool, record: MotionRecord
     ) -> None:
         """Equal steps, a part of a call that goes so far (s). Collective."""
-        start, work = self.time, self.balance.work
+        start = self.time
 
         def begin(k: int) -> Step:
             end = start + (k + 1) * dt
@@ -381,8 +386,7 @@ class Explicit(Problem):
             return Step(end, dt, dt / whole)
 
         taken, migrated, reason = self._loop.run(count, dt, more, begin)
-        internal, external = self._loop.work()
-        work.internal, work.external = work.internal + internal, work.external + external
+        self.ledger.work.add(self._loop.work())
         record.parts, record.migrated = record.parts + taken, record.migrated + migrated
         self.time, record.dt = start + taken * dt, dt
         if reason is not None:
@@ -427,7 +431,8 @@ class Explicit(Problem):
         if math.isnan(self._between.state.time):
             # nothing has moved yet
             return
-        self._between.state.put(self.balance.work)
+        self._between.state.put(self.ledger.work)
+        self.ledger.end()
         self.balance.forget()
         self.time = self._between.state.time
 
@@ -441,15 +446,12 @@ class Explicit(Problem):
 
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()
-        work = self.balance.work
-        done = np.array([work.external, work.internal])
-        return {**state, "time": self.time, "work": done}, local, cells
+        return {**state, "time": self.time, **self.ledger.memory()}, local, cells
 
     def _remember(self, state, local, cells) -> None:
         super()._remember(state, local, cells)
         self.time = state["time"]
-        work = self.balance.work
-        work.external, work.internal = state["work"]
+        self.ledger.remember(state)
 
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.mapping)}

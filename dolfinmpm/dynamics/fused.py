@@ -23,6 +23,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
+from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import PointArrays
@@ -70,7 +71,9 @@ class Fused:
         rigid: Contacts with rigid bodies, or None.
 
     Attributes:
-        done: Work of the stresses, and of loads and prescribed motions, since last asked (J).
+        done: Since last asked: work of the stresses, and of loads and prescribed motions (J); the
+            cells that the fastest point has crossed in a step; what the nodes' kinetic energy has
+            changed by, and what damping and friction at sides of the grid have taken (J).
         at_once: Steps that one call may take.
         instead: Why other steps are taken: they are not.
     """
@@ -95,8 +98,7 @@ class Fused:
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
-        # and the cells that the fastest point has crossed in a step
-        self.done = np.zeros(3)
+        self.done = np.zeros(6)
         self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
@@ -106,18 +108,18 @@ class Fused:
         """Whether the critical step follows from the points' fields alone."""
         return self._rigid is None
 
-    def work(self) -> tuple[float, float]:
-        """Work (J) of the stresses, and of loads and prescribed motions, since last asked.
-
-        Collective.
-        """
+    def work(self) -> Work:
+        """Works and losses since last asked. Collective."""
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
-        internal, external = self._points.comm.allreduce(self.done[:2], op=MPI.SUM)
-        self.done[:2] = 0.0
+        sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
+        internal, external, _, grid, damped, rubbed = (float(done) for done in sums)
+        self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
-        return float(internal), float(external)
+        found = Work(external, internal, grid)
+        found.losses["damping"], found.losses["friction"] = damped, rubbed
+        return found
 
     def renew(self) -> None:
         """Begin the next call as the first one: with a window anew, and points put in order."""

@@ -46,6 +46,11 @@ class General(OneByOne):
     _stiffness: Stiffness | None = None
 
     @cached_property
+    def _resisting(self) -> dict[str, Array]:
+        """Forces on the nodes in a step that take energy (N), by the name of the loss."""
+        return {}
+
+    @cached_property
     def _by_stress(self) -> bool:
         """Whether the points' stress gives the internal forces, but for those of boundaries."""
         return only_momentum(self._problem.form, boundaries=False)
@@ -116,7 +121,9 @@ class General(OneByOne):
             at = here.unknowns.fields[0].owned_nodes
             done = -dt * float(np.sum(held_by[at] * V_strain[at]))
             external += mass.comm.allreduce(done, op=MPI.SUM)
-        self._work.add(points, state.fields, operator, external)
+        self._work.external += external
+        self._work.add_stresses(points, state.fields, operator)
+        self._count(mass, V, V_end, dt)
         if settings.mapping.kind == "tpic":
             # from here on it is that of where the points have gone
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
@@ -203,6 +210,7 @@ class General(OneByOne):
             scatter_tensor(points, s, pressure, viscous.arrays[0])
             viscous.add_up()
             forces.arrays[0][:] -= viscous.arrays[0]
+            self._resisting["viscosity"] = viscous.arrays[0]
         for one in self._settings.filters:
             one.act(V, forces.arrays[0], mass, s)
 
@@ -212,7 +220,9 @@ class General(OneByOne):
         damping = self._settings.damping
         if damping:
             f = forces.arrays[0]
-            f -= damping * np.abs(f) * np.sign(V)
+            damped = damping * np.abs(f) * np.sign(V)
+            f -= damped
+            self._resisting["damping"] = damped
         return mass.solve(forces, np.zeros_like(V)).arrays[0]
 
     @stages.solve
@@ -221,12 +231,30 @@ class General(OneByOne):
         faces = self._sides.on(here.fields[0].basis)
         if faces is not None and faces.dashpots is not None:
             m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
+            free = V_end.copy()
             V_end /= 1.0 + dt * faces.dashpots / m
+            self._work.losses["damping"] += mass.lost(free, V_end)
         if faces is not None:
+            free = V_end.copy()
             faces.rub(V_end)
+            self._work.losses["friction"] += mass.lost(free, V_end)
         fixed = here.unknowns.fields[0].fixed
         V_end[fixed] = held[fixed]
         return V_end
+
+    def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
+        """Add what the nodes' kinetic energy changes by, and what forces take that resist.
+
+        Collective.
+        """
+        found = [mass.kinetic(v) for v in (V, V_end)]
+        self._work.grid += found[1][0] - found[0][0]
+        self._work.losses["ghost mass"] += found[1][1] - found[0][1]
+        owned = mass.nodes.owned
+        for name, force in self._resisting.items():
+            done = dt * float(np.sum(force[:owned] * V_end[:owned]))
+            self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
+        self._resisting.clear()
 
     def _external(
         self, operator: Operator, mass: Mass, forces: Nodal, V: Array, V_end: Array, dt: float

@@ -241,6 +241,29 @@ class Mass:
         out.add_up()
         return out
 
+    def inner(self, v: Array, blocks: Sequence[Blocks], w: Array) -> float:
+        """v · B w of nodal values, for blocks between the field's nodes. Collective."""
+        if not blocks:
+            return 0.0
+        out = self.nodal()
+        for b in blocks:
+            add_product(replace(b, row_field=0, column_field=0), [w], out.arrays)
+        out.add_up()
+        owned = self.nodes.owned
+        return self.comm.allreduce(float(np.sum(out.arrays[0][:owned] * v[:owned])), op=MPI.SUM)
+
+    def kinetic(self, V: Array) -> tuple[float, float]:
+        """½ V · M V of the points' mass and of its penalty (J). Collective."""
+        # the points' own stands first, see `MassTerms.blocks`
+        return 0.5 * self.inner(V, self.blocks[:1], V), 0.5 * self.inner(V, self.blocks[1:], V)
+
+    def lost(self, V: Array, V_end: Array) -> float:
+        """Kinetic energy of a lumped mass that a change of velocities takes (J). Collective."""
+        owned = self.nodes.owned
+        change = V[:owned] ** 2 - V_end[:owned] ** 2
+        lost = 0.5 * float(np.sum(self.lumped[:owned, None] * change))
+        return self.comm.allreduce(lost, op=MPI.SUM)
+
     def _own_of(self, unknowns: Unknowns) -> FieldUnknowns:
         """The field's unknowns among those of all fields, or those of it alone."""
         return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]

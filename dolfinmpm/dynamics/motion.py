@@ -17,8 +17,8 @@ from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.energies import Work
 from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
@@ -99,15 +99,15 @@ class Motion:
         error: Bound of a step's error, see `Newmark`, or None.
         clock: DOLFINx constant that holds the time (s), or None.
         sides: Faces of the grid that act on the body.
+        work: Sums of works, which steps add to.
 
     Attributes:
-        rule, mapping, terms: The arguments.
+        rule, mapping, terms, work: The arguments.
         nodes: What moved in the last step: the nodes of each field that moves points.
         start, end: Times between which the step asked for goes (s).
         jumped, varying: Whether a load jumps at its start, and whether any changes in it.
         time: Time that the state is of (s).
         last, wanted: Length of the last part of a step, and of the next where it is free (s).
-        work: Work done so far.
     """
 
     nodes: list[MovingNodes]
@@ -121,6 +121,7 @@ class Motion:
         error: float | None,
         clock: fem.Constant | None,
         sides: Sides,
+        work: Work,
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._error, self._clock = points, error, clock
@@ -128,7 +129,7 @@ class Motion:
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
-        self.work = Work()
+        self.work = work
         # whether the next step begins with M a = f
         self._starting = True
         self._largest = 0.0
@@ -247,7 +248,10 @@ class Motion:
             return reason
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
         external = self._external(operator, x, scale, motions, dt)
-        self.work.add(points, state.fields, operator, external)
+        self.work.external += external
+        self.work.add_stresses(points, state.fields, operator)
+        for one, motion in zip(self.nodes, motions):
+            self._count(one, motion, operator, dt, scale)
         new = found[0]
         for one, own in zip(self.nodes[1:], found[1:]):
             rows = rows_within(points, one.tags)
@@ -304,6 +308,33 @@ class Motion:
             forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
         return plain.load_work() + plain.held_work(forces)
 
+    def _count(
+        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float, scale: float
+    ) -> None:
+        """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
+
+        Collective. Of the forces at the end of a step a share γ acts in it, where it begins with
+        accelerations of its own.
+        """
+        mass, losses, here = one.mass, self.work.losses, operator.here
+        found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
+        self.work.grid += found[1][0] - found[0][0]
+        losses["ghost mass"] += found[1][1] - found[0][1]
+        u = motion.u
+        assert u is not None
+        share = self.rule.gamma if self.rule.by_forces else 1.0
+        expected = dt * one.V
+        plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
+        changes = [b for b in here.changes if b.row_field == one.k]
+        taken = mass.inner(u, plain, u) / scale + mass.inner(u, changes, u - expected) / scale
+        losses["ghost stiffness"] += share * taken
+        faces = self._sides.on(here.fields[one.k].basis)
+        if faces is not None and faces.dashpots is not None:
+            owned = here.unknowns.fields[one.k].owned_nodes
+            mean = 0.5 * (motion.V + motion.V_end)
+            done = float(np.sum((faces.dashpots * mean * u)[owned]))
+            losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
+
     def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.
 
@@ -337,7 +368,6 @@ class Motion:
             "wanted part": self.wanted,
             "starting": int(self._starting),
             "largest": self._largest,
-            "work": np.array([self.work.external, self.work.internal]),
         }
 
     def remember(self, state: dict[str, Any]) -> None:
@@ -345,5 +375,4 @@ class Motion:
         self.time, self.last = state["time"], state["last part"]
         self.wanted, self._largest = state["wanted part"], state["largest"]
         self._starting = bool(state["starting"])
-        self.work.external, self.work.internal = state["work"]
         self.set_time(self.time)

@@ -30,8 +30,9 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
-from dolfinmpm.dynamics.energies import Energies, angular_momentum, momentum_of
+from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
+from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
@@ -169,7 +170,8 @@ class TimeStepping(QuasiStatic):
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points)
-        self.motion = Motion(points, rule, chosen, terms, error, time, sides)
+        self.ledger = Ledger(points, self.form.parts.declarations, self.bodies)
+        self.motion = Motion(points, rule, chosen, terms, error, time, sides, self.ledger.work)
         check_masses(self.bodies)
         self.form.inertia = terms
 
@@ -181,7 +183,7 @@ class TimeStepping(QuasiStatic):
     @together
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
-        return Energies.of(self.points, self.form.parts.declarations, self.motion.work)
+        return self.ledger.energies()
 
     @together
     def momentum(self) -> Array:
@@ -214,7 +216,12 @@ class TimeStepping(QuasiStatic):
         end = end_of(t, motion.time, motion.wanted if motion.chooses else None)
         jumped = self._loads.jumps()
         motion.begin(end, jumped, any(self._loads.change))
-        record = super().step()
+        self.ledger.begin()
+        try:
+            record = super().step()
+        finally:
+            # what has been taken of a step counts
+            self.ledger.end()
         assert isinstance(record, MotionRecord)
         record.time, record.dt = motion.time, motion.last
         if isinstance(t, Time):
@@ -288,7 +295,7 @@ class TimeStepping(QuasiStatic):
         return [np.asarray(g / step.dt, np.float64) for g in values]
 
     def _count(self, work: float) -> None:
-        self.motion.work.external += work
+        self.ledger.work.external += work
 
     def _advance(
         self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
@@ -335,11 +342,13 @@ class TimeStepping(QuasiStatic):
     def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         state, local, cells = super()._memory()
         change = np.array(self._loads.change)
-        return {**state, **self.motion.memory(), "change of loads": change}, local, cells
+        own = {**self.motion.memory(), **self.ledger.memory(), "change of loads": change}
+        return {**state, **own}, local, cells
 
     def _remember(self, state, local, cells) -> None:
         super()._remember(state, local, cells)
         self.motion.remember(state)
+        self.ledger.remember(state)
         self._loads.change = state["change of loads"].tolist()
 
     def _problem(self) -> dict[str, Any]:

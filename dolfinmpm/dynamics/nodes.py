@@ -45,28 +45,39 @@ def move_nodes(
         pushed: Written unless empty, changes of velocity by forces alone.
         known: Whether velocities for the strain have been set before.
         last: Whether the sums are done with, and cleared.
+        done: Added to, see `Fused.done`.
     """
     _, mass, force, _, velocity, strain = columns
     d = fixed.shape[1]
     marks, rubbing, dashpots = faces
     ends, forces = np.empty(d), np.empty(d)
-    work = 0.0
+    work = grid = damped = rubbed = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, mass]
+            half = 0.5 * m * scaling if own[k] else 0.0
             per_mass = 1.0 / m if m > 0.0 else 0.0
             for i in range(d):
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
                 if damping > 0.0:
-                    f -= damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                    resisting = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                    f -= resisting
+                    if half > 0.0 and not fixed[k, i]:
+                        damped += dt * resisting * (y + dt * f * per_mass / scaling)
                 forces[i] = f
                 ends[i] = before[k, i] if fixed[k, i] else y + dt * f * per_mass / scaling
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
+                    damped += half * ends[i] ** 2
                     ends[i] /= 1.0 + dt * dashpots[k, i] / (m * scaling)
+                    damped -= half * ends[i] ** 2
             if marks.shape[0] > 0 and marks[k] != 0:
+                for i in range(d):
+                    rubbed += half * ends[i] ** 2
                 _rub(marks[k], rubbing, ends)
+                for i in range(d):
+                    rubbed -= half * ends[i] ** 2
             for i in range(d):
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
                 change = dt * f * per_mass / scaling
@@ -76,6 +87,7 @@ def move_nodes(
                         # what moves the node does work against its forces and its inertia
                         work += (m * scaling * (end - y) - dt * f) * end
                 nodes[k, i] = end - y
+                grid += half * (end * end - y * y)
                 nodes[k, velocity + i] = end
                 if not known:
                     nodes[k, strain + i] = end
@@ -87,6 +99,9 @@ def move_nodes(
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
     done[1] += work
+    done[3] += grid
+    done[4] += damped
+    done[5] += rubbed
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)

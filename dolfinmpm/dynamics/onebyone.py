@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.cut.held import Held
-from dolfinmpm.dynamics.energies import Work
 from dolfinmpm.dynamics.faces import Sides
+from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.advance import NewState, advance
@@ -56,10 +56,10 @@ class OneByOne(ABC):
         self._settings, self._sides, self.instead = settings, sides, instead
         self._work = Work()
 
-    def work(self) -> tuple[float, float]:
-        """Work (J) of the stresses, and of loads and prescribed motions, since last asked."""
+    def work(self) -> Work:
+        """Works and losses since last asked."""
         done, self._work = self._work, Work()
-        return done.internal, done.external
+        return done
 
     def renew(self) -> None:  # noqa: B027 - nothing is to be done
         """Begin the next call as the first one; nothing is kept from step to step."""

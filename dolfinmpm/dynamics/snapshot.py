@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.dynamics.energies import Work
+from dolfinmpm.dynamics.ledger import Work
 
 __all__ = ["Snapshot"]
 
@@ -35,7 +35,7 @@ class Snapshot:
     ):
         self.time = math.nan
         self._bodies, self._of_bodies = bodies, bodies.memory()
-        self._sets, self._work = [points, *markers], Work()
+        self._sets, self._work = [points, *markers], Work().values()
         self._revision = -1
         self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
 
@@ -49,7 +49,7 @@ class Snapshot:
         still = _FIXED - touched if revision == self._revision else frozenset()
         self._revision = revision
         self.time, self._of_bodies = time, self._bodies.memory()
-        self._work.internal, self._work.external = work.internal, work.external
+        self._work = work.values()
         for k, (points, kept) in enumerate(zip(self._sets, self._fields)):
             self._fields[k] = {}
             for name in points.fields:
@@ -65,7 +65,7 @@ class Snapshot:
     def put(self, work: Work) -> None:
         """Give all back what it had, points on the ranks that had them. Collective."""
         self._bodies.remember(self._of_bodies)
-        work.internal, work.external = self._work.internal, self._work.external
+        work.take(self._work)
         for points, fields in zip(self._sets, self._fields):
             for name, values in fields.items():
                 points.fields[name] = values.copy()

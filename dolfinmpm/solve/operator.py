@@ -356,6 +356,11 @@ class Operator:
         penalties = [f.penalty for f in here.fields if f.penalty is not None]
         return [*here.grid, *penalties] if self.form.parts.grid.linear else penalties
 
+    @property
+    def penalties(self) -> list[Blocks]:
+        """Blocks of penalties on the increments, whose products with them are internal forces."""
+        return Operator._linear(self)
+
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
         """The same, all between two fields in one."""

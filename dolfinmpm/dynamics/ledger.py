@@ -1,0 +1,252 @@
+"""Where the energy of a moving body comes from and goes to, step by step.
+
+Each step adds to sums: work of loads and of stresses, changes of the nodes' kinetic energy,
+and what is lost by name. The energies themselves follow from the state when they are asked for,
+and so do the losses that are differences:
+
+- "plastic": work of the stresses less what laws that may yield store;
+- "projection": what the nodes' kinetic energy has changed by less what the points' has, which the
+  ways from the points to the nodes and back take;
+- "integrator": all that is left, such as what a rule in time damps or quadrature errs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import UnknownNameError
+from dolfinmpm.body.axisymmetry import full_gradient
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.dynamics.energies import kinetic_energy, stress_volumes
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["LOSSES", "Energies", "Ledger", "Work"]
+
+Array = npt.NDArray[np.float64]
+
+# Losses that steps sum up; others are differences
+LOSSES = ("ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision")
+_SUMS = ("external", "internal", "grid", *LOSSES)
+# What the energies are measured from
+_FIRST = ("kinetic", "strain", "bodies", "contact", "initial", "started")
+
+
+@dataclass
+class Work:
+    """Sums over steps (J; a metre across in 2D, the whole of rings).
+
+    Attributes:
+        external: Work of loads, prescribed motions and what drives rigid bodies.
+        internal: Work of stresses on strains.
+        grid: Change of the kinetic energy of the nodes within steps.
+        losses: What is lost by the names of `LOSSES`.
+    """
+
+    external: float = 0.0
+    internal: float = 0.0
+    grid: float = 0.0
+    losses: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LOSSES, 0.0))
+
+    def add(self, other: Work) -> None:
+        """Add sums of further steps."""
+        self.external += other.external
+        self.internal += other.internal
+        self.grid += other.grid
+        for name, loss in other.losses.items():
+            self.losses[name] += loss
+
+    def add_stresses(
+        self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
+    ) -> None:
+        """Add the work of the stresses in a step, before the points have its state. Collective.
+
+        Stress is taken as the mean of the states before and after, which is second order.
+
+        Args:
+            points: The points before the step.
+            new: Their fields after it.
+            operator: The step's equations, moved to the increments.
+        """
+        d, at = points.strain_dim, operator.points
+        H = full_gradient(points, *at.motion(operator.here.movers))
+        # rate of deformation at the middle of the step
+        rate = H @ np.linalg.inv(np.eye(d) + 0.5 * H)
+        declarations = operator.form.parts.declarations
+        before = stress_volumes(points, declarations, points["V"])
+        after = stress_volumes(points, declarations, new["V"])
+        for declaration in declarations:
+            if declaration.strain == "small":
+                # in the linear theory nothing turns
+                rate[declaration.rows] = H[declaration.rows]
+        sigma = new["stress"] if "stress" in new else points["stress"]
+        old = before[:, None, None] * points["stress"][:, :d, :d]
+        later = after[:, None, None] * sigma[:, :d, :d]
+        internal = 0.5 * float(np.sum((old + later) * rate))
+        self.internal += points.comm.allreduce(internal, op=MPI.SUM)
+
+    def values(self) -> Array:
+        """The sums as a row of numbers."""
+        return np.array([self.external, self.internal, self.grid, *self.losses.values()])
+
+    def take(self, values: Array) -> None:
+        """Take what `values` returned."""
+        self.external, self.internal, self.grid = (float(v) for v in values[:3])
+        self.losses = dict(zip(LOSSES, map(float, values[3:])))
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies of a body (J; a metre across in 2D, the whole of rings).
+
+    kinetic + bodies + strain + contact + dissipated − external = initial.
+
+    Attributes:
+        kinetic: ½ Σ m v² of the points.
+        strain: Elastic energy that the laws store; not a number if one does not know its own.
+        external: Work of loads and prescribed motions since the first step.
+        bodies: Kinetic energy of free rigid bodies.
+        contact: What the penalties of contacts have stored.
+        initial: All of it before the first step; what the user gives the points between steps is
+            added.
+        losses: What has been dissipated since, by name, see `dolfinmpm.dynamics.ledger`.
+    """
+
+    kinetic: float
+    strain: float
+    external: float
+    bodies: float = 0.0
+    contact: float = 0.0
+    initial: float = 0.0
+    losses: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def dissipated(self) -> float:
+        """The sum of the losses (J)."""
+        return sum(self.losses.values())
+
+    def __getitem__(self, name: str) -> float:
+        """A loss by its name (J).
+
+        Raises:
+            UnknownNameError: There is none of that name.
+        """
+        if name not in self.losses:
+            raise UnknownNameError(f"no loss is named '{name}'; there are {', '.join(self.losses)}")
+        return self.losses[name]
+
+
+class Ledger:
+    """The energies of a problem in time.
+
+    Args:
+        points: Material points.
+        declarations: Laws in the form.
+        bodies: Rigid bodies that the points touch.
+        scaling: Factor of the points' mass in the inertia.
+
+    Attributes:
+        work: Sums over the steps.
+    """
+
+    def __init__(
+        self,
+        points: MaterialPoints,
+        declarations: Sequence[Any],
+        bodies: Bodies,
+        scaling: float = 1.0,
+    ):
+        self.work = Work()
+        self._points, self._laws, self._bodies = points, declarations, bodies
+        self.scaling = scaling
+        self._first = dict.fromkeys(_FIRST, 0.0)
+        self._last = 0.0
+
+    def begin(self) -> None:
+        """Take note of the state before a step, or a call of several. Collective.
+
+        In the first one all energies begin. Later the user may have changed velocities since the
+        last one.
+        """
+        first, kinetic = self._first, self.kinetic()
+        if not first["started"]:
+            strain = self._strain()
+            first |= {
+                "kinetic": kinetic, "strain": strain, "bodies": self._bodies.kinetic(),
+                "contact": self._bodies.stored, "started": 1.0,
+            }  # fmt: skip
+            first["initial"] = kinetic + strain + first["bodies"] + first["contact"]
+        elif kinetic != self._last:
+            first["kinetic"] += kinetic - self._last
+            first["initial"] += kinetic - self._last
+        self._last = kinetic
+
+    @property
+    def started(self) -> bool:
+        """Whether a step has begun."""
+        return bool(self._first["started"])
+
+    def end(self) -> float:
+        """Take note of the state after a step or a call; the kinetic energy. Collective."""
+        self._last = self.kinetic()
+        return self._last
+
+    def kinetic(self) -> float:
+        """½ Σ m v² of the points (J). Collective."""
+        return float(self._points.comm.allreduce(kinetic_energy(self._points), op=MPI.SUM))
+
+    def moving(self) -> float:
+        """Kinetic energy with that of the inertia's factor, of rigid bodies, and in contacts (J).
+
+        Collective.
+        """
+        return self.scaling * self.end() + self._bodies.kinetic() + self._bodies.stored
+
+    def _strain(self) -> float:
+        """What the laws store (J). Collective."""
+        strain, V0 = 0.0, self._points.fields.read("V0")
+        for declaration in self._laws:
+            stored = declaration.energy()
+            strain += math.nan if stored is None else float(stored @ V0[declaration.rows])
+        return float(self._points.comm.allreduce(strain, op=MPI.SUM))
+
+    def energies(self) -> Energies:
+        """The energies now. Collective."""
+        first, work = self._first, self.work
+        kinetic, strain = self.kinetic(), self._strain()
+        bodies, contact = self._bodies.kinetic(), self._bodies.stored
+        if not first["started"]:
+            whole = kinetic + strain + bodies + contact
+            names = ("plastic", "projection", *LOSSES, "integrator")
+            losses = dict.fromkeys(names, 0.0)
+            return Energies(kinetic, strain, 0.0, bodies, contact, whole, losses)
+        losses = {"plastic": 0.0, "projection": 0.0, **work.losses}
+        if any(getattr(d.law, "strengths", ()) != () for d in self._laws):
+            losses["plastic"] = work.internal - (strain - first["strain"])
+        losses["friction"] += self._bodies.rubbed
+        gained = kinetic - first["kinetic"]
+        losses["projection"] = work.grid - self.scaling * gained
+        if self.scaling != 1.0:
+            # inertia has more energy than mass
+            losses["mass scaling"] = (self.scaling - 1.0) * gained
+        known = kinetic + strain + bodies + contact + sum(losses.values())
+        losses["integrator"] = first["initial"] + work.external - known
+        return Energies(kinetic, strain, work.external, bodies, contact, first["initial"], losses)
+
+    def memory(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        first = np.array([*self._first.values(), self._last])
+        return {"work": self.work.values(), "first energies": first}
+
+    def remember(self, state: Mapping[str, Any]) -> None:
+        """Take what `memory` returned."""
+        self.work.take(state["work"])
+        *first, self._last = (float(v) for v in state["first energies"])
+        self._first = dict(zip(_FIRST, first))
