@@ -14,10 +14,13 @@ class Balance:
 
     Args:
         ledger: The energies of the problem.
+
+    Attributes:
+        ledger: The argument.
     """
 
     def __init__(self, ledger: Ledger):
-        self._ledger = ledger
+        self.ledger = ledger
         self._first: float | None = None
         self._last = self._most = 0.0
 
@@ -31,7 +34,7 @@ class Balance:
             begins: Whether a call of `step` begins: what the user gave the points before it
                 does not come from nowhere.
         """
-        ledger, work = self._ledger, self._ledger.work
+        ledger, work = self.ledger, self.ledger.work
         total = ledger.moving() + work.internal - work.external
         if self._first is None:
             self._first = self._last = total

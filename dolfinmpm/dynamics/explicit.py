@@ -167,8 +167,8 @@ class Explicit(Problem):
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        self.ledger = Ledger(points, self.form.parts.declarations, self.bodies, settings.scaling)
-        self.balance = Balance(self.ledger)
+        laws = self.form.parts.declarations
+        self.balance = Balance(Ledger(points, laws, self.bodies, settings.scaling))
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points)
@@ -195,6 +195,11 @@ class Explicit(Problem):
         if not isinstance(self._loop, Colliding):
             return np.zeros(self.points.gdim)
         return self._loop.force
+
+    @property
+    def ledger(self) -> Ledger:
+        """Where energy comes from and goes to."""
+        return self.balance.ledger
 
     @property
     def terms(self) -> MassTerms:

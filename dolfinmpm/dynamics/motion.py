@@ -18,7 +18,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.ledger import Work
+from dolfinmpm.dynamics.ledger import Ledger
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.transfer import collect, scatter
@@ -99,10 +99,10 @@ class Motion:
         error: Bound of a step's error, see `Newmark`, or None.
         clock: DOLFINx constant that holds the time (s), or None.
         sides: Faces of the grid that act on the body.
-        work: Sums of works, which steps add to.
+        ledger: Where energy comes from and goes to; steps add to its sums.
 
     Attributes:
-        rule, mapping, terms, work: The arguments.
+        rule, mapping, terms, ledger: The arguments.
         nodes: What moved in the last step: the nodes of each field that moves points.
         start, end: Times between which the step asked for goes (s).
         jumped, varying: Whether a load jumps at its start, and whether any changes in it.
@@ -121,7 +121,7 @@ class Motion:
         error: float | None,
         clock: fem.Constant | None,
         sides: Sides,
-        work: Work,
+        ledger: Ledger,
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
         self._points, self._error, self._clock = points, error, clock
@@ -129,7 +129,7 @@ class Motion:
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
-        self.work = work
+        self.ledger = ledger
         # whether the next step begins with M a = f
         self._starting = True
         self._largest = 0.0
@@ -248,8 +248,8 @@ class Motion:
             return reason
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
         external = self._external(operator, x, scale, motions, dt)
-        self.work.external += external
-        self.work.add_stresses(points, state.fields, operator)
+        self.ledger.work.external += external
+        self.ledger.work.add_stresses(points, state.fields, operator)
         for one, motion in zip(self.nodes, motions):
             self._count(one, motion, operator, dt, scale)
         new = found[0]
@@ -316,9 +316,9 @@ class Motion:
         Collective. Of the forces at the end of a step a share γ acts in it, where it begins with
         accelerations of its own.
         """
-        mass, losses, here = one.mass, self.work.losses, operator.here
+        mass, losses, here = one.mass, self.ledger.work.losses, operator.here
         found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
-        self.work.grid += found[1][0] - found[0][0]
+        self.ledger.work.grid += found[1][0] - found[0][0]
         losses["ghost mass"] += found[1][1] - found[0][1]
         u = motion.u
         assert u is not None

@@ -162,18 +162,25 @@ class TimeStepping(QuasiStatic):
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
         self._ties_movers = mass == "consistent" and ghost_mass is None
-        own = rule.alpha_m == rule.alpha_f == 0.0
-        rule = replace(rule, by_forces=self._ties_movers and own)
         super().__init__(form, increment, points, conditions, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points)
-        self.ledger = Ledger(points, self.form.parts.declarations, self.bodies)
-        self.motion = Motion(points, rule, chosen, terms, error, time, sides, self.ledger.work)
+        # the forces of contact at the start of a step are none that last
+        parts = self.form.parts
+        lasting = not (parts.contacts or parts.between) and rule.alpha_m == rule.alpha_f == 0.0
+        rule = replace(rule, by_forces=self._ties_movers and lasting)
+        ledger = Ledger(points, self.form.parts.declarations, self.bodies)
+        self.motion = Motion(points, rule, chosen, terms, error, time, sides, ledger)
         check_masses(self.bodies)
         self.form.inertia = terms
+
+    @property
+    def ledger(self) -> Ledger:
+        """Where energy comes from and goes to."""
+        return self.motion.ledger
 
     @property
     def time(self) -> float:
