@@ -36,7 +36,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.arguments import check_displacement, check_points
-from dolfinmpm.body.axisymmetry import in_section, ring
+from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
@@ -314,7 +314,7 @@ class Surface:
                 "is a traction"
             )
         check_displacement(points, u=u, v=v)
-        F = ufl.Identity(points.gdim) + ufl.grad(u)
+        F = ufl.Identity(points.gdim) + in_section(points, gradient(points, u))
         F = ufl.dot(F, in_section(points, points.F))
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         if points.axisymmetric:

@@ -16,6 +16,7 @@ from dolfinmpm.cut.participants import Field
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
+from dolfinmpm.forms.hoop import check_hoop
 from dolfinmpm.forms.penalties import penalty_of
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -92,7 +93,11 @@ def with_remedies(
 
 
 def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
-    """Fields that a converged step sets: those of laws and terms, and those given. Collective."""
+    """Fields that a converged step sets: those of laws and terms, and those given. Collective.
+
+    Raises:
+        FormError: An expression lacks the hoop term of points that are rings.
+    """
     made = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
         for declaration in form.parts.declarations
@@ -101,6 +106,8 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
     kept = {f.name: f.update for f in form.parts.carried if isinstance(f, CarriedField)}
     kept = {name: update for name, update in kept.items() if name not in given}
     for updates, carried in ((kept, True), (given, False)):
+        for expression in updates.values():
+            check_hoop(form.points, expression)
         if updates:
             made.append(
                 PointUpdates(updates, form.regions, form.spaces, form.points, carried=carried)
