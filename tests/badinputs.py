@@ -33,6 +33,8 @@ class Scene:
         self.F -= ufl.inner(self.points.density * self.g, self.v) * self.points.dX
         self.bcs = mpm.rollers(self.V, "left") + mpm.fixed(self.V, "bottom")
         self.top = mpm.Surface(self.points, lambda x: x[1] > 0.99, (0, 1), name="top")
+        self.side = mpm.Boundary.from_polygon(self.points, [(2, 0), (2, 1)], False, name="side")
+        self.wall = mpm.Boundary.from_side(self.points, "right")
         self.lagrange = fem.functionspace(self.grid, ("Lagrange", 1, (2,)))
         at = fem.locate_dofs_geometrical(self.lagrange, lambda x: np.isclose(x[0], 0))
         self.dirichlet = fem.dirichletbc(np.zeros(2), at, self.lagrange)
@@ -635,6 +637,26 @@ BAD = {
     "contact: added": (
         lambda s: s.solver(form=s.add(mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.u, s.v))),
         "contact of a footing on 'top' is added",
+    ),
+    "boundary: pressure added": (
+        lambda s: s.solver(form=s.add(s.side.pressure(1.0, s.u, s.v))),
+        "pressure on 'side' is added .* write F -=",
+    ),
+    "boundary: traction added": (
+        lambda s: s.solver(form=s.add(2 * s.side.traction((0.0, 1.0), s.v))),
+        "traction on 'side' is added",
+    ),
+    "ghost: subtracted": (
+        lambda s: s.solver(form=s.F - s.ghost()),
+        r"ghost penalty \(mpm.ghost\) is subtracted .* write F \+=",
+    ),
+    "dirichlet: subtracted": (
+        lambda s: s.solver(form=s.F - mpm.dirichlet(s.law, s.side, s.u, s.v)),
+        r"\(mpm.dirichlet\) at 'side' is subtracted",
+    ),
+    "signorini: subtracted": (
+        lambda s: s.solver(form=s.F - mpm.signorini(s.law, s.wall, s.u, s.v)),
+        r"\(mpm.signorini\) at 'right' is subtracted",
     ),
     "contact: swapped": (
         lambda s: mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.v, s.u),

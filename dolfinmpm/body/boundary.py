@@ -23,6 +23,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
@@ -373,7 +374,7 @@ class Boundary:
         check_displacement(self.points, v=v)
         if not isinstance(t, Expr):
             t = own_constant(self.points.grid, np.asarray(t, float))
-        return ufl.dot(t, v) * self.ds
+        return acting(ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
         """Virtual work of a pressure that follows the boundary, to be subtracted.
@@ -390,7 +391,8 @@ class Boundary:
             p = own_constant(self.points.grid, float(p))
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
-        return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v) * self.ds
+        work = -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
+        return acting(work, self.ds, f"the pressure on '{self.name}'")
 
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.

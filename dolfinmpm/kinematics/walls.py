@@ -27,6 +27,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -208,4 +209,5 @@ def signorini(
     where: Any = "everywhere"
     if declaration is not None and declaration.tags is not None:
         where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
-    return -ufl.dot(traction, v) * boundary.ds(where, metadata=mark)
+    ds = boundary.ds(where, metadata=mark)
+    return resisting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
