@@ -106,7 +106,9 @@ def check_signs(form: ufl.Form) -> None:
     """
     for integral in form.integrals():
         acting = (integral.metadata() or {}).get(MARK)
-        sign = None if acting is None else _factor(integral.integrand(), acting.integrand)
+        if acting is None:
+            continue
+        sign = _factor(integral.integrand(), acting.integrand)
         if sign is None or (sign > 0) == acting.added:
             continue
         raise FormError(

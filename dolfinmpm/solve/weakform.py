@@ -83,6 +83,7 @@ class WeakForm:
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
+        self._checked = False
         self._facets = self.grid.moduli
         self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -101,7 +102,15 @@ class WeakForm:
             region.external, region.internal, region.operands  # noqa: B018
 
     def bind(self) -> None:
-        """Let laws give points that came since what they keep at first. Collective."""
+        """Let laws give points that came since what they keep at first. Collective.
+
+        Raises:
+            FormError: When it is called first, if tags of the form match no points, or points
+                have a load and no law.
+        """
+        if not self._checked:
+            self.parts.tagged.check()
+            self._checked = True
         if self._revision != self.points.revision:
             of_markers = [d for b in self.boundaries for d in b.declarations]
             for declaration in (*self.parts.declarations, *of_markers):
