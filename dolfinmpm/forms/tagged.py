@@ -75,7 +75,8 @@ class Tagged:
             )
         for tag in sorted(in_use):
             for space in self.spaces:
-                if space.increment.ufl_shape == (self.points.gdim,):
+                moves = space.increment.ufl_shape == (self.points.gdim,)
+                if moves and _has(space.tags, tag):
                     self._check_load(tag, space)
 
     def _check_load(self, tag: int, space: Space) -> None:
