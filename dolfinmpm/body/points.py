@@ -85,7 +85,8 @@ class MaterialPoints:
     density      (n,)        kg/m^d   mass per initial volume
     F            (n, e, e)   -        deformation gradient
     l, l0        (n, d)      m        half-lengths of the GIMP domain
-    stress       (n, 3, 3)   Pa       Cauchy stress
+    stress       (n, 3, 3)   Pa       Cauchy stress; set before the first step it is the initial
+                                      one of the points' law, and later a result: see `set_stress`
     ===========  ==========  =======  =====================================
 
     e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where points
@@ -232,7 +233,8 @@ class MaterialPoints:
             half_length: Half-lengths of the points' domains (m): a number, shape (gdim,) or
                 (n, gdim); by default those of a cube of the point's volume, or of a square of the
                 area of the ring's section.
-            fields: Further fields by name, shape (n, ...).
+            fields: Further fields by name, shape (n, ...); `stress` too, shape (n, 3, 3), which
+                the law of a problem takes as its initial stress.
             id: Numbers of the points, shape (n,); by default in the order of their
                 coordinates, whatever rank gave them.
             axisymmetric: Whether they are rings about the axis x[0] = 0.
@@ -247,7 +249,7 @@ class MaterialPoints:
         """
         rows, others = sources.located(
             grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
-            reserved=_RESERVED,
+            reserved=tuple(name for name in _RESERVED if name != "stress"),
         )  # fmt: skip
         points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():

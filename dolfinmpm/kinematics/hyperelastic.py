@@ -19,7 +19,7 @@ from dolfinmpm.forms.declarations import (
     rows_within,
 )
 from dolfinmpm.forms.pointwise import compile_here
-from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history
+from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -52,7 +52,9 @@ def declare_energy(law: Any, points: MaterialPoints, u, tags: Tags) -> Declarati
         given = dict(zip(law.parameters, holders))
 
     def bind() -> None:
-        check_history(points, rows_within(points, tags), ENERGY, str(declaration))
+        rows = rows_within(points, tags)
+        check_history(points, rows, ENERGY, str(declaration))
+        refuse_stress(points, rows, str(declaration))
         parameters.adopt()
 
     declaration = Declaration(

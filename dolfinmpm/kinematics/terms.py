@@ -26,7 +26,7 @@ from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.history import MARKS, check_history
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
-from dolfinmpm.kinematics.initial import StressField, write_stress
+from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
@@ -139,6 +139,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     def bind() -> None:
         check_history(points, inner.rows, strain, str(declaration))
         inner.bind()
+        take_stress(inner, str(declaration))
         if isinstance(outer, FBar):
             outer.bind()
 
@@ -332,4 +333,5 @@ def set_stress(
     check_in_use("tag", points, one.tags)
     one.bind()
     write_stress(one, stress)
-    points["moved_under"][one.rows] = MARKS[choice("strain", strain, _FRAMEWORKS)]
+    # problems that are there look at it before they go on
+    points.revision += 1

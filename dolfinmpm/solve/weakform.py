@@ -108,16 +108,17 @@ class WeakForm:
             FormError: When it is called first, if tags of the form match no points, or points
                 have a load and no law.
         """
-        if not self._checked:
+        first, revision = not self._checked, self.points.revision
+        if first:
             self.parts.tagged.check()
-            self._checked = True
-        if self._revision != self.points.revision:
+        # fields may have been set since the problem was made
+        if first or self._revision != revision:
             of_markers = [d for b in self.boundaries for d in b.declarations]
             for declaration in (*self.parts.declarations, *of_markers):
                 declaration.bind()
             for contact in self.parts.contacts:
                 contact.bind(self.parts.declarations)
-            self._revision = self.points.revision
+            self._revision, self._checked = revision, True
             self._first_moduli()
 
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
