@@ -122,6 +122,10 @@ class MaterialPoints:
         revision: How many times the rows of the arrays have changed.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.
+        overlapping: Whether points may fill cells more than once, as where two of them are of one
+            mixture. If not, which is so at first, bodies that overlap are not joined, nor do points
+            that fill a cell more than once make a problem.
+        roomy: The revision at which cells were last found not to be overfilled.
         shape_volume: Volume (m^d) of the shape that `fill` put the points into, None if unknown.
         volume_error: Relative error of the points' first volume, or None likewise.
 
@@ -163,6 +167,9 @@ class MaterialPoints:
         self.declarations: dict[int, Any] = {}
         # laws whose parameters vary from point to point, each with a field of its own
         self.laws: list[Any] = []
+        self.overlapping = False
+        # the revision that is known not to overlap
+        self.roomy = -1
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.revision = 0
@@ -453,8 +460,8 @@ class MaterialPoints:
         value that it had at first; numbers are given anew to the points of the second.
 
         Raises:
-            ParameterError: The other is no set of points of this grid, or points of both are
-                in the same place.
+            ParameterError: The other is no set of points of this grid, points of both are in
+                the same place, or both fill a cell more than once; see `overlapping`.
             FieldShapeError: A field has another shape in the other body.
         """
         return joining.joined(self, other)

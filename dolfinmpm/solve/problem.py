@@ -27,6 +27,7 @@ from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import Kept
@@ -114,6 +115,7 @@ class Problem:
                     f"{type(self).__name__} knows no time; prescribe increments with "
                     "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
                 )
+        check_room(points)
         updates = check_updates(updates, points)
         remedies = remedies_of(stabilisation, len(spaces))
         check_callable("prolongation", prolongation)
