@@ -162,7 +162,7 @@ class Explicit(Problem):
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
+        self.balance = Balance(points, settings.scaling, self.form.storing)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points)
@@ -232,7 +232,7 @@ class Explicit(Problem):
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
-        return Energies.of(self.points, self.form.parts.declarations, self.balance.work)
+        return Energies.of(self.points, self.form.storing, self.balance.work)
 
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""

@@ -167,7 +167,7 @@ class TimeStepping(QuasiStatic):
 
     def energies(self) -> Energies:
         """Energies of the body now, and work done since the first step. Collective."""
-        return Energies.of(self.points, self.form.parts.declarations, self.motion.work)
+        return Energies.of(self.points, self.form.storing, self.motion.work)
 
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""

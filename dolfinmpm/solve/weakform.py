@@ -11,6 +11,7 @@ import ufl
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
@@ -60,6 +61,7 @@ class WeakForm:
         softening: The same of the terms of the tangent only, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
+        own: What terms in UFL say of the stress of points without a law.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
 
@@ -82,6 +84,7 @@ class WeakForm:
         self.bodies = Bodies(self.parts.contacts, points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
+        self.own: list[OwnStress] = []
         self._revision = points.revision
         self._checked = False
         self._facets = self.grid.moduli
@@ -195,6 +198,11 @@ class WeakForm:
         return [
             next((f.name for f in kept if f.of is space.increment), None) for space in self.spaces
         ]
+
+    @property
+    def storing(self) -> list[Declaration | OwnStress]:
+        """What stores energy at points: laws, and terms in UFL where there is none."""
+        return [*self.parts.declarations, *self.own]
 
     @property
     def regions(self) -> list[PointTerms]:
