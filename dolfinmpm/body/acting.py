@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
-__all__ = ["MARK", "Acting", "acting", "resisting", "unmarked"]
+__all__ = ["FACETS", "MARK", "Acting", "acting", "resisting", "unmarked"]
 
 # Name of the mark in the metadata of a measure
 MARK = "acting"
+# and of the number of the points whose cells and facets a measure is over
+FACETS = "facets"
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,5 +65,5 @@ def _marked(integrand: Expr, measure: ufl.Measure, mark: Acting) -> ufl.Form:
 
 
 def unmarked(metadata: dict | None) -> dict:
-    """Metadata of a measure without the mark, by which integrals of one kind would differ."""
-    return {name: value for name, value in (metadata or {}).items() if name != MARK}
+    """Metadata of a measure without marks, by which integrals of one kind would differ."""
+    return {k: value for k, value in (metadata or {}).items() if k not in (MARK, FACETS)}

@@ -24,6 +24,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
 from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fieldarrays import FieldArrays
@@ -34,7 +35,7 @@ from dolfinmpm.body.migration import migrate
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["MOTION", "MaterialPoints", "PointChange", "PointField"]
+__all__ = ["MOTION", "UNSET", "MaterialPoints", "PointChange", "PointField"]
 
 _numbers = itertools.count(1)
 
@@ -57,6 +58,9 @@ _BUILT_IN = {
 # Those that change as a body moves, and that no law asks for before it does
 MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
 _RESERVED = ("id", "cell", "tag", "moved_under", *_BUILT_IN)
+
+# Length of a step (s) that nobody has set
+UNSET = math.nextafter(1.0, 2.0)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -203,10 +207,11 @@ class MaterialPoints:
         self.dX = ufl.Measure("dc", domain=domain, metadata=self._mark("V0"))
         self.dx = ufl.Measure("dc", domain=domain, metadata=self._mark("V"))
         # facets and cells themselves are found by the solver, which knows the active cells
-        self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS)
-        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
+        own = {FACETS: self.number}
+        self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS, metadata=own)
+        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS, metadata=own)
         # length of a step in time (s), which whoever steps in time sets
-        self.dt = own_constant(grid, 1.0)
+        self.dt = own_constant(grid, UNSET)
         self.inertia = own_constant(grid, 0.0)
 
     # -- where points come from -----------------------------------------------

@@ -173,7 +173,8 @@ def ghost(
     facets = points.dS
     if smooth:
         # exact on the rectangular grids of splines, where UFL would reckon with any shape
-        facets = facets.reconstruct(metadata={"quadrature_degree": 2 * order})
+        metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
+        facets = facets.reconstruct(metadata=metadata)
     jumps = sum(terms[1:], start=terms[0])
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's

@@ -19,6 +19,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
@@ -164,6 +165,12 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             at_points.append(integral)
         else:
             _check_ordinary(integral, spaces)
+            if integral.metadata().get(FACETS, points.number) != points.number:
+                raise FormError(
+                    f"the term '{brief(integral.integrand())}' is over cells or facets of other "
+                    "material points than those that the problem moves: give mpm.ghost, mpm.soft, "
+                    "dS and dC the same points"
+                )
             ordinary.append(integral)
     _check_tags(ordinary)
     others = [(repr(c), c.tags) for c in contacts if c not in between]

@@ -27,6 +27,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
@@ -169,7 +170,7 @@ def signorini(
             f"{boundary} is one of a body, with follows=True or activates=True; make a wall with "
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
-    mu = number("friction", friction, 0.0, closed=True)
+    mu = friction_coefficient(friction)
     number("beta", beta, 0.0), number("slip_beta", slip_beta, 0.0)
     declaration = None
     if stiffness is not None:

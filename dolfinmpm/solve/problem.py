@@ -55,6 +55,7 @@ from dolfinmpm.solve.pressures import refuse_increments
 from dolfinmpm.solve.referred import needed_of, require_reference
 from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Problem"]
@@ -308,6 +309,8 @@ class Problem:
             step: The step; all of it by default.
         """
         share = 1.0 if step is None else step.share
+        if step is not None and self.here is None and not self._in_time:
+            check_timeless(self.form.given, self.points, type(self).__name__)
         self.form.bind()
         check_bodies(self.fields, self.form)
         self.form.place_markers()
