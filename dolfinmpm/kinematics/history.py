@@ -87,9 +87,9 @@ def refuse_stress(points: MaterialPoints, rows: npt.NDArray[np.int32], law: str)
     Raises:
         ParameterError: There is one.
     """
-    still = rows[points.fields.read("moved_under")[rows] == 0]
-    stress = points.fields.read("stress")[still]
-    error = None
+    stress, error = points.fields.read("stress"), None
+    still = rows[points.fields.read("moved_under")[rows] == 0] if stress.any() else rows[:0]
+    stress = stress[still]
     if np.any(stress):
         k = int(np.argmax(np.any(stress, axis=(1, 2))))
         error = ParameterError(

@@ -140,7 +140,9 @@ def take_stress(framework: Framework, law: str) -> None:
     points, rows = framework.points, framework.rows
     marks = points.fields.read("moved_under")[rows]
     still, given = rows[marks == 0], rows[marks >= GIVEN]
-    written = still[np.any(points.fields.read("stress")[still], axis=(1, 2))]
+    stress = points.fields.read("stress")
+    # next to always there is none
+    written = still[np.any(stress[still], axis=(1, 2))] if stress.any() else still[:0]
     asked = np.array([written.size, given.size])
     if points.comm.size > 1:
         points.comm.Allreduce(MPI.IN_PLACE, asked)
