@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ufl
 from ufl.classes import Div, Dot, FixedIndex, Grad, Indexed, NablaDiv, NablaGrad
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
@@ -10,7 +11,19 @@ from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.terms import brief
 
-__all__ = ["check_hoop"]
+__all__ = ["check_hoop", "check_hoops"]
+
+
+def check_hoops(form: ufl.Form, points: MaterialPoints) -> None:
+    """Refuse a form whose terms over points lack the hoop term of rings; see `check_hoop`.
+
+    Args:
+        form: Weak form, as the user made it: UFL's lowering would hide what a gradient is part of.
+        points: Material points.
+    """
+    for integral in form.integrals():
+        if integral.integral_type() == "custom":
+            check_hoop(points, integral.integrand())
 
 
 def check_hoop(points: MaterialPoints, expression: Expr) -> None:

@@ -26,7 +26,6 @@ from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
-from dolfinmpm.forms.hoop import check_hoop
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagged import Tagged, tags_by_term
@@ -105,8 +104,6 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     for integral in form.integrals():
-        if integral.integral_type() == "custom":
-            check_hoop(points, integral.integrand())
         for node in unique_pre_traversal(integral.integrand()):
             if isinstance(node, SpatialDerivative):
                 # UFL takes a field of the points for constant and would drop the term

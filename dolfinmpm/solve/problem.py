@@ -35,6 +35,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
+from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -102,6 +103,7 @@ class Problem:
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
+        check_hoops(form, points)
         if not self._has_inertia and points.inertia in extract_constants(form):
             raise FormError(
                 f"the form has the acceleration of the body, and {type(self).__name__} has no "
