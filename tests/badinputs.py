@@ -33,6 +33,9 @@ class Scene:
         self.F -= ufl.inner(self.points.density * self.g, self.v) * self.points.dX
         self.bcs = mpm.rollers(self.V, "left") + mpm.fixed(self.V, "bottom")
         self.top = mpm.Surface(self.points, lambda x: x[1] > 0.99, (0, 1), name="top")
+        self.side = mpm.Boundary.from_polygon(self.points, [(2, 0), (2, 1)], False, name="side")
+        self.wall = mpm.Boundary.from_side(self.points, "right")
+        self.tool = mpm.RigidBody(mpm.Disc((1.0, 1.7), 0.5), name="tool")
         self.lagrange = fem.functionspace(self.grid, ("Lagrange", 1, (2,)))
         at = fem.locate_dofs_geometrical(self.lagrange, lambda x: np.isclose(x[0], 0))
         self.dirichlet = fem.dirichletbc(np.zeros(2), at, self.lagrange)
@@ -84,6 +87,17 @@ class Scene:
 
     def plot(self, path="picture.png", *arguments, **given):
         return mpm.plot(self.points, path, *arguments, **given)
+
+    def stressed(self):
+        points = self.fill()
+        points["stress"] = -np.eye(3)
+        law = mpm.materials.NeoHookean(1e4, 0.3)
+        return self.solver(form=self.momentum(law=law, points=points), points=points)
+
+    def rings(self):
+        points = self.fill(axisymmetric=True)
+        form = ufl.inner(ufl.grad(self.u), ufl.grad(self.v)) * points.dX
+        return self.solver(form=form, points=points)
 
     def nan_load(self):
         g = fem.Constant(self.grid, (0.0, np.nan))
@@ -636,6 +650,26 @@ BAD = {
         lambda s: s.solver(form=s.add(mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.u, s.v))),
         "contact of a footing on 'top' is added",
     ),
+    "boundary: pressure added": (
+        lambda s: s.solver(form=s.add(s.side.pressure(1.0, s.u, s.v))),
+        "pressure on 'side' is added .* write F -=",
+    ),
+    "boundary: traction added": (
+        lambda s: s.solver(form=s.add(2 * s.side.traction((0.0, 1.0), s.v))),
+        "traction on 'side' is added",
+    ),
+    "ghost: subtracted": (
+        lambda s: s.solver(form=s.F - s.ghost()),
+        r"ghost penalty \(mpm.ghost\) is subtracted .* write F \+=",
+    ),
+    "dirichlet: subtracted": (
+        lambda s: s.solver(form=s.F - mpm.dirichlet(s.law, s.side, s.u, s.v)),
+        r"\(mpm.dirichlet\) at 'side' is subtracted",
+    ),
+    "signorini: subtracted": (
+        lambda s: s.solver(form=s.F - mpm.signorini(s.law, s.wall, s.u, s.v)),
+        r"\(mpm.signorini\) at 'right' is subtracted",
+    ),
     "contact: swapped": (
         lambda s: mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.v, s.u),
         "must be the increment",
@@ -661,6 +695,58 @@ BAD = {
     "footing: other mesh": (
         lambda s: mpm.RigidFooting(s.top, fem.Constant(s.other, 0.0), E=1.0),
         "of another mesh",
+    ),
+    # -- tags, other bodies' pieces
+    "tags: a load of nobody": (
+        lambda s: s.solver(form=s.add(s.v[0] * s.points.dX(9))).step(),
+        r"is for points with tag=9, and no point has it: the points have the tags 0\. Give",
+    ),
+    "tags: a contact of nobody": (
+        lambda s: s.solver(form=s.add(mpm.contact(s.tool, s.points, s.u, s.v, tag=7))).step(),
+        "the contact with 'tool' is for points with tag=7, and no point has it",
+    ),
+    "tags: a law of nobody": (
+        lambda s: s.solver(form=s.momentum(tag=3) - s.v[0] * s.points.dX(3)).step(),
+        "no point has a law: those of the form are for tag=3",
+    ),
+    "tags: a stress of nobody": (
+        lambda s: s.set_stress(np.eye(3), tag=5),
+        "tag = 5: no point has it",
+    ),
+    "points: the same place twice filled": (
+        lambda s: s.points + mpm.fill(s.grid, mpm.Box((0.5, 0), (2, 1)), 3, 1.0),
+        "fill the cell at .* bodies overlap, or volumes are too large",
+    ),
+    "points: stress without a state": (lambda s: s.stressed(), "deformation gradient alone"),
+    "ghost: of other points": (
+        lambda s: s.solver(form=s.F + s.ghost(points=s.fill())),
+        "cells or facets of other material points",
+    ),
+    "boundary: inside out": (
+        lambda s: mpm.Boundary.from_polygon(s.points, [(2, 1), (2, 0)], False),
+        "is inside out: the body is where its normals point",
+    ),
+    "axisymmetric: grad": (lambda s: s.rings(), r"hoop term u_r/r .* mpm\.gradient\(points, u\)"),
+    "times: several and dt": (
+        lambda s: list(mpm.times([1, 2], dt=0.1)),
+        r"dt = 0\.1 is of a single time",
+    ),
+    "absorbing: swapped": (
+        lambda s: mpm.absorbing(s.V, "left", density=1.0, p_speed=1.0, s_speed=2.0),
+        "s_speed = 2 m/s must be at most p_speed = 1",
+    ),
+    "rates: no time": (
+        lambda s: s.solver(form=s.F + ufl.inner(s.u, s.v) / s.points.dt * s.points.dX).step(),
+        "rates over points.dt, .* QuasiStatic knows no time",
+    ),
+    "layer: lighter when wet": (
+        lambda s: mpm.Layer(0.0, 18e3, 0.5, 16e3),
+        "saturated_unit_weight = 16000 N/m³ must be at least",
+    ),
+    "layer: swapped": (lambda s: mpm.Layer(0.0, 0.5, 18e3), "K0 = 18000 .* in this order"),
+    "orders: lengths": (
+        lambda s: mpm.study.observed_orders([1, 2, 3], [1, 2]),
+        "give one error for each size",
     ),
     # -- points
     "fill: density a word": (lambda s: s.fill(density="1000"), "density = '1000' must be a number"),

@@ -138,7 +138,7 @@ class FreeAxisWarning(DolfinMPMWarning):
 
 
 class DegreesWarning(DolfinMPMWarning):
-    """An angle in degrees is so small that it may have been given in radians."""
+    """An angle may have been given in radians in place of degrees, or the reverse."""
 
 
 class SingularMassWarning(DolfinMPMWarning):

@@ -15,7 +15,6 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import number, shown, truth, whole
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
-    FieldShapeError,
     ParameterError,
     UnsupportedGridError,
     call_together,
@@ -24,10 +23,19 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
-from dolfinmpm.body.markerplaces import corners_of, inward, revolved, rows_of, simplices_of
+from dolfinmpm.body.markerplaces import (
+    inward,
+    revolved,
+    rows_of,
+    segments_of,
+    simplices_of,
+    triangles_of,
+)
+from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
@@ -82,7 +90,7 @@ class Boundary:
 
     Raises:
         FieldShapeError: An array has another shape.
-        ParameterError: A value is not finite, or an area is zero.
+        ParameterError: A value is not finite, an area is zero, or the normals point into the body.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
     """
@@ -119,6 +127,7 @@ class Boundary:
             points.grid, at, sizes, 1.0, half_length=0.0,
             fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
         )  # fmt: skip
+        check_outward(points, markers["x"], markers["area"], self.name)
         # laws whose parameters vary have fields of the same names on both
         markers.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}
@@ -188,17 +197,7 @@ class Boundary:
                 f"a polygon bounds bodies in 2D, the grid is of {points.gdim}D; in 3D give "
                 "Boundary.from_triangles"
             )
-        truth("closed", closed)
-        corners = corners_of("vertices", vertices, 2)
-        if len(corners) < 2 + closed:
-            raise ParameterError(
-                f"vertices are {len(corners)}; a boundary has {2 + closed} or more"
-            )
-        ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        ends = ends if closed else ends[:-1]
-        short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == 0
-        if short.any():
-            raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
+        ends = segments_of(vertices, truth("closed", closed))
         lattice, rule = lattice_of(points.grid), whole("rule", rule, 1)
         if spacing is not None:
             number("spacing", spacing, 0.0, unit="m")
@@ -278,20 +277,9 @@ class Boundary:
                 f"triangles bound bodies in 3D, the grid is of {points.gdim}D; in 2D give "
                 "Boundary.from_polygon"
             )
-        corners = corners_of("vertices", vertices, 3)
-        rows = np.asarray(triangles)
-        if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
-            raise FieldShapeError(
-                f"triangles should be whole numbers of shape (m, 3), got {rows.dtype} of shape "
-                f"{rows.shape}"
-            )
-        if rows.size and not (rows.min() >= 0 and rows.max() < len(corners)):
-            raise ParameterError(
-                f"triangles name vertices {rows.min()} ... {rows.max()}; there are 0 ... "
-                f"{len(corners) - 1}"
-            )
+        corners = triangles_of(vertices, triangles)
         lattice = lattice_of(points.grid)
-        x, area = cut_triangles(corners[rows], None if lattice is None else lattice.lines)
+        x, area = cut_triangles(corners, None if lattice is None else lattice.lines)
         return cls(points, x, area, follows, name, activates)
 
     @classmethod
@@ -379,7 +367,7 @@ class Boundary:
         check_displacement(self.points, v=v)
         if not isinstance(t, Expr):
             t = own_constant(self.points.grid, np.asarray(t, float))
-        return ufl.dot(t, v) * self.ds
+        return acting(ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
         """Virtual work of a pressure that follows the boundary, to be subtracted.
@@ -396,7 +384,8 @@ class Boundary:
             p = own_constant(self.points.grid, float(p))
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
-        return -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v) * self.ds
+        work = -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
+        return acting(work, self.ds, f"the pressure on '{self.name}'")
 
     @together
     def force(self) -> Array:

@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.balance import beside
+from dolfinmpm.body.room import check_room_of_both
 from dolfinmpm.grid.positions import choose
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
                 points.add_field(name, field.ufl_shape, field.unit).first = field.first
     points.fields.update(rows)
     points.recount()
+    points.overlapping = a.overlapping or b.overlapping
     shapes = [(body.shape_volume, body.volume_error or 0.0) for body in (a, b)]
     known = [(volume, error) for volume, error in shapes if volume is not None]
     if len(known) == len(shapes):
@@ -78,6 +80,7 @@ def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
         other = beside(other, points.partition)
     rows = _rows_of_both(points, other)
     change = _change(other, slice(None))
+    points.overlapping = points.overlapping or other.overlapping
     for name, field in other._ufl.items():
         if name not in points._ufl:
             points.add_field(name, field.ufl_shape, field.unit, field.first)
@@ -142,6 +145,7 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
                 f"{field.ufl_shape} at those of the other; give one another name"
             )
     raise_together(a.comm, _overlap(a, b))
+    check_room_of_both(a, b)
 
     def values(body: MaterialPoints, name: str) -> Array:
         if name in body.fields:

@@ -14,7 +14,7 @@ from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.contours import kuhn
 from dolfinmpm.grid.lattice import largest_cell, lattice_of, smallest_height
 
-__all__ = ["corners_of", "inward", "revolved", "rows_of", "simplices_of"]
+__all__ = ["inward", "revolved", "rows_of", "segments_of", "simplices_of", "triangles_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -116,3 +116,49 @@ def simplices_of(grid, subdivisions: int) -> Array:
     size = (high - low)[:, None, None, :]
     boxes = low[:, None, None, :] + corners * size
     return boxes.reshape(-1, 2**d, d)[:, kuhn(d)].reshape(-1, d + 1, d)
+
+
+def segments_of(vertices: Any, closed: bool) -> Array:
+    """Ends of the segments of a chain (m), shape (segments, 2, 2).
+
+    Args:
+        vertices: Its corners (m), shape (n, 2).
+        closed: Whether the last corner is joined to the first.
+
+    Raises:
+        FieldShapeError, ParameterError: The corners are not what they may be.
+    """
+    corners = corners_of("vertices", vertices, 2)
+    if len(corners) < 2 + closed:
+        raise ParameterError(f"vertices are {len(corners)}; a boundary has {2 + closed} or more")
+    ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    ends = ends if closed else ends[:-1]
+    short = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == 0
+    if short.any():
+        raise ParameterError(f"the vertex {ends[short][0, 0]} m is given twice in a row")
+    return ends
+
+
+def triangles_of(vertices: Any, triangles: Any) -> Array:
+    """Corners of triangles (m), shape (m, 3, 3).
+
+    Args:
+        vertices: Corners (m), shape (n, 3).
+        triangles: Three of them each, shape (m, 3).
+
+    Raises:
+        FieldShapeError, ParameterError: They are not what they may be.
+    """
+    corners = corners_of("vertices", vertices, 3)
+    rows = np.asarray(triangles)
+    if rows.ndim != 2 or rows.shape[1] != 3 or not np.issubdtype(rows.dtype, np.integer):
+        raise FieldShapeError(
+            f"triangles should be whole numbers of shape (m, 3), got {rows.dtype} of shape "
+            f"{rows.shape}"
+        )
+    if rows.size and not (rows.min() >= 0 and rows.max() < len(corners)):
+        raise ParameterError(
+            f"triangles name vertices {rows.min()} ... {rows.max()}; there are 0 ... "
+            f"{len(corners) - 1}"
+        )
+    return corners[rows]

@@ -25,6 +25,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.together import meet, together
 from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
 from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fieldarrays import FieldArrays
@@ -35,7 +36,7 @@ from dolfinmpm.body.migration import migrate
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["MOTION", "MaterialPoints", "PointChange", "PointField"]
+__all__ = ["MOTION", "UNSET", "MaterialPoints", "PointChange", "PointField"]
 
 _numbers = itertools.count(1)
 
@@ -58,6 +59,9 @@ _BUILT_IN = {
 # Those that change as a body moves, and that no law asks for before it does
 MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
 _RESERVED = ("id", "cell", "tag", "moved_under", *_BUILT_IN)
+
+# Length of a step (s) that nobody has set
+UNSET = math.nextafter(1.0, 2.0)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
@@ -86,7 +90,8 @@ class MaterialPoints:
     density      (n,)        kg/m^d   mass per initial volume
     F            (n, e, e)   -        deformation gradient
     l, l0        (n, d)      m        half-lengths of the GIMP domain
-    stress       (n, 3, 3)   Pa       Cauchy stress
+    stress       (n, 3, 3)   Pa       Cauchy stress; set before the first step it is the initial
+                                      one of the points' law, and later a result: see `set_stress`
     ===========  ==========  =======  =====================================
 
     e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where points
@@ -123,6 +128,10 @@ class MaterialPoints:
         restored: How many times all of them have been replaced by those of a checkpoint.
         partition: Which rank computes the points in a cell; None for the one that has it in
             DOLFINx's mesh.
+        overlapping: Whether points may fill cells more than once, as where two of them are of one
+            mixture. If not, which is so at first, bodies that overlap are not joined, nor do points
+            that fill a cell more than once make a problem.
+        roomy: The revision at which cells were last found not to be overfilled.
         shape_volume: Volume (m^d) of the shape that `fill` put the points into, None if unknown.
         volume_error: Relative error of the points' first volume, or None likewise.
 
@@ -165,6 +174,9 @@ class MaterialPoints:
         self.declarations: dict[int, Any] = {}
         # laws whose parameters vary from point to point, each with a field of its own
         self.laws: list[Any] = []
+        self.overlapping = False
+        # the revision that is known not to overlap
+        self.roomy = -1
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
         self.revision = self.restored = 0
@@ -198,10 +210,11 @@ class MaterialPoints:
         self.dX = ufl.Measure("dc", domain=domain, metadata=self._mark("V0"))
         self.dx = ufl.Measure("dc", domain=domain, metadata=self._mark("V"))
         # facets and cells themselves are found by the solver, which knows the active cells
-        self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS)
-        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS)
+        own = {FACETS: self.number}
+        self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS, metadata=own)
+        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS, metadata=own)
         # length of a step in time (s), which whoever steps in time sets
-        self.dt = own_constant(grid, 1.0)
+        self.dt = own_constant(grid, UNSET)
         self.inertia = own_constant(grid, 0.0)
 
     # -- where points come from -----------------------------------------------
@@ -236,7 +249,8 @@ class MaterialPoints:
             half_length: Half-lengths of the points' domains (m): a number, shape (gdim,) or
                 (n, gdim); by default those of a cube of the point's volume, or of a square of the
                 area of the ring's section.
-            fields: Further fields by name, shape (n, ...).
+            fields: Further fields by name, shape (n, ...); `stress` too, shape (n, 3, 3), which
+                the law of a problem takes as its initial stress.
             id: Numbers of the points, shape (n,); by default in the order of their
                 coordinates, whatever rank gave them.
             axisymmetric: Whether they are rings about the axis x[0] = 0.
@@ -251,7 +265,7 @@ class MaterialPoints:
         """
         rows, others = sources.located(
             grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
-            reserved=_RESERVED,
+            reserved=tuple(name for name in _RESERVED if name != "stress"),
         )  # fmt: skip
         points = cls(grid, **rows, axisymmetric=axisymmetric)
         for name, values in others.items():
@@ -460,8 +474,8 @@ class MaterialPoints:
         value that it had at first; numbers are given anew to the points of the second.
 
         Raises:
-            ParameterError: The other is no set of points of this grid, or points of both are
-                in the same place.
+            ParameterError: The other is no set of points of this grid, points of both are in
+                the same place, or both fill a cell more than once; see `overlapping`.
             FieldShapeError: A field has another shape in the other body.
         """
         return joining.joined(self, other)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import turn
 
 __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
 
@@ -125,17 +126,20 @@ class TurnedBox(Shape):
         angle: Angle (rad), counter-clockwise.
 
     Raises:
-        ParameterError: The corners are no box, or have fewer than two coordinates.
+        ParameterError: The corners are no box, or have fewer than two coordinates, or the angle
+            is no finite number.
+
+    Warns:
+        DegreesWarning: The angle looks like one in degrees.
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
         self.box = Box(low, high)
         assert self.box.low is not None
         assert self.box.high is not None
-        if len(self.box.low) < 2 or not math.isfinite(angle):
-            raise ParameterError(
-                f"a turned box needs 2 or 3 coordinates and a finite angle, got {low}, {angle}"
-            )
+        if len(self.box.low) < 2:
+            raise ParameterError(f"a turned box needs 2 or 3 coordinates, got {low}")
+        angle = turn("angle", angle)
         self.middle = 0.5 * (self.box.low + self.box.high)
         self.rotation = np.eye(len(self.middle))
         self.rotation[:2, :2] = [

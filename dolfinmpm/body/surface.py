@@ -7,17 +7,15 @@ A0 (area times outward normal), both as they are at first. Its own stencil then 
 the motion of the face to first order, u(x_s) = u + ∇ũ·r with r = F_n R, which is
 also how far the point's own material reaches there.
 
-There is one rule for signs: what acts on the body, a load here or the contact of a
-`RigidFooting`, comes as its virtual work and is subtracted from the internal forces,
-F = momentum(...) − surface.traction(t, v) − footing.contact(u, v). These forms carry a
-mark, by which a solver refuses one that was added.
+What acts on the body, a load here or the contact of a `RigidFooting`, is subtracted from the
+internal forces, F = momentum(...) − surface.traction(t, v) − footing.contact(u, v); see
+`dolfinmpm.body.acting`.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,40 +34,18 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm._platform.together import together
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.arguments import check_displacement, check_points
-from dolfinmpm.body.axisymmetry import in_section, ring
+from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.grid.positions import choose
 
-__all__ = ["Acting", "Surface", "acting"]
+__all__ = ["Surface"]
 
 Array = npt.NDArray[np.float64]
 Where = Callable[[Array], npt.ArrayLike]
-
-
-@dataclass(frozen=True, repr=False)
-class Acting:
-    """The mark of a form that is subtracted: what it is, and its integrand as it was made."""
-
-    name: str
-    integrand: Expr
-
-    def __repr__(self) -> str:
-        return self.name
-
-
-def acting(integrand: Expr, points: MaterialPoints, name: str) -> ufl.Form:
-    """The integral over the points' first volumes of a virtual work, with its mark.
-
-    Args:
-        integrand: Virtual work per volume of what acts on the body.
-        points: Material points.
-        name: What acts, for messages.
-    """
-    mark = {**points.dX.metadata(), "acting": Acting(name, integrand)}
-    return integrand * points.dX.reconstruct(metadata=mark)
 
 
 class Surface:
@@ -264,7 +240,7 @@ class Surface:
             name: What acts.
         """
         check_displacement(self.points, v=v)
-        return acting(self.density * ufl.dot(t, self.at(v)), self.points, name)
+        return acting(self.density * ufl.dot(t, self.at(v)), self.points.dX, name)
 
     def _vector(self, what: str, t) -> Any:
         """A vector for UFL, from one or from numbers."""
@@ -317,13 +293,13 @@ class Surface:
                 "is a traction"
             )
         check_displacement(points, u=u, v=v)
-        F = ufl.Identity(points.gdim) + ufl.grad(u)
+        F = ufl.Identity(points.gdim) + in_section(points, gradient(points, u))
         F = ufl.dot(F, in_section(points, points.F))
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]
         work = -p * ufl.dot(face, self.at(v)) / points.V0
-        return acting(work, points, f"the pressure on '{self.name}'")
+        return acting(work, points.dX, f"the pressure on '{self.name}'")
 
     def mean(self, direction, w) -> ufl.Form:
         """Mean over the initial area of w(x_s) · direction, a form linear in w.

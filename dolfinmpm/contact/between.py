@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import MaterialPoints
@@ -221,7 +221,7 @@ def contact_between(
             "v are not the test functions of the fields of u, in their order; give "
             "(one.increment, other.increment) and (one.test, other.test)"
         )
-    number("friction", friction, 0.0, math.inf, closed=True)
+    friction = friction_coefficient(friction)
     number("penalty", penalty, 0.0)
     if stiffness_per_area is not None:
         number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")

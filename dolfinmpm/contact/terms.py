@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
@@ -194,7 +194,7 @@ def contact(
         )
     if points.axisymmetric:
         body.require_axis()
-    number("friction", friction, 0.0, math.inf, closed=True)
+    friction = friction_coefficient(friction)
     number("penalty", penalty, 0.0, unit="1/m")
     if stiffness_per_area is not None:
         number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")

@@ -18,6 +18,7 @@ from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.arguments import (
     check_displacement,
     check_increment,
@@ -172,8 +173,13 @@ def ghost(
     facets = points.dS
     if smooth:
         # exact on the rectangular grids of splines, where UFL would reckon with any shape
-        facets = facets.reconstruct(metadata={"quadrature_degree": 2 * order})
-    return sum(terms[1:], start=terms[0]) * facets
+        metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
+        facets = facets.reconstruct(metadata=metadata)
+    jumps = sum(terms[1:], start=terms[0])
+    if u.ufl_shape != (points.gdim,):
+        # the sign of a scalar's equation is the user's
+        return jumps * facets
+    return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:

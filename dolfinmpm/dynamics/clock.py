@@ -56,7 +56,7 @@ def times(
     Args:
         end: The last time (s), which the last step ends at exactly; or all times to step to.
         dt: Length of the steps (s), made a little shorter if the whole is no multiple of it; or
-            "auto".
+            "auto". Not of times that are all given.
         start: Time before the first step (s).
         label: What is computed, written before the bar.
         at_once: With "auto", how many fused explicit steps a call takes at most, up to 20; one by
@@ -64,11 +64,16 @@ def times(
             changed between them.
 
     Raises:
-        ParameterError: The times do not rise, at_once is not positive, or a step was not taken in
-            an automatic loop.
+        ParameterError: The times do not rise, dt is given beside several of them, at_once is not
+            positive, or a step was not taken in an automatic loop.
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:
+        if dt != "auto":
+            raise ParameterError(
+                f"dt = {shown(dt)} is of a single time to go to; of times = {shown(end)} all steps "
+                "are given: leave dt out, or give the last time alone"
+            )
         listed = [number("time", t, unit="s") for t in np.asarray(end, object)]
         if not listed or np.any(np.diff([start, *listed]) <= 0):
             raise ParameterError(f"times = {shown(end)} must rise, from after {start:g} s")

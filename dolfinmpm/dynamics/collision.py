@@ -23,8 +23,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import friction_coefficient
 
 __all__ = ["BodyAtNodes", "Collision", "collide"]
 
@@ -62,7 +63,7 @@ class Collision:
                 f"tags = {shown(self.tags)} must be the tags of two bodies or more, such as (1, 2) "
                 "or ((1, 3), 2), and no point is in two of them"
             )
-        number("friction", self.friction, 0.0, closed=True)
+        friction_coefficient(self.friction)
 
     def bodies(self, tags: npt.NDArray[np.integer]) -> list[npt.NDArray[np.bool_]]:
         """Which points belong to each body, by their tags."""

@@ -167,8 +167,8 @@ class Explicit(Problem):
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        laws = self.form.parts.declarations
-        self.balance = Balance(Ledger(points, laws, self.bodies, settings.scaling))
+        ledger = Ledger(points, self.form, settings.scaling)
+        self.balance = Balance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points)

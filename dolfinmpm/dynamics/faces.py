@@ -12,7 +12,9 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
+from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
 from dolfinmpm.basis.conditions import Condition, prescribed, side_of
@@ -64,7 +66,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     Raises:
         ParameterError: A side is not known, or μ is negative.
     """
-    mu = number("friction", friction, 0.0, closed=True)
+    mu = friction_coefficient(friction)
     return [_face(space, side, mu, None) for side in sides]
 
 
@@ -84,13 +86,19 @@ def absorbing(
         p_speed, s_speed: Speeds of pressure and shear waves (m/s).
 
     Raises:
-        ParameterError: A side is not known, or a number is not positive.
+        ParameterError: A side is not known, a number is not positive, or shear waves are the
+            faster ones.
         UnsupportedGridError: The grid is not rectangular.
     """
     require_lattice(space.grid, "absorbing")
     rho = number("density", density, 0.0)
     p = number("p_speed", p_speed, 0.0, closed=True)
     s = number("s_speed", s_speed, 0.0, closed=True)
+    if s > p > 0:
+        raise ParameterError(
+            f"s_speed = {s:g} m/s must be at most p_speed = {p:g} m/s: shear waves are slower than "
+            "pressure waves; were they swapped?"
+        )
     return [_face(space, side, None, (rho * p, rho * s)) for side in sides]
 
 

@@ -105,7 +105,7 @@ class Laws:
         kind = _kind(self._declarations[0])
         assert kind is not None
         self.kind, self._stored = kind, 0.0
-        self._revision = -1
+        self._revision, self._marked = -1, False
         # what the stored energy that is known is of
         self._stored_of: tuple[int, bytes] | None = None
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
@@ -126,7 +126,7 @@ class Laws:
         if self._revision == points.revision and touched <= MOTION:
             self._gather_again()
             return
-        self._revision = points.revision
+        self._revision, self._marked = points.revision, False
         for d in laws:
             d.bind()
         addresses = np.zeros(len(laws), np.intp)
@@ -170,7 +170,12 @@ class Laws:
             self.internal = np.empty((0, 1))
 
     def scatter(self) -> None:
-        """Give the internal variables back to the points' fields."""
+        """Give the internal variables back to the points' fields, and mark what has moved."""
+        if not self._marked:
+            marks = self._points.fields.read("moved_under")
+            for d in self._declarations:
+                marks[d.rows] = d.mark
+            self._marked = True
         if len(self._declarations) == 1 and self.internal.shape[1] == 1:
             return
         for d, own in zip(self._declarations, self._names):

@@ -13,7 +13,7 @@ and so do the losses that are differences:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,9 +24,9 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import UnknownNameError
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.dynamics.energies import kinetic_energy, stress_volumes
 from dolfinmpm.solve.operator import Operator
+from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["LOSSES", "Energies", "Ledger", "Work"]
 
@@ -148,8 +148,7 @@ class Ledger:
 
     Args:
         points: Material points.
-        declarations: Laws in the form.
-        bodies: Rigid bodies that the points touch.
+        form: The weak form.
         scaling: Factor of the points' mass in the inertia.
 
     Attributes:
@@ -159,12 +158,11 @@ class Ledger:
     def __init__(
         self,
         points: MaterialPoints,
-        declarations: Sequence[Any],
-        bodies: Bodies,
+        form: WeakForm,
         scaling: float = 1.0,
     ):
         self.work = Work()
-        self._points, self._laws, self._bodies = points, declarations, bodies
+        self._points, self._form, self._bodies = points, form, form.bodies
         self.scaling = scaling
         self._first = dict.fromkeys(_FIRST, 0.0)
         self._last = 0.0
@@ -212,7 +210,7 @@ class Ledger:
     def _strain(self) -> float:
         """What the laws store (J). Collective."""
         strain, V0 = 0.0, self._points.fields.read("V0")
-        for declaration in self._laws:
+        for declaration in self._form.storing:
             stored = declaration.energy()
             strain += math.nan if stored is None else float(stored @ V0[declaration.rows])
         return float(self._points.comm.allreduce(strain, op=MPI.SUM))
@@ -228,7 +226,8 @@ class Ledger:
             losses = dict.fromkeys(names, 0.0)
             return Energies(kinetic, strain, 0.0, bodies, contact, whole, losses)
         losses = {"plastic": 0.0, "projection": 0.0, **work.losses}
-        if any(getattr(d.law, "strengths", ()) != () for d in self._laws):
+        laws = [d.law for d in self._form.parts.declarations]
+        if any(getattr(law, "strengths", ()) != () for law in laws):
             losses["plastic"] = work.internal - (strain - first["strain"])
         losses["friction"] += self._bodies.rubbed
         gained = kinetic - first["kinetic"]

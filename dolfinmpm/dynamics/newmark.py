@@ -40,6 +40,7 @@ from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.checks import check_levels
 from dolfinmpm.forms.declarations import rows_within
+from dolfinmpm.forms.terms import contact_of
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -161,18 +162,17 @@ class TimeStepping(QuasiStatic):
                     f"the frictional face at '{face.where}' is of explicit steps; hold the side "
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
-        self._ties_movers = mass == "consistent" and ghost_mass is None
+        touches = isinstance(form, ufl.Form) and any(map(contact_of, form.integrals()))
+        self._ties_movers = mass == "consistent" and ghost_mass is None and not touches
         super().__init__(form, increment, points, conditions, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points)
-        # the forces of contact at the start of a step are none that last
-        parts = self.form.parts
-        lasting = not (parts.contacts or parts.between) and rule.alpha_m == rule.alpha_f == 0.0
-        rule = replace(rule, by_forces=self._ties_movers and lasting)
-        ledger = Ledger(points, self.form.parts.declarations, self.bodies)
+        own = rule.alpha_m == rule.alpha_f == 0.0
+        rule = replace(rule, by_forces=self._ties_movers and own)
+        ledger = Ledger(points, self.form)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides, ledger)
         check_masses(self.bodies)
         self.form.inertia = terms
@@ -385,7 +385,7 @@ class Newmark(TimeStepping):
             stabilisation; and the ghost penalty of `stabilisation="ghost"` acts on what a step
             changes of the velocity, on u − Δt v, not on u. So neither takes energy from the body.
             A penalty of the mass takes some in every step, the more the smaller the steps. With a
-            `prolongation`, and beside weak aggregation, the default is 1/4, and on
+            `prolongation`, contact, and beside weak aggregation, the default is 1/4, and on
             quadratic and cubic splines 100 and 10⁴ times that. With 0 nodes with small shares of
             points make the mass singular.
         error: Largest error of a step's displacement, as a share of the largest displacement of a

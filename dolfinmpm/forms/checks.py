@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import MARK
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.operators import PointOperator
@@ -28,7 +29,7 @@ def check_form(form: Any) -> None:
 
     Raises:
         FormError: It is no form, has no terms, has a trial function or an unrestricted
-            term on inner facets, or adds what acts on the body.
+            term on inner facets, adds what acts on the body, or subtracts what resists it.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -97,21 +98,27 @@ def _not_a_form(form: Any) -> str:
 
 
 def check_signs(form: ufl.Form) -> None:
-    """Raise FormError if a load or a contact was added: they are subtracted, all alike.
+    """Raise FormError if a load was added, or a penalty or a condition subtracted.
 
-    The forms of `Surface` and `RigidFooting` carry what they were made as; a sign that
+    Their forms carry what they were made as, see `dolfinmpm.body.acting`; a sign that
     was put before it since is a factor of it. Terms that were rewritten in between, as
     by `ufl.replace`, cannot be told and pass.
     """
     for integral in form.integrals():
-        acting = integral.metadata().get("acting")
-        sign = None if acting is None else _factor(integral.integrand(), acting.integrand)
-        if sign is not None and sign > 0:
-            raise FormError(
-                f"{acting.name} is added to the weak form; what acts on the body is subtracted "
-                "from its internal forces: write F -= ..., and give a load that acts the other way "
-                "a negative value"
-            )
+        acting = (integral.metadata() or {}).get(MARK)
+        if acting is None:
+            continue
+        sign = _factor(integral.integrand(), acting.integrand)
+        if sign is None or (sign > 0) == acting.added:
+            continue
+        raise FormError(
+            f"{acting.name} is subtracted from the weak form; it resists the motion as internal "
+            "forces do and is added: write F += ..."
+            if acting.added else
+            f"{acting.name} is added to the weak form; what acts on the body is subtracted "
+            "from its internal forces: write F -= ..., and give a load that acts the other way "
+            "a negative value"
+        )  # fmt: skip
 
 
 def _factor(term: Expr, part: Expr) -> float | None:

@@ -30,6 +30,7 @@ __all__ = [
     "LawField",
     "check_separate",
     "declared",
+    "in_words",
     "rows_within",
     "tags_in_use",
 ]
@@ -112,7 +113,7 @@ class Declaration:
         return float(self.points.comm.allreduce(values.max(initial=-np.inf), op=MPI.MAX))
 
     def __str__(self) -> str:
-        return f"{self.law!r} with {_in_words(self.tags)}"
+        return f"{self.law!r} with {in_words(self.tags)}"
 
 
 class LawConstant(fem.Constant):
@@ -135,7 +136,8 @@ class LawField(PointField):
     declaration: Declaration | None = None
 
 
-def _in_words(tags: Tags) -> str:
+def in_words(tags: Tags) -> str:
+    """Tags as messages show them."""
     if tags is None:
         return "tag=None, all points"
     return f"tag={tags[0] if len(tags) == 1 else tags}"

@@ -14,6 +14,7 @@ from ufl.classes import (
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import unmarked
 from dolfinmpm.forms.terms import depends_on, summands
 
 __all__ = ["GridTerms"]
@@ -55,7 +56,8 @@ class GridTerms:
                 ]
                 if terms:
                     total = sum(terms[1:], start=terms[0])
-                    parts[varies].append(integral.reconstruct(total))
+                    metadata = unmarked(integral.metadata())
+                    parts[varies].append(integral.reconstruct(total, metadata=metadata))
         self.external = self._by_field(parts[False])
         self.internal = self._by_field(parts[True])
         if self.linear:

@@ -32,7 +32,7 @@ from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.terms import brief, depends_on, operators_in, summands, tags_of
 
-__all__ = ["PointTerms", "TangentBlock"]
+__all__ = ["PointTerms", "TangentBlock", "component", "derive"]
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,21 @@ class PointTerms:
             return None
         return np.isin(tags, list(self._tags), invert=self._but)
 
+    def integrates(self, tags: Tags) -> bool:
+        """Whether its points integrate terms for some tags."""
+        if tags is None:
+            return True
+        return not self._but and self._tags is not None and self._tags <= set(tags)
+
+    def strains(self, k: int) -> bool:
+        """Whether a term has the gradient of the k-th field's test function."""
+        fluxes = [flux[k] for flux in self._fluxes.values() if flux]
+        return any(not isinstance(gradient, Zero) for _, gradient in fluxes)
+
+    def ruled(self, laws: Sequence[Declaration]) -> bool:
+        """Whether its points, or some of them, have one of the form's laws."""
+        return any(self._has(law.tags) for law in laws)
+
     @property
     def tags(self) -> frozenset[int] | None:
         """Tags of its points, or None for all, or for all but some."""
@@ -170,7 +185,7 @@ class PointTerms:
             return []
         slots, total = self.slots, sum(terms[1:], start=terms[0])
         fluxes = [
-            [_derive(total, slots.test_value[k]), _derive(total, slots.test_gradient[k])]
+            [derive(total, slots.test_value[k]), derive(total, slots.test_gradient[k])]
             for k in range(len(slots.spaces))
         ]
         tests = {c for pair in zip(slots.test_value, slots.test_gradient) for c in pair}
@@ -216,7 +231,7 @@ class PointTerms:
             if field is not None:
                 made.append(("gradient", field))
                 continue
-            parts = [_at(expression, i) for i in np.ndindex(*expression.ufl_shape)]
+            parts = [component(expression, i) for i in np.ndindex(*expression.ufl_shape)]
             made.append(compile_program(self.slots.points.grid, parts, self.slots.sources))
         return made
 
@@ -258,7 +273,7 @@ class PointTerms:
         assert field is not None
         slope = slots.slot(("mean slope", k), operand.ufl_shape)
         total = ufl.inner(slope, operand)
-        flux = [_derive(total, slots.value[field]), _derive(total, slots.gradient[field])]
+        flux = [derive(total, slots.value[field]), derive(total, slots.gradient[field])]
         return _flux_program([flux], slots, [field])
 
     def _by_mean(self, k: int) -> list[list[Expr]]:
@@ -268,7 +283,7 @@ class PointTerms:
 
         def through(flux: Expr) -> Expr:
             i, o = ufl.indices(len(flux.ufl_shape)), ufl.indices(len(shape))
-            by_operator = _derive(flux, slots.operator_value[k])
+            by_operator = derive(flux, slots.operator_value[k])
             if isinstance(by_operator, Zero):
                 return Zero(flux.ufl_shape)
             term = by_operator[(*i, *o)] * slope[o] if o else by_operator * slope
@@ -279,10 +294,10 @@ class PointTerms:
     def _through(self, flux: Expr, variable: Expr) -> Expr:
         """Derivative of a flux by the value or the gradient of an increment, through laws too."""
         slots = self.slots
-        total = _derive(flux, variable)
+        total = derive(flux, variable)
         for k, operator in enumerate(slots.operators):
-            by_operator = _derive(flux, slots.operator_value[k])
-            by_variable = _derive(self._operands[k], variable)
+            by_operator = derive(flux, slots.operator_value[k])
+            by_variable = derive(self._operands[k], variable)
             if isinstance(by_operator, Zero) or isinstance(by_variable, Zero):
                 continue
             shape, inner = operator.ufl_shape, self._operands[k].ufl_shape
@@ -316,7 +331,7 @@ class PointTerms:
                     yield 1, (*i, j)
 
         components = [
-            _at(parts[s][r], (*i, *j))
+            component(parts[s][r], (*i, *j))
             for s, i in places(slots.spaces[row], row_value)
             for r, j in places(slots.spaces[column], value)
         ]
@@ -329,14 +344,16 @@ def _flux_program(fluxes, slots: Slots, fields: Sequence[int] | None = None) -> 
     spaces = slots.spaces if fields is None else [slots.spaces[f] for f in fields]
     for (value, gradient), space in zip(fluxes, spaces):
         for i in np.ndindex(*space.increment.ufl_shape):
-            components.append(_at(value, i))
-            components += [_at(gradient, (*i, j)) for j in range(slots.points.gdim)]
+            components.append(component(value, i))
+            components += [component(gradient, (*i, j)) for j in range(slots.points.gdim)]
     return compile_program(slots.points.grid, components, slots.sources)
 
 
-def _derive(expression: Expr, variable: Expr) -> Expr:
+def derive(expression: Expr, variable: Expr) -> Expr:
+    """Derivative of an expression of slots by one of them."""
     return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
 
 
-def _at(expression: Expr, index: tuple[int, ...]) -> Expr:
+def component(expression: Expr, index: tuple[int, ...]) -> Expr:
+    """Component of a tensor, or a scalar itself."""
     return expression[index] if index else expression

@@ -1,7 +1,7 @@
 """Split a weak form into what the points integrate and what DOLFINx integrates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import ufl
@@ -19,14 +19,16 @@ from ufl.corealg.traversal import unique_pre_traversal
 from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import take_state
-from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
+from dolfinmpm.forms.tagged import Tagged, tags_by_term
 from dolfinmpm.forms.terms import brief, contact_of, operators_in, tags_of
 from dolfinmpm.forms.throughlaws import through_laws
 
@@ -75,6 +77,7 @@ class SplitForm:
         boundaries: Terms over boundaries that do not fit the grid.
         contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
         between: Contacts of two boundaries of bodies that deform.
+        tagged: What of it is for points of some tags only.
     """
 
     regions: list[PointTerms]
@@ -82,8 +85,9 @@ class SplitForm:
     declarations: list[Declaration]
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
-    contacts: list[Any] = field(default_factory=list)
-    between: list[Any] = field(default_factory=list)
+    contacts: list[Any]
+    between: list[Any]
+    tagged: Tagged
 
 
 def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> SplitForm:
@@ -134,6 +138,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             declaration.bind()
     for contact in contacts:
         contact.bind(declarations)
+    as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
     form = expand_derivatives(through_laws(form))
     at_points: list[Any] = []
     at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
@@ -157,8 +162,20 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             at_points.append(integral)
         else:
             _check_ordinary(integral, spaces)
+            if integral.metadata().get(FACETS, points.number) != points.number:
+                raise FormError(
+                    f"the term '{brief(integral.integrand())}' is over cells or facets of other "
+                    "material points than those that the problem moves: give mpm.ghost, mpm.soft, "
+                    "dS and dC the same points"
+                )
             ordinary.append(integral)
     _check_tags(ordinary)
+    others = [(repr(c), c.tags) for c in contacts if c not in between]
+    for number, boundary in of_markers.items():
+        name = f"a term over {boundary!r}"
+        others += [(name, tags) for _, tags in tags_by_term(at_markers[number])]
+    alone = all(i.subdomain_id() == GHOST_FACETS for i in ordinary)
+    tagged = Tagged(points, as_given, others, declarations, spaces, alone)
     return SplitForm(
         _regions(at_points, spaces, points, declarations),
         GridTerms(ordinary, spaces),
@@ -178,6 +195,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         ],
         [c for c in contacts if c not in between],
         between,
+        tagged,
     )
 
 

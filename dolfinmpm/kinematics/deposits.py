@@ -36,6 +36,8 @@ Height = float | Callable[[Array], npt.ArrayLike]
 
 # Share of the reference stress below which stiffness does not fall: at the surface it would vanish
 _LEAST = 1e-2
+# Of passive earth pressure: that of 50 degrees on a rough wall
+_LARGEST_K0 = 20.0
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,12 @@ class Layer:
 
     Args:
         bottom: Height of its lower end (m): a number, or a function of positions, shape
-            (gdim, n), to n values; −inf for what goes on.
+            (gdim, n), to n values; −inf for what goes on. The last layer of a deposit goes on
+            below its bottom.
         unit_weight: γ above the water table (N/m³).
-        K0: Horizontal by vertical effective stress.
-        saturated_unit_weight: γ_sat below it (N/m³); γ by default.
+        K0: Horizontal by vertical effective stress, at most 20: that of passive earth pressure is
+            less.
+        saturated_unit_weight: γ_sat below it (N/m³), no less than γ, which it is by default.
 
     Raises:
         ParameterError: A number is not what it may be.
@@ -62,9 +66,20 @@ class Layer:
         if not callable(self.bottom) and self.bottom != -math.inf:
             number("bottom", self.bottom, unit="m")
         number("unit_weight", self.unit_weight, 0.0, closed=True, unit="N/m³")
-        number("K0", self.K0, 0.0, closed=True)
+        if number("K0", self.K0, 0.0, closed=True) > _LARGEST_K0:
+            raise ParameterError(
+                f"K0 = {self.K0:g} must be at most {_LARGEST_K0:g}; the arguments of mpm.Layer are "
+                f"bottom = {shown(self.bottom)} (m), unit_weight = {self.unit_weight:g} (N/m³) and "
+                "K0, in this order"
+            )
         if self.saturated_unit_weight is not None:
-            number("saturated_unit_weight", self.saturated_unit_weight, 0.0, unit="N/m³")
+            full = number("saturated_unit_weight", self.saturated_unit_weight, unit="N/m³")
+            if full < self.unit_weight:
+                raise ParameterError(
+                    f"saturated_unit_weight = {full:g} N/m³ must be at least that of the ground "
+                    f"without water, unit_weight = {self.unit_weight:g} N/m³: it has the weight of "
+                    "the water too"
+                )
 
     @classmethod
     def of(cls, sand: Sand, bottom: Height = -math.inf) -> Layer:
@@ -76,8 +91,8 @@ class Layer:
 class Deposit:
     """Layers of ground under a surface, in the last axis' direction.
 
-    Heights may depend on the place: a surface that is not level has the stress of a level one at
-    each place, which is not in balance; see `equilibrate`.
+    The last layer goes on below its bottom. Heights may depend on the place: a surface that is not
+    level has the stress of a level one at each place, which is not in balance; see `equilibrate`.
 
     Args:
         surface: Height of the ground surface (m), a number or a function as in `Layer`.
@@ -131,7 +146,10 @@ class Deposit:
         z, total = at[-1], np.zeros(at.shape[1])
         table, above = self._table(at), self._height("surface", self.surface, at)
         for layer in self.layers:
-            below = np.minimum(self._height("bottom", layer.bottom, at), above)
+            # the last one goes on, as its weight does
+            last = layer is self.layers[-1]
+            bottom = -np.inf if last else self._height("bottom", layer.bottom, at)
+            below = np.minimum(bottom, above)
             low = np.maximum(below, z)
             thick = np.maximum(above - low, 0.0)
             wet = np.maximum(np.minimum(above, table) - low, 0.0)

@@ -131,7 +131,7 @@ class Framework:
             self.internal(rows), values, known, S, A, new, internal, sigma,
         )  # fmt: skip
 
-    def _principal(self, rows: Rows) -> Array:
+    def principal(self, rows: Rows) -> Array:
         """Elastic principal strains of some points, shape (rows, 3)."""
         strain: Array = np.empty((0, 3))
         if len(rows):
@@ -142,7 +142,7 @@ class Framework:
     def energy(self) -> Array | None:
         """Elastic energy per initial volume of the law's points (J/m³); None if it cannot tell."""
         rows = self.rows
-        return self.law.energy(self._principal(rows), self.parameters(rows))
+        return self.law.energy(self.principal(rows), self.parameters(rows))
 
     def stiffness(self) -> Array:
         """Largest stiffness along one axis at the law's points (Pa), for wave speeds."""
@@ -156,7 +156,7 @@ class Framework:
         """What a law's function gives for the present elastic strains, variables, parameters."""
         rows = self.rows
         # elastic moduli do not ask for strains
-        strain = np.empty((len(rows), 3)) if self.law.has_moduli else self._principal(rows)
+        strain = np.empty((len(rows), 3)) if self.law.has_moduli else self.principal(rows)
         return modulus(strain, self.internal(rows), self.parameters(rows))
 
     def evaluate(

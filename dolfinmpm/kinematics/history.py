@@ -6,14 +6,16 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import StateError, raise_together
+from dolfinmpm._platform.errors import ParameterError, StateError, raise_together
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["ENERGY", "MARKS", "check_history"]
+__all__ = ["ENERGY", "GIVEN", "MARKS", "check_history", "refuse_stress"]
 
 ENERGY = "energy"
 # what stands in the points' field `moved_under`; 0 if they have not moved
 MARKS = {"large": 1, "small": 2, "jaumann": 3, ENERGY: 4}
+# what is added to it where a stress was set and nothing has moved since
+GIVEN = 16
 _STATE = {
     "large": "the elastic strain in `be`",
     "small": "the elastic strain in `elastic_strain`",
@@ -44,7 +46,7 @@ def check_history(
         StateError: Some have; the message tells how many, and how to go on.
     """
     marks = points.fields.read("moved_under")
-    own = marks if len(rows) == len(marks) else marks[rows]
+    own = (marks if len(rows) == len(marks) else marks[rows]) % GIVEN
     # most have moved under this one, or not at all: extremes are found at once
     low, high = (int(own.min()), int(own.max())) if own.size else (0, 0)
     fits = high == 0 or (high == MARKS[measure] and (low == high or not np.any(own % high)))
@@ -70,3 +72,30 @@ def check_history(
             f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {remedy}"
         ),
     )
+
+
+def refuse_stress(points: MaterialPoints, rows: npt.NDArray[np.int32], law: str) -> None:
+    """Refuse a stress at points that have not moved, for a law that cannot begin with one.
+
+    Collective.
+
+    Args:
+        points: Material points.
+        rows: Those of this rank that the law is for.
+        law: The law and its tags, for the message.
+
+    Raises:
+        ParameterError: There is one.
+    """
+    stress, error = points.fields.read("stress"), None
+    still = rows[points.fields.read("moved_under")[rows] == 0] if stress.any() else rows[:0]
+    stress = stress[still]
+    if np.any(stress):
+        k = int(np.argmax(np.any(stress, axis=(1, 2))))
+        error = ParameterError(
+            f"{law} has its stress from the deformation gradient alone, and the field `stress` is "
+            f"{stress[k].tolist()} Pa at {points['x'][still[k]]} m before anything moves: set it "
+            "to zero, or take a law with a kernel, such as mpm.materials.Hencky, and "
+            "mpm.set_stress"
+        )
+    raise_together(points.comm, error)

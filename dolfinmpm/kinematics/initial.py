@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import (
@@ -14,16 +15,20 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     StateError,
     call_together,
+    raise_together,
 )
 from dolfinmpm.grid.positions import ask
-from dolfinmpm.kinematics.frameworks import Array, Framework
-from dolfinmpm.materials.inverse import elastic_strain
+from dolfinmpm.kinematics.frameworks import Array, Framework, Rows
+from dolfinmpm.kinematics.history import GIVEN, MARKS
+from dolfinmpm.materials.inverse import belong, elastic_strain
 
-__all__ = ["StressField", "geostatic_stress", "write_stress"]
+__all__ = ["StressField", "geostatic_stress", "take_stress", "write_stress"]
 
 StressField = npt.ArrayLike | Callable[[Array], npt.ArrayLike]
 OfPosition = float | Callable[[Array], npt.ArrayLike]
 _ROUNDING = 1e-12
+# Share of a stress by which that of a law may differ from one that was set for it
+_ANOTHER = 1e-6
 
 
 def _array(stress: npt.ArrayLike, n: int) -> Array:
@@ -41,9 +46,9 @@ def _array(stress: npt.ArrayLike, n: int) -> Array:
     return given
 
 
-def _given(framework: Framework, stress: StressField) -> Array:
-    """The stress at the law's points of this rank, symmetric and admissible in this dimension."""
-    points, rows = framework.points, framework.rows
+def _given(framework: Framework, stress: StressField, rows: Rows) -> Array:
+    """The stress at points of this rank, symmetric and admissible in this dimension."""
+    points = framework.points
     d = points.gdim
     if callable(stress):
         sigma = ask("stress (Pa, across the plane too)", stress, points["x"][rows], (3, 3))
@@ -67,9 +72,9 @@ def _given(framework: Framework, stress: StressField) -> Array:
     return 0.5 * (sigma + np.swapaxes(sigma, 1, 2))
 
 
-def _state(framework: Framework, sigma: Array) -> Array:
+def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
     """Six components of the framework's state under Cauchy stresses of shape (n, 3, 3)."""
-    points, law, rows = framework.points, framework.law, framework.rows
+    points, law = framework.points, framework.law
     n, d = len(rows), points.gdim
     ratio = np.linalg.det(points["F"][rows]) if framework.multiplicative else np.ones(n)
     principal = np.diagonal(sigma, axis1=1, axis2=2).copy()
@@ -102,13 +107,71 @@ def _state(framework: Framework, sigma: Array) -> Array:
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
-def write_stress(framework: Framework, stress: StressField) -> None:
-    """Set the elastic state and the field `stress`; see `dolfinmpm.set_stress`. Collective."""
-    points, rows = framework.points, framework.rows
-    sigma = call_together(points.comm, lambda: _given(framework, stress))
-    state = call_together(points.comm, lambda: _state(framework, sigma))
+def write_stress(framework: Framework, stress: StressField, rows: Rows | None = None) -> None:
+    """Set the elastic state and the field `stress`; see `dolfinmpm.set_stress`. Collective.
+
+    Args:
+        framework: The law at its points.
+        stress: The stress; see there.
+        rows: Points of this rank that get it; all of the law by default.
+    """
+    points, rows = framework.points, framework.rows if rows is None else rows
+    sigma = call_together(points.comm, lambda: _given(framework, stress, rows))
+    state = call_together(points.comm, lambda: _state(framework, sigma, rows))
     points[framework.state][rows] = state
     points["stress"][rows] = sigma
+    points["moved_under"][rows] = MARKS[framework.measure] + GIVEN
+
+
+def take_stress(framework: Framework, law: str) -> None:
+    """Make what the points have as stress, before they move, that of their law. Collective.
+
+    A stress that was written into the field `stress` becomes the initial stress. One that
+    `dolfinmpm.set_stress` gave must be that of the law.
+
+    Args:
+        framework: The law at its points.
+        law: The law and its tags, for messages.
+
+    Raises:
+        ParameterError: The stress was set for another law, or is none that points can have.
+        StateError: The law has no elastic strain for it.
+    """
+    points, rows = framework.points, framework.rows
+    marks = points.fields.read("moved_under")[rows]
+    still, given = rows[marks == 0], rows[marks >= GIVEN]
+    stress = points.fields.read("stress")
+    # next to always there is none
+    written = still[np.any(stress[still], axis=(1, 2))] if stress.any() else still[:0]
+    asked = np.array([written.size, given.size])
+    if points.comm.size > 1:
+        points.comm.Allreduce(MPI.IN_PLACE, asked)
+    if asked[0]:
+        write_stress(framework, points["stress"], written)
+    if asked[1]:
+        raise_together(points.comm, _of_another(framework, law, given))
+
+
+def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | None:
+    """What is wrong with stresses that were set for some points, or None."""
+    points = framework.points
+    sigma = points.fields.read("stress")[rows]
+    if framework.multiplicative:
+        sigma = np.linalg.det(points.fields.read("F")[rows])[:, None, None] * sigma
+    # of an isotropic law both have the same axes, and rise alike
+    strain, stress = framework.principal(rows), np.linalg.eigvalsh(sigma)
+    internal, parameters = framework.internal(rows), framework.parameters(rows)
+    same = belong(framework.law, strain, stress, internal, parameters, _ANOTHER)
+    if same.all():
+        return None
+    p = rows[np.argmin(same)]
+    return ParameterError(
+        f"{law}: the stress {points.fields.read('stress')[p].tolist()} Pa at {points['x'][p]} m "
+        f"was set by mpm.set_stress with another law, or changed since, and is not what this law "
+        f"gives for the strain that was found ({int((~same).sum())} such points on this rank): "
+        f'call mpm.set_stress(points, law, stress, strain="{framework.measure}") with the law of '
+        "the problem"
+    )
 
 
 def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):

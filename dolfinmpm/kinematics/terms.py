@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import basix.ufl
-import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
@@ -22,21 +20,18 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
-    LawConstant,
-    LawField,
-    rows_within,
 )
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
-from dolfinmpm.forms.pointwise import compile_here
+from dolfinmpm.forms.tagged import check_in_use
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history
-from dolfinmpm.kinematics.initial import StressField, write_stress
+from dolfinmpm.kinematics.history import MARKS, check_history
+from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
+from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.materials.base import Law, lame
+from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
 __all__ = ["flux", "framework", "momentum", "set_stress", "stress"]
@@ -77,11 +72,6 @@ def framework(
     return _FRAMEWORKS[strain](law, points, as_tags(tag))
 
 
-def _end(points: MaterialPoints, u) -> Expr:
-    """Deformation gradient at the end of the step."""
-    return (ufl.Identity(points.strain_dim) + gradient(points, u)) * points.F
-
-
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
     """Number of the law's declaration: for the same arguments the same, with one operator."""
     check_points(points)
@@ -106,7 +96,7 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
                 f"strain = {strain!r}: NeoHookean is an energy of large strain and takes "
                 'strain="large" only; use a law such as Hencky'
             )
-        declaration = _declare_energy(law, points, u, tags)
+        declaration = declare_energy(law, points, u, tags)
     else:
         declaration = _declare_kernel(law, points, u, strain, fbar, tags)
     number = len(points.declarations)
@@ -150,6 +140,7 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     def bind() -> None:
         check_history(points, inner.rows, strain, str(declaration))
         inner.bind()
+        take_stress(inner, str(declaration))
         if isinstance(outer, FBar):
             outer.bind()
 
@@ -162,68 +153,6 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     )  # fmt: skip
     operator.declaration = declaration
     return declaration
-
-
-def _declare_energy(law, points, u, tags: Tags) -> Declaration:
-    parameters = PointParameters(law, points, tags)
-    holders: list[LawConstant | LawField]
-    if parameters.field:
-        name, size = parameters.field, len(law.parameters)
-        holders = [LawField(points, name, (size,), "")]
-        given = {key: holders[0][k] for k, key in enumerate(law.parameters)}
-    else:
-        holders = [LawConstant(points.grid, law.values[key]) for key in law.parameters]
-        given = dict(zip(law.parameters, holders))
-
-    def bind() -> None:
-        check_history(points, rows_within(points, tags), ENERGY, str(declaration))
-        parameters.adopt()
-
-    declaration = Declaration(
-        points=points, law=law, u=u, strain="large", fbar=False, tags=tags, given=given,
-        operator=None, updates={"stress": law.cauchy_stress(_end(points, u), **given)},
-        mark=MARKS[ENERGY], bind=bind,
-        parameters=lambda: parameters.at(rows_within(points, tags)),
-        energy=lambda: _energy_at(law, points, parameters, tags),
-        stiffness=lambda: _stiffness_at(points, parameters, tags),
-        moduli=lambda: _moduli_at(points, parameters, tags),
-    )  # fmt: skip
-    for holder in holders:
-        holder.declaration = declaration
-    return declaration
-
-
-def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """The law's energy per initial volume at its points (J/m³)."""
-    rows, d = rows_within(points, tags), points.strain_dim
-    number = len(law.parameters)
-    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
-    z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(d * d + number,))
-    F = ufl.as_tensor([[z[d * i + j] for j in range(d)] for i in range(d)])
-    program = compile_here([law.energy(F, *(z[d * d + k] for k in range(number)))], {z: "z"})
-    values = np.empty((len(rows), d * d + number))
-    values[:, : d * d] = points["F"][rows].reshape(len(rows), d * d)
-    values[:, d * d :] = parameters.at(rows)
-    out = np.empty((len(rows), 1))
-    program.run({"z": values}, out)
-    return out[:, 0]
-
-
-def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """λ + μ (1 + λ_max²) at the points of the neo-Hookean law (Pa)."""
-    rows = rows_within(points, tags)
-    if len(rows) == 0:
-        return np.empty(0)
-    lmbda, mu = lame(*parameters.at(rows).T)
-    F = points["F"][rows]
-    largest = np.einsum("pij,pij->p", F, F)
-    return lmbda + mu * (1.0 + np.maximum(largest, 1.0))
-
-
-def _moduli_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """λ + 2μ and μ at the points of the neo-Hookean law (Pa), shape (n, 2) or (1, 2)."""
-    lmbda, mu = lame(*parameters.at(rows_within(points, tags)).T)
-    return np.stack([lmbda + 2 * mu, mu], axis=1)
 
 
 def momentum(
@@ -284,7 +213,7 @@ def momentum(
     where = "everywhere" if tags is None else (tags if len(tags) > 1 else tags[0])
     dX = points.dX(where, metadata={**points.dX.metadata(), "law": number})
     if declaration.operator is None:
-        energy = law.energy(_end(points, u), **declaration.given)
+        energy = law.energy(end_of_step(points, u), **declaration.given)
         term = ufl.derivative(energy * dX, u, v)
     else:
         term = ufl.inner(declaration.operator, gradient(points, v)) * dX
@@ -325,7 +254,7 @@ def stress(
     declaration = points.declarations[number]
     d, S = points.strain_dim, declaration.operator
     if S is None:
-        sigma = law.cauchy_stress(_end(points, u), **declaration.given)
+        sigma = law.cauchy_stress(end_of_step(points, u), **declaration.given)
         return ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
     if declaration.strain == "small":
         return S
@@ -360,7 +289,7 @@ def flux(
     declaration = points.declarations[_declare(law, points, u, strain, False, tag)]
     d, S = points.strain_dim, declaration.operator
     if S is None:
-        sigma = law.cauchy_stress(_end(points, u), **declaration.given)
+        sigma = law.cauchy_stress(end_of_step(points, u), **declaration.given)
         own = ufl.as_tensor([[sigma[i, j] for j in range(d)] for i in range(d)])
         dF = ufl.Identity(d) + gradient(points, u)
         S = ufl.det(dF) * own * ufl.inv(dF).T
@@ -398,12 +327,14 @@ def set_stress(
     Raises:
         FieldShapeError: The array has the wrong shape.
         ParameterError: A stress is not finite, not symmetric, or has shear out of the
-            dimensions of the points; or the law or measure is not known.
+            dimensions of the points; the law or measure is not known; or no point has the tag.
         StateError: A stress lies outside the yield surface or cannot be reached by elastic
             strain; the message has the point, its stress and its parameters. No point
             is changed then.
     """
     one = framework(law, points, strain, tag)
+    check_in_use("tag", points, one.tags)
     one.bind()
     write_stress(one, stress)
-    points["moved_under"][one.rows] = MARKS[choice("strain", strain, _FRAMEWORKS)]
+    # problems that are there look at it before they go on
+    points.revision += 1

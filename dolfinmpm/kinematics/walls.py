@@ -28,6 +28,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
+from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -170,7 +172,7 @@ def signorini(
             f"{boundary} is one of a body, with follows=True or activates=True; make a wall with "
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
-    mu = number("friction", friction, 0.0, closed=True)
+    mu = friction_coefficient(friction)
     number("beta", beta, 0.0), number("slip_beta", slip_beta, 0.0)
     declaration = None
     if stiffness is not None:
@@ -210,4 +212,5 @@ def signorini(
     where: Any = "everywhere"
     if declaration is not None and declaration.tags is not None:
         where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
-    return -ufl.dot(traction, v) * boundary.ds(where, metadata=mark)
+    ds = boundary.ds(where, metadata=mark)
+    return resisting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

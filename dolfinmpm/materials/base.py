@@ -413,6 +413,20 @@ class Law(Parametrised):
         _respond(self.address, parameters, elastic, old, new, stress, tangent)
         return tangent
 
+    def response(self, strain: Array, internal: Array, parameters: Array) -> Array:
+        """Principal stresses for trial strains (Pa), shape (n, 3); not numbers where none is.
+
+        Args:
+            strain: Principal trial strains, shape (n, 3).
+            internal: Internal variables, shape (n, variables).
+            parameters: Parameters, shape (1, parameters) or (n, parameters).
+        """
+        n = len(strain)
+        trial, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
+        new, stress, tangent = np.empty_like(old), np.full((n, 3), np.nan), np.empty((n, 3, 3))
+        _respond(self.address, parameters, trial, old, new, stress, tangent)
+        return stress
+
     def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Elastic P-wave and shear modulus (Pa), shape (n, 2) or (1, 2).
 

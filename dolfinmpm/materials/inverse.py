@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.materials.base import Law, call_law
 
-__all__ = ["elastic_strain"]
+__all__ = ["belong", "elastic_strain"]
 
 Array = npt.NDArray[np.float64]
 
@@ -105,3 +105,30 @@ def elastic_strain(
     elastic = np.ascontiguousarray(law.unyielding(old))
     _invert(law.address, parameters, elastic, old, stress, strain, reached, good)
     return strain, good, reached
+
+
+def belong(
+    law: Law, strain: Array, stress: Array, internal: Array, parameters: Array, share: float
+) -> npt.NDArray[np.bool_]:
+    """Whether a law's elasticity gives stresses for strains, shape (n,).
+
+    Stresses beyond its strength pass, for the law does not return them whatever the strains.
+
+    Args:
+        law: Constitutive law.
+        strain: Principal elastic strains, shape (n, 3).
+        stress: Principal stresses (Pa) in the sense of the law, in the order of the strains.
+        internal: Internal variables, shape (n, variables).
+        parameters: Shape (1, parameters) or (n, parameters).
+        share: Difference that counts as none, as a share of the largest stress at the point.
+    """
+    slack = share * np.abs(stress).max(axis=1, initial=0.0)
+    if law.has_moduli:
+        M, G = law.moduli(strain, internal, parameters).T
+        volume = strain.sum(axis=1)
+        found = ((M - 2 * G) * volume)[:, None] + 2 * np.atleast_1d(G)[:, None] * strain
+    else:
+        found = law.response(strain, law.unyielding(internal), parameters)
+    # not a number where there is no stress
+    same = np.abs(found - stress).max(axis=1, initial=0.0) <= slack
+    return same | (law.yield_function(stress, internal, parameters) > 0)

@@ -12,11 +12,11 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number
-from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm._platform.checks import Tags, number
+from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.body.points import MaterialPoints, PointField
 
-__all__ = ["Fluid", "kozeny_carman", "refuse_light"]
+__all__ = ["Fluid", "kozeny_carman", "refuse_hollow", "refuse_light"]
 
 Permeability = Callable[[Any, Any], Expr]
 
@@ -74,6 +74,36 @@ def kozeny_carman(k: float, porosity: float) -> Permeability:
         return k * (1 - n0) ** 2 / n0**3 * n**3 / (1 - n) ** 2
 
     return permeability
+
+
+def refuse_hollow(points: MaterialPoints, fluid: Fluid, porosity: Any, tags: Tags) -> None:
+    """Raise where the mixture is lighter than the water in it. Collective.
+
+    Args:
+        points: Material points, of the density ρ of the mixture.
+        fluid: The fluid.
+        porosity: n0, a constant or a field of the points; an expression is not looked at.
+        tags: Tags of the points that are meant, or None for all.
+
+    Raises:
+        ParameterError: Somewhere ρ is no more than n0 ρ_w.
+    """
+    if not isinstance(porosity, (fem.Constant, PointField)):
+        return
+    of_points = isinstance(porosity, PointField)
+    n0 = np.broadcast_to(porosity.array if of_points else porosity.value, len(points))
+    density, water = points.density.array, n0 * fluid.density
+    own = True if tags is None else np.isin(points["tag"], tags)
+    bad = np.flatnonzero(~(density > water) & own)
+    error = None
+    if bad.size:
+        p = bad[0]
+        error = ParameterError(
+            f"the density of the mixture is {density[p]:.6g} kg/m³ at {points['x'][p]} m, and with "
+            f"the porosity {n0[p]:.4g} the water alone has {water[p]:.6g}: give the points the "
+            "density (1 − n0) ρ_s + n0 ρ_w of grains and water"
+        )
+    raise_together(points.comm, error)
 
 
 def refuse_light(points: MaterialPoints, fluid: Fluid, porosity: Any, M: Any) -> None:

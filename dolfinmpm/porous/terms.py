@@ -27,7 +27,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown, truth
+from dolfinmpm._platform.checks import as_tags, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
@@ -37,7 +37,7 @@ from dolfinmpm.forms.penalties import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.terms import momentum
 from dolfinmpm.materials.base import lame
-from dolfinmpm.porous.fluid import Fluid, refuse_light
+from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
 from dolfinmpm.porous.kinematics import kinematics
 from dolfinmpm.porous.levels import Level
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
@@ -137,8 +137,8 @@ def poromechanics(
         A form over the points, to which loads are added.
 
     Raises:
-        ParameterError: An argument is not what it may be, or the law has no elastic constants
-            and modulus is missing.
+        ParameterError: An argument is not what it may be, the law has no elastic constants and
+            modulus is missing, or, with gravity, the points are lighter than the water in them.
 
     Warns:
         UnstablePairWarning: u and p are on the same cells and projection is "none", or u has
@@ -201,6 +201,7 @@ def poromechanics(
         before = carried(points, "flow", flow, "Pa m/s", np.zeros(gdim))
         terms += (1 - theta) * dt * ufl.dot(before, ufl.grad(q))
     if b is not None:
+        refuse_hollow(points, fluid, n0, as_tags(tag))
         mass = points.density + at.growth * water
         terms -= mass * ufl.dot(b, v)
         mass = points.density + end.growth * water

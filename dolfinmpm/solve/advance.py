@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
+from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.balance import balance
@@ -46,7 +47,7 @@ class NewState:
 @stages.commit
 def advance(
     operator: Operator,
-    updates: Sequence[PointUpdates],
+    updates: Sequence[PointUpdates | OwnStress],
     moves: bool,
     cell_size: float,
     step: int,

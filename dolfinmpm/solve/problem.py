@@ -28,6 +28,7 @@ from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import Kept
@@ -35,6 +36,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, with_ties
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
+from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     check_callable,
@@ -54,6 +56,7 @@ from dolfinmpm.solve.pressures import refuse_increments
 from dolfinmpm.solve.referred import needed_of, require_reference
 from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
 from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Problem"]
@@ -100,6 +103,7 @@ class Problem:
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
+        check_hoops(form, points)
         if not self._has_inertia and points.inertia in extract_constants(form):
             raise FormError(
                 f"the form has the acceleration of the body, and {type(self).__name__} has no "
@@ -114,6 +118,7 @@ class Problem:
                     f"{type(self).__name__} knows no time; prescribe increments with "
                     "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
                 )
+        check_room(points)
         updates = check_updates(updates, points)
         remedies = remedies_of(stabilisation, len(spaces))
         check_callable("prolongation", prolongation)
@@ -311,6 +316,8 @@ class Problem:
             step: The step; all of it by default.
         """
         share = 1.0 if step is None else step.share
+        if step is not None and self.here is None and not self._in_time:
+            check_timeless(self.form.given, self.points, type(self).__name__)
         self.form.bind()
         check_bodies(self.fields, self.form)
         self.form.place_markers()

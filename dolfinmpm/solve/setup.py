@@ -9,14 +9,17 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Field
+from dolfinmpm.cut.participants import Field, movers
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
+from dolfinmpm.forms.hoop import check_hoop
 from dolfinmpm.forms.penalties import penalty_of
+from dolfinmpm.kinematics.history import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Remedies", "updates_of", "with_moduli", "with_remedies"]
@@ -103,9 +106,13 @@ def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
     return first if second is None else second if first is None else first + second
 
 
-def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
-    """Fields that a converged step sets: those of laws and terms, and those given. Collective."""
-    made = [
+def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | OwnStress]:
+    """Fields that a converged step sets: those of laws and terms, and those given. Collective.
+
+    Raises:
+        FormError: An expression lacks the hoop term of points that are rings.
+    """
+    made: list[PointUpdates | OwnStress] = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
         for declaration in form.parts.declarations
         if declaration.updates
@@ -113,8 +120,30 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates]:
     kept = {f.name: f.update for f in form.parts.carried if isinstance(f, CarriedField)}
     kept = {name: update for name, update in kept.items() if name not in given}
     for updates, carried in ((kept, True), (given, False)):
+        for expression in updates.values():
+            check_hoop(form.points, expression)
         if updates:
             made.append(
                 PointUpdates(updates, form.regions, form.spaces, form.points, carried=carried)
             )
-    return made
+    return [*made, *_own_stresses(form, given)]
+
+
+def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[OwnStress]:
+    """What terms in UFL say of the stress of points without a law; the form notes them.
+
+    None where the form or the user sees to the field `stress`.
+    """
+    moving = movers(form.spaces)
+    without = [r for r in form.regions if not r.ruled(form.parts.declarations)]
+    regions = [r for r in without if any(r.strains(k) for k in moving)]
+    seen = any(("field", "stress") in region.slots.sources.values() for region in form.regions)
+    if not regions or seen or "stress" in given:
+        return []
+    integrals, mark = form.parts.tagged.integrals, MARKS[ENERGY]
+    shape = (form.points.gdim,)
+    if any(form.spaces[k].increment.ufl_shape != shape for k in moving):
+        return []
+    made = [OwnStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
+    form.own = [one for one in made if one.known]
+    return form.own

@@ -11,6 +11,7 @@ import ufl
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
@@ -63,6 +64,7 @@ class WeakForm:
         changes: The same of the penalties on changes of the velocity, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
+        own: What terms in UFL say of the stress of points without a law.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
 
@@ -86,7 +88,9 @@ class WeakForm:
         self.bodies = Bodies(self.parts.contacts, points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
+        self.own: list[OwnStress] = []
         self._revision = points.revision
+        self._checked = False
         self.softening = self._beside(softening)
         self.changes = self._beside(changes)
         self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
@@ -116,14 +120,23 @@ class WeakForm:
         return [self.grid, *beside]
 
     def bind(self) -> None:
-        """Let laws give points that came since what they keep at first. Collective."""
-        if self._revision != self.points.revision:
+        """Let laws give points that came since what they keep at first. Collective.
+
+        Raises:
+            FormError: When it is called first, if tags of the form match no points, or points
+                have a load and no law.
+        """
+        first, revision = not self._checked, self.points.revision
+        if first:
+            self.parts.tagged.check()
+        # fields may have been set since the problem was made
+        if first or self._revision != revision:
             of_markers = [d for b in self.boundaries for d in b.declarations]
             for declaration in (*self.parts.declarations, *of_markers):
                 declaration.bind()
             for contact in self.parts.contacts:
                 contact.bind(self.parts.declarations)
-            self._revision = self.points.revision
+            self._revision, self._checked = revision, True
             self._first_moduli()
 
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
@@ -200,6 +213,11 @@ class WeakForm:
         return [
             next((f.name for f in kept if f.of is space.increment), None) for space in self.spaces
         ]
+
+    @property
+    def storing(self) -> list[Declaration | OwnStress]:
+        """What stores energy at points: laws, and terms in UFL where there is none."""
+        return [*self.parts.declarations, *self.own]
 
     @property
     def regions(self) -> list[PointTerms]:

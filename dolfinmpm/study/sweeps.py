@@ -98,10 +98,13 @@ def observed_orders(
     Returns:
         One order fewer than sizes; NaN where an error is missing or both are zero.
 
+    Raises:
+        ParameterError: There are not as many errors as sizes.
+
     >>> [round(order, 3) for order in observed_orders([0.4, 0.2, 0.1], [0.16, 0.04, 0.02])]
     [2.0, 1.0]
     """
-    h, e = np.asarray(sizes, float), np.asarray(errors, float)
+    h, e = _of_equal_lengths(sizes, errors)
     with np.errstate(divide="ignore", invalid="ignore"):
         return [float(order) for order in np.diff(np.log(e)) / np.diff(np.log(h))]
 
@@ -119,8 +122,11 @@ def overall_order(
 
     Returns:
         The order, or NaN where fewer than two errors are left.
+
+    Raises:
+        ParameterError: There are not as many errors as sizes.
     """
-    h, e = np.asarray(sizes, float), np.asarray(errors, float)
+    h, e = _of_equal_lengths(sizes, errors)
     known = np.isfinite(e) & (e > 0)
     if np.unique(h[known]).size < 2:
         return math.nan
@@ -134,3 +140,13 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
     rows = list(rows)
     choose = {"kappa_K": max, "kappa_M": max, "dt_consistent": min, "dt_lumped": min}
     return {key: extreme(row[key] for row in rows) for key, extreme in choose.items()}
+
+
+def _of_equal_lengths(sizes, errors) -> tuple[npt.NDArray, npt.NDArray]:
+    h, e = np.asarray(sizes, float), np.asarray(errors, float)
+    if h.ndim != 1 or h.shape != e.shape:
+        raise ParameterError(
+            f"sizes have the shape {h.shape} and errors {e.shape}; give one error for each size, "
+            "None where a run did not finish"
+        )
+    return h, e

@@ -120,6 +120,28 @@ def test_what_acts_is_subtracted_however_it_is_written():
     ):
         with pytest.raises(FormError, match=name):
             check_signs(form)
+    side, wall = s.side, s.wall
+    for load, name in (
+        (side.traction((0.0, 1.0), s.v), "traction on 'side'"),
+        (side.pressure(fem.Constant(s.grid, 1.0), s.u, s.v), "pressure on 'side'"),
+    ):
+        check_signs(s.F - load)
+        with pytest.raises(FormError, match=f"{name} is added"):
+            check_signs(s.F - -load)
+    for resistance, name in (
+        (s.ghost(), r"mpm\.ghost"),
+        (s.ghost(gamma=s.c, order=1, scaling="literal"), r"mpm\.ghost"),
+        (mpm.dirichlet(s.law, side, s.u, s.v), r"mpm\.dirichlet\) at 'side'"),
+        (mpm.dirichlet(None, side, s.u, s.v, method="penalty", stiffness=1.0), "at 'side'"),
+        (mpm.signorini(s.law, wall, s.u, s.v, friction=0.3), r"mpm\.signorini\) at 'right'"),
+    ):
+        check_signs(s.F + 0.5 * resistance)
+        check_signs(s.F - -resistance)
+        for wrong in (s.F - resistance, -0.5 * resistance + s.F, s.F - (load + 2 * resistance)):
+            with pytest.raises(FormError, match=f"{name}.* is subtracted"):
+                check_signs(wrong)
+    # the sign of a scalar's equation is the user's, as with −q div u in it
+    check_signs(s.F - mpm.ghost(s.points, s.S.increment, s.S.test, 1.0))
     # a mean is no load: it has no sign to mistake
     check_signs(s.top.mean((0, -1), s.v) + s.top.mean_normal(s.v))
 

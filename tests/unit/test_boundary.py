@@ -291,7 +291,6 @@ def _bad():
         of_total(B.from_polygon(points, ends, closed=False, follows=False, activates=True))
 
     def empty_cell():
-        far = B.from_polygon(points, [(0.1, 0.9), (0.9, 0.9)], closed=False)
         corner = mpm.fill(grid, mpm.Box((0.0, 0.0), (0.2, 0.2)), 2, 1.0)
         far = B.from_polygon(corner, [(0.6, 0.6), (0.7, 0.6)], closed=False)
         form = mpm.momentum(LAW, corner, u, v) + mpm.dirichlet(LAW, far, u, v)

@@ -76,6 +76,19 @@ def test_stress_by_depth(d):
     np.testing.assert_allclose(ground.density(x), wet / 9.81)
 
 
+def test_the_last_layer_goes_on_below_its_bottom():
+    """Its stress grows there by the weight that it has there."""
+    layers = [mpm.Layer(3.0, 16e3, 0.5, 19e3), mpm.Layer(1.0, 17e3, 0.4, 20e3)]
+    x = np.stack([np.zeros(9), np.linspace(4.7, -0.3, 9)])
+    step = np.array([[0.0], [1e-4]])
+    for table in (None, 2.1):
+        ground = mpm.Deposit(5.0, layers, table)
+        endless = mpm.Deposit(5.0, [layers[0], mpm.Layer(-np.inf, 17e3, 0.4, 20e3)], table)
+        np.testing.assert_allclose(ground.stress(x), endless.stress(x), rtol=1e-12)
+        slope = (ground.vertical_stress(x - step) - ground.vertical_stress(x + step)) / 2e-4
+        np.testing.assert_allclose(slope, ground.effective_weight(x), rtol=1e-6)
+
+
 def test_weight_is_the_slope_of_the_vertical_stress_under_water_and_above():
     ground = layered(table=7.0)
     z = np.linspace(0.05, 4.95, 99) + 0.003
@@ -105,6 +118,9 @@ def test_stiffness_by_stress():
         (lambda: mpm.Layer(0.0, -1.0, 0.5), "unit_weight"),
         (lambda: mpm.Layer(0.0, 1e4, -0.5), "K0"),
         (lambda: mpm.Layer(np.nan, 1e4, 0.5), "bottom"),
+        (lambda: mpm.Layer(0.0, 18e3, 0.5, 16e3), "saturated_unit_weight = 16000 N/m³ must be at"),
+        (lambda: mpm.Layer(0.0, 0.5, 18e3), "K0 = 18000 must be at most 20; .* in this order"),
+        (lambda: mpm.Layer(0.5, 0.0, 18e3), "K0 = 18000 .* unit_weight = 0 "),
         (lambda: mpm.Layer.of(0.3), "materials.sand"),
         (lambda: layered().modulus(-1.0, 0.5), "E_ref"),
         (lambda: layered().modulus(1.0, 1.5), "exponent"),

@@ -1,0 +1,93 @@
+"""The energy density that a term of a weak form is the derivative of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ufl.algorithms import extract_arguments, extract_coefficients
+from ufl.classes import (
+    CoefficientDerivative,
+    Curl,
+    Div,
+    Division,
+    Grad,
+    NablaDiv,
+    NablaGrad,
+    Product,
+    Sum,
+)
+from ufl.constantvalue import zero
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm.basis.space import Space
+from dolfinmpm.forms.terms import depends_on, summands
+
+__all__ = ["density_of"]
+
+_SLOPES = (Grad, Div, Curl, NablaGrad, NablaDiv)
+
+
+def density_of(term: Expr, space: Space) -> Expr | None:
+    """The strain energy whose derivative a term is, per volume of its measure.
+
+    That of `ufl.derivative(energy * dX, u, v)`, as it stands in a form before UFL expands it, less
+    what does not depend on the gradient of u, such as the potential of a load. It is 0 where the
+    term has nothing to do with the gradient of the test function.
+
+    Args:
+        term: The term.
+        space: Space of the increment u and the test function v.
+
+    Returns:
+        The density, or None where the term is no such derivative.
+    """
+    if isinstance(term, Sum):
+        total: Expr = zero()
+        for one in term.ufl_operands:
+            part = density_of(one, space)
+            if part is None:
+                return None
+            total = total + part
+        return total
+    if isinstance(term, (Product, Division)):
+        return _scaled(term, space)
+    if isinstance(term, CoefficientDerivative):
+        energy, variables, directions = term.ufl_operands[:3]
+        if list(variables.ufl_operands) != [space.increment]:
+            return _other(term, space)
+        if list(directions.ufl_operands) != [space.test]:
+            return None
+        strained = [one for one in summands(energy) if _has_slope(one, [space.increment])]
+        return sum(strained, start=zero())
+    return _other(term, space)
+
+
+def _scaled(term: Expr, space: Space) -> Expr | None:
+    """That of a product of a derivative and a factor that does not depend on the increment."""
+    first, second = term.ufl_operands
+    for part, factor in ((first, second), (second, first)):
+        of_test = any(a == space.test for a in extract_arguments(part))
+        if not of_test or depends_on(factor, [space.increment]):
+            continue
+        density = density_of(part, space)
+        if density is None:
+            return None
+        return density / factor if isinstance(term, Division) else density * factor
+    return _other(term, space)
+
+
+def _other(term: Expr, space: Space) -> Expr | None:
+    """0 of a term that is no stress, or None of one that is no derivative."""
+    tests = [a for a in extract_arguments(term) if a == space.test]
+    return None if tests and _has_slope(term, tests) else zero()
+
+
+def _has_slope(expression: Expr, of: Sequence[Any]) -> bool:
+    """Whether an expression contains the gradient of one of some functions."""
+    return any(
+        isinstance(node, _SLOPES)
+        and any(c in of for c in (*extract_coefficients(node), *extract_arguments(node)))
+        for node in unique_pre_traversal(expression)
+    )

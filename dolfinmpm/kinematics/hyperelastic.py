@@ -1,0 +1,104 @@
+"""Laws that are energies in UFL, at the points: what they declare, and numbers of their state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import Tags
+from dolfinmpm.body.axisymmetry import gradient
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.forms.declarations import (
+    Declaration,
+    LawConstant,
+    LawField,
+    rows_within,
+)
+from dolfinmpm.forms.pointwise import compile_here
+from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history, refuse_stress
+from dolfinmpm.kinematics.parameters import PointParameters
+from dolfinmpm.materials.base import lame
+from dolfinmpm.materials.neohookean import NeoHookean
+
+__all__ = ["declare_energy", "end_of_step"]
+
+
+def end_of_step(points: MaterialPoints, u) -> Expr:
+    """Deformation gradient at the end of the step."""
+    return (ufl.Identity(points.strain_dim) + gradient(points, u)) * points.F
+
+
+def declare_energy(law: Any, points: MaterialPoints, u, tags: Tags) -> Declaration:
+    """What a law that is an energy in UFL needs of the points.
+
+    Args:
+        law: The law.
+        points: Material points.
+        u: The increment that it is a function of.
+        tags: Tags of the points that it is for; None means all.
+    """
+    parameters = PointParameters(law, points, tags)
+    holders: list[LawConstant | LawField]
+    if parameters.field:
+        name, size = parameters.field, len(law.parameters)
+        holders = [LawField(points, name, (size,), "")]
+        given = {key: holders[0][k] for k, key in enumerate(law.parameters)}
+    else:
+        holders = [LawConstant(points.grid, law.values[key]) for key in law.parameters]
+        given = dict(zip(law.parameters, holders))
+
+    def bind() -> None:
+        rows = rows_within(points, tags)
+        check_history(points, rows, ENERGY, str(declaration))
+        refuse_stress(points, rows, str(declaration))
+        parameters.adopt()
+
+    declaration = Declaration(
+        points=points, law=law, u=u, strain="large", fbar=False, tags=tags, given=given,
+        operator=None, updates={"stress": law.cauchy_stress(end_of_step(points, u), **given)},
+        mark=MARKS[ENERGY], bind=bind,
+        parameters=lambda: parameters.at(rows_within(points, tags)),
+        energy=lambda: _energy_at(law, points, parameters, tags),
+        stiffness=lambda: _stiffness_at(points, parameters, tags),
+        moduli=lambda: _moduli_at(points, parameters, tags),
+    )  # fmt: skip
+    for holder in holders:
+        holder.declaration = declaration
+    return declaration
+
+
+def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """The law's energy per initial volume at its points (J/m³)."""
+    rows, d = rows_within(points, tags), points.strain_dim
+    number = len(law.parameters)
+    element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
+    z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(d * d + number,))
+    F = ufl.as_tensor([[z[d * i + j] for j in range(d)] for i in range(d)])
+    program = compile_here([law.energy(F, *(z[d * d + k] for k in range(number)))], {z: "z"})
+    values = np.empty((len(rows), d * d + number))
+    values[:, : d * d] = points["F"][rows].reshape(len(rows), d * d)
+    values[:, d * d :] = parameters.at(rows)
+    out = np.empty((len(rows), 1))
+    program.run({"z": values}, out)
+    return out[:, 0]
+
+
+def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """λ + μ (1 + λ_max²) at the points of the neo-Hookean law (Pa)."""
+    rows = rows_within(points, tags)
+    if len(rows) == 0:
+        return np.empty(0)
+    lmbda, mu = lame(*parameters.at(rows).T)
+    F = points["F"][rows]
+    largest = np.einsum("pij,pij->p", F, F)
+    return lmbda + mu * (1.0 + np.maximum(largest, 1.0))
+
+
+def _moduli_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
+    """λ + 2μ and μ at the points of the neo-Hookean law (Pa), shape (n, 2) or (1, 2)."""
+    lmbda, mu = lame(*parameters.at(rows_within(points, tags)).T)
+    return np.stack([lmbda + 2 * mu, mu], axis=1)
