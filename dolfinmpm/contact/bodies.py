@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.passing import travelled
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.grid.lattice import smallest_height
@@ -24,7 +25,9 @@ class Bodies:
 
     Args:
         contacts: The contacts.
-        grid: The grid; in one part of a step a body may go as far as its smallest cell.
+        grid: The grid; in one part of a step a body may go as far as its smallest cell, and as
+            far as half its own thickness: what it goes over must be within it at the end, on the
+            side that it came from.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
@@ -58,17 +61,56 @@ class Bodies:
         for body in self.all:
             body.pose = body.start
 
-    def fault(self, dt: float) -> str | None:
-        """Why a step of that length (s; steps) is too long for their motion, or None."""
+    def fault(self, dt: float, inertia: bool = False) -> str | None:
+        """Why a step of that length (s; steps) is too long for their motion, or None.
+
+        Args:
+            dt: The length.
+            inertia: Whether free bodies go on as they move.
+        """
         for body in self.all:
             body.begin(dt)
             if body.freedom is not None:
-                body.freedom.increment = np.zeros_like(body.freedom.increment)
-            travel = body.travel()
-            if travel > self._limit:
+                body.freedom.go_on(dt if inertia else 0.0)
+            fault = self._too_far(body, body.travel())
+            if body.freedom is not None:
+                body.freedom.go_on(0.0)
+            if fault is not None:
+                return fault
+        return None
+
+    def _limit_of(self, body: RigidBody) -> float:
+        """How far a body may go at once (m)."""
+        return min(self._limit, body.half_thickness)
+
+    def _too_far(self, body: RigidBody, travel: float) -> str | None:
+        """Why a body may not go so far (m) at once, or None."""
+        limit = self._limit_of(body)
+        if travel <= limit * (1 + 1e-9):
+            return None
+        what = "a cell" if limit == self._limit else "half its mean thickness"
+        return f"'{body.name}' moves {travel:.3g} m at once, more than {what} ({limit:.3g} m)"
+
+    def passed(self, contacts: Sequence[ActiveContact]) -> str | None:
+        """Why bodies, where they have been put, and points have passed each other, or None.
+
+        Not collective: other ranks may have another reason, or none.
+
+        Args:
+            contacts: The contacts, at the end of the step.
+        """
+        for body in self.all:
+            if body.freedom is not None:
+                # what prescribes the others has been asked `fault`
+                fault = self._too_far(body, travelled(body.surface, body.start, body.pose))
+                if fault is not None:
+                    return fault
+        for active in contacts:
+            how = active.passes()
+            if how is not None:
                 return (
-                    f"'{body.name}' moves {travel:.3g} m at once, more than a cell "
-                    f"({self._limit:.3g} m)"
+                    f"points that touch '{active.contact.body.name}' {how}: take smaller steps or "
+                    "a larger penalty, or bound the penetration"
                 )
         return None
 
@@ -83,7 +125,7 @@ class Bodies:
         """
         if count > 1:
             for body in self.all:
-                count = min(count, body.ahead(dt, count, self._limit))
+                count = min(count, body.ahead(dt, count, self._limit_of(body)))
         return count
 
     def push(self, contacts: Sequence[ActiveContact]) -> None:

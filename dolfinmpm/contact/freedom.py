@@ -128,6 +128,13 @@ class Freedom:
         out = self.external(t) + force - self.gyroscopic(pose)
         self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
 
+    def go_on(self, dt: float) -> None:
+        """Take the increment of a body that goes on as it moves for so long (s)."""
+        free, self.increment = self.free, np.zeros_like(self.increment)
+        self.increment[free] = dt * self.velocity[free]
+        if self.acceleration is not None:
+            self.increment[free] += 0.5 * dt**2 * self.acceleration[free]
+
     def parts(self, share: float) -> tuple[Array, Array]:
         """Shift (m) and turn (rad) of the free components at a share of the step."""
         return share * self.increment[: self._gdim], share * self.increment[self._gdim :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.passing import half_thickness, travelled
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import Surface
 
@@ -142,6 +144,11 @@ class RigidBody:
     def gdim(self) -> int:
         """Dimension of space."""
         return self.surface.gdim
+
+    @functools.cached_property
+    def half_thickness(self) -> float:
+        """Volume by surface (m): half the thickness of a plate; see `passing.half_thickness`."""
+        return half_thickness(self.surface)
 
     @property
     def position(self) -> Array:
@@ -293,19 +300,6 @@ def check_bodies(bodies: Any, gdim: int) -> None:
     for body in bodies:
         if not isinstance(body, RigidBody) or body.gdim != gdim:
             raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
-
-
-def travelled(surface: Surface, start: Pose, end: Pose) -> float:
-    """How far a body's parts are apart in two poses at most; of one without end its centre (m)."""
-    if not np.isfinite(surface.low).all():
-        return float(np.linalg.norm(end.shift - start.shift))
-    corners = box_corners(surface.low, surface.high)
-    return float(np.linalg.norm(end.forth(corners) - start.forth(corners), axis=1).max())
-
-
-def box_corners(low: Array, high: Array) -> Array:
-    """Corners of a box (m), shape (2^gdim, gdim)."""
-    return np.array(list(itertools.product(*zip(low, high))))
 
 
 class _Course:

@@ -323,7 +323,7 @@ class Explicit(Problem):
             count = math.ceil(left / longest * (1 - 1e-12))
             dt = left / count
             now = int(min(count, self._loop.at_once, most - record.parts))
-            raise_together(self.comm, self._too_fast(dt))
+            self._check_speeds(dt)
             now = self.bodies.followed(dt, now)
             more = now < min(count, most - record.parts)
             self._advance(now, dt, whole, more, record)
@@ -380,10 +380,18 @@ class Explicit(Problem):
         if reason is not None:
             raise self._unstable(reason, dt)
 
-    def _too_fast(self, dt: float) -> ParameterError | None:
-        """What is wrong with a rigid body that steps of that length (s) do not follow, or None."""
+    def _check_speeds(self, dt: float) -> None:
+        """Raise where steps of that length (s) do not follow a rigid body. Collective."""
         fault = self.bodies.fault(dt)
-        return None if fault is None else ParameterError(f"{fault}; give a smaller velocity")
+        if fault is not None:
+            raise_together(
+                self.comm,
+                ParameterError(f"{fault}; give a smaller velocity, or a smaller courant number"),
+            )
+        # all ranks know alike where forces have driven the free ones
+        fault = self.bodies.fault(dt, inertia=True) if self.bodies.free else None
+        if fault is not None:
+            raise self._unstable(fault, dt)
 
     def _check_energy(self, dt: float, begins: bool = False) -> None:
         """Raise InstabilityError if energy comes from nowhere. Collective."""

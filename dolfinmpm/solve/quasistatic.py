@@ -238,7 +238,7 @@ class QuasiStatic(Problem):
         raise_together(self.comm, points.fault())
         garbage.free(self.comm)
         record.migrated += balance(points)
-        fault = self.bodies.fault(step.dt)
+        fault = self.bodies.fault(step.dt, self._has_inertia)
         if fault is not None:
             return Failed(fault, "that body")
         operator = self._operator(step)
@@ -330,7 +330,9 @@ class QuasiStatic(Problem):
     def _advice(self) -> str:
         """What to do about a step that failed. Collective."""
         here = self.here
-        assert here is not None
+        if here is None:
+            # a rigid body goes too far, and no step was begun
+            return "take smaller steps"
         first = here.fields[0]
         named = any(field.remedy.kind != "none" for field in self.fields)
         active = active_on_grid(first)
