@@ -38,6 +38,7 @@ class Bodies:
         self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
+                contact.body.check_start()
                 self.all.append(contact.body)
 
     @property

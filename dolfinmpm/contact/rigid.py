@@ -19,6 +19,7 @@ from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.passing import half_thickness, travelled
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import Surface
+from dolfinmpm.grid.constants import begin_at_zero
 
 __all__ = ["RigidBody", "check_bodies"]
 
@@ -43,8 +44,8 @@ class RigidBody:
         angular_velocity: About the centre (rad/s; rad per step), counter-clockwise: a number, in
             3D a vector of shape (3,); or a function of t.
         displacement: Where the centre has got to since the body was made (m), instead of
-            velocities: a function of t, or a DOLFINx constant, which steps set and solvers scale
-            like a load.
+            velocities: a function of t that is 0 at t = 0, or a DOLFINx constant, which steps set
+            and solvers scale like a load; what it holds already the first step brings about.
         rotation: How far the body has turned since (rad), likewise: an angle, in 3D a rotation
             vector.
         centre: What it turns about (m); by default the middle of a box around it, or a plane's
@@ -166,6 +167,11 @@ class RigidBody:
         both = self._shift, self._turn
         prescribe = [c.given for c in both if isinstance(c.given, fem.Constant)]
         return prescribe + ([] if self.freedom is None else self.freedom.loads)
+
+    def check_start(self) -> None:
+        """Raise ParameterError where it would not begin where its shape is."""
+        for course in (self._shift, self._turn):
+            course.check_start()
 
     # -- what solvers do with it ----------------------------------------------
 
@@ -308,12 +314,13 @@ class _Course:
     def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
         self.size, self.given, self.rate, self.absolute = size, given, rate, False
         self._name = name if given is not None else rate_name
+        self._first: Array = np.zeros(size)
         if isinstance(given, fem.Constant):
             if given.value.size != size:
                 raise ParameterError(
                     f"{name} has {given.value.size} components and must have {size}"
                 )
-            self._first: Array = np.array(given.value, float).ravel()
+            begin_at_zero(name, given)
         elif given is not None:
             if not callable(given):
                 raise ParameterError(
@@ -325,6 +332,14 @@ class _Course:
             self.rate = lambda t: constant
         if callable(self.rate):
             self.value(self.rate, 0.0)
+
+    def check_start(self) -> None:
+        """Raise ParameterError where it is not zero at first."""
+        if self._first.any():
+            raise ParameterError(
+                f"{self._name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
+                "got since it was made; make the shape where the body is at first"
+            )
 
     def value(self, function: Motion, t: float) -> Array:
         return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self.size)
