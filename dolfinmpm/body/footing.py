@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
@@ -29,7 +30,7 @@ Array = npt.NDArray[np.float64]
 _STIFFNESS = 1e4
 
 
-class RigidFooting:
+class RigidFooting(ReadOnce):
     """A rigid footing that is pressed into a face of the body by a given settlement.
 
     The faces of the surface's points are held to the footing's motion by a penalty on
@@ -53,8 +54,11 @@ class RigidFooting:
 
     Raises:
         ParameterError: The surface has no axis for its normal, the settlement is not a
-            scalar constant, or neither E nor the stiffness is positive and finite.
+            scalar constant, or neither E nor the stiffness is positive and finite; or an
+            argument is assigned to later.
     """
+
+    _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})
 
     def __init__(
         self,
@@ -102,6 +106,12 @@ class RigidFooting:
     def _faces(self) -> Array:
         points, R = self.surface.points, self.surface.points[self.surface.offset.name]
         return points["x"] + np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        if name == "settlement":
+            return "set the value of the constant that it was made with, settlement.value = ..."
+        return f"make a new RigidFooting with {name}=..., and a new problem with its contact"
 
     def contact(self, u, v) -> ufl.Form:
         """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.

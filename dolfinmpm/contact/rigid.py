@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.passing import half_thickness, travelled
@@ -29,7 +30,7 @@ Motion = Callable[[float], Any]
 _numbers = itertools.count(1)
 
 
-class RigidBody:
+class RigidBody(ReadOnce):
     """A rigid body that touches material points through `contact`; all ranks know it.
 
     It stands still, or its motion is prescribed. Time t is that of the problem in s, or for
@@ -69,15 +70,15 @@ class RigidBody:
         surface: Its surface, where it was at first.
         name: Its name.
         pose: Where it is.
-        force: Force of the material points on it (N; N/m in plane strain), shape (gdim,).
-        moment: Their moment about its centre (N m), shape (1,), in 3D (3,).
         time: Time that it is of (s; steps).
 
     Raises:
         ParameterError: An argument is not what it may be, or a mesh is open, inside out, or meets
-            itself at an edge; the message tells where.
+            itself at an edge; the message tells where. Or an argument is assigned to later.
         OSError: A file cannot be read.
     """
+
+    _attributes = frozenset({"name"})
 
     def __init__(
         self,
@@ -122,8 +123,8 @@ class RigidBody:
             self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
-        self.force: Array = np.zeros(d)
-        self.moment: Array = np.zeros(turns)
+        self._force: Array = np.zeros(d)
+        self._moment: Array = np.zeros(turns)
 
     def require_axis(self) -> None:
         """Raise unless it can be the meridian of a body of revolution, which moves along the axis.
@@ -145,6 +146,33 @@ class RigidBody:
     def gdim(self) -> int:
         """Dimension of space."""
         return self.surface.gdim
+
+    @property
+    def force(self) -> Array:
+        """Force of the material points on it (N; N/m in plane strain), shape (gdim,)."""
+        return self._force
+
+    @property
+    def moment(self) -> Array:
+        """Their moment about its centre (N m), shape (1,), in 3D (3,)."""
+        return self._moment
+
+    def _called(self) -> str:
+        return f"the rigid body '{self.name}'"
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        of_time = ("velocity", "angular_velocity"), ("displacement", "rotation")
+        if name in of_time[0]:
+            return f"make it with a function of time, {name}=lambda t: ..., which steps call"
+        if name in (*of_time[1], "force", "moment"):
+            return (
+                f"make it with a function of time, {name}=lambda t: ..., or with a "
+                "dolfinx.fem.Constant, whose value you set"
+            )
+        if name == "gravity":
+            return "make it with a dolfinx.fem.Constant, whose value you set"
+        return f"make a new body with {name}=..., and a new problem with a contact with it"
 
     @functools.cached_property
     def half_thickness(self) -> float:
@@ -222,9 +250,9 @@ class RigidBody:
         # of a small rotation
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
-        work = (self.force + force) @ (after.shift - before.shift) + (self.moment + moment) @ spin
+        work = (self._force + force) @ (after.shift - before.shift) + (self._moment + moment) @ spin
         self.start, self.time = self.pose, self.time + self.dt
-        self.force, self.moment = force, moment
+        self._force, self._moment = force, moment
         return -0.5 * float(work)
 
     def travel(self) -> float:
@@ -288,7 +316,7 @@ class RigidBody:
         time, shift, rotation, turn, force, moment, rest = np.split(row, sizes)
         self.start = Pose(self.start.origin, shift, rotation.reshape(d, d), turn)
         self.pose, self.time = self.start, float(time[0])
-        self.force, self.moment = force, moment
+        self._force, self._moment = force, moment
         if self.freedom is not None:
             n = self.freedom.velocity.size
             self.freedom.velocity = rest[:n].copy()

@@ -115,6 +115,9 @@ class Explicit(Problem):
     _of_step = MotionRecord
     _in_time = True
 
+    # `time` is that of the state
+    _live = frozenset({"courant", "time"})
+
     def __init__(
         self,
         form: ufl.Form,

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     raise_together,
 )
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
@@ -59,7 +60,7 @@ from dolfinmpm.solve.weakform import WeakForm
 __all__ = ["Problem"]
 
 
-class Problem:
+class Problem(ReadOnce):
     """A weak form over points and grid, with what it takes to step through time or load.
 
     Args:
@@ -77,12 +78,15 @@ class Problem:
         ParameterError: An argument is not what it may be.
         FormError: A term of the form cannot be evaluated where it stands.
         ConflictingConditionsError: Two conditions contradict each other.
+
+    An argument that is assigned to later ends in a ParameterError, unless steps look at it.
     """
 
     _of_step: type[StepRecord] = StepRecord
     # whether steps have a length in seconds, and whether forces balance with inertia at their level
     _in_time = False
     _has_inertia = False
+    _attributes = frozenset({"points", "form"})
 
     def __init__(
         self,
@@ -149,6 +153,13 @@ class Problem:
         self._loads = Loads(loads, increments)
         settle(points, self.configuration)
         warn_of_imbalance(points)
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        return (
+            f"make a new {type(self).__name__} of the same points with {name}=..., which goes on "
+            "from their state; what steps are to change are values of dolfinx.fem.Constant"
+        )
 
     def _settle_markers(self) -> None:
         """Bring boundaries to the cells of the positions that the problem sees. Collective."""

@@ -99,6 +99,8 @@ class QuasiStatic(Problem):
         ConflictingConditionsError: Two conditions contradict each other.
     """
 
+    _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
+
     def __init__(
         self,
         form: ufl.Form,
@@ -126,7 +128,7 @@ class QuasiStatic(Problem):
             form, increment, points, bcs, updates=updates, stabilisation=stabilisation,
             prolongation=prolongation, agreed=agreed,
         )  # fmt: skip
-        self.max_halvings = max_halvings
+        self._max_halvings = max_halvings
         options = Options(self, options_prefix, own)
         # several fields are as a rule a saddle point, and pressure on what is round turns with it
         definite = len(self.fields) == 1 and not self.form.parts.contacts
@@ -151,6 +153,38 @@ class QuasiStatic(Problem):
             return self.solver.newton
         assert isinstance(self.solver, Newton)
         return self.solver
+
+    @property
+    def tolerance(self) -> float:
+        """Share of external forces and reactions at which Newton's method stops."""
+        return self.newton.tolerance
+
+    @tolerance.setter
+    def tolerance(self, value: float) -> None:
+        check_limits(value, self.max_iterations, self.max_halvings)
+        self.newton.tolerance = value
+        if isinstance(self.solver, Bordered) and isinstance(self.solver.border, FreeBodies):
+            self.solver.border.tolerance = value
+
+    @property
+    def max_iterations(self) -> int:
+        """Newton iterations before a step is halved."""
+        return self.newton.max_iterations
+
+    @max_iterations.setter
+    def max_iterations(self, value: int) -> None:
+        check_limits(self.tolerance, value, self.max_halvings)
+        self.newton.max_iterations = value
+
+    @property
+    def max_halvings(self) -> int:
+        """Halvings before a step is given up."""
+        return self._max_halvings
+
+    @max_halvings.setter
+    def max_halvings(self, value: int) -> None:
+        check_limits(self.tolerance, self.max_iterations, value)
+        self._max_halvings = value
 
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
