@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.passing import travelled
 from dolfinmpm.contact.rigid import RigidBody
@@ -28,10 +31,21 @@ class Bodies:
         grid: The grid; in one part of a step a body may go as far as its smallest cell, and as
             far as half its own thickness: what it goes over must be within it at the end, on the
             side that it came from.
+
+    Raises:
+        FormError: Points touch a body in two contacts at once.
+        ParameterError: A body does not begin where its shape is.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
         self._contacts = list(contacts)
+        for one, other in itertools.combinations(contacts, 2):
+            if _same(one, other):
+                raise FormError(
+                    f"the form has {one!r} twice for the same points, which would feel its force "
+                    "twice: leave one out, or give them tags or surfaces that share the points"
+                )
+        self._token, self._has_moved = object(), False
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
@@ -45,6 +59,32 @@ class Bodies:
     def free(self) -> list[RigidBody]:
         """Those that have free components."""
         return [b for b in self.all if b.freedom is not None and b.freedom.free.size]
+
+    def take(self) -> None:
+        """Take the bodies for a step. A body that another problem has moved since is not to be had.
+
+        A problem may go on with the body that another one of the same points has moved before.
+
+        Raises:
+            ParameterError: Two problems move a body in turns, or one that has moved touches other
+                points.
+        """
+        for body in self.all:
+            if body.mover is None or body.mover[0] is self._token or body.time == 0.0:
+                continue
+            if self._has_moved or body.mover[1]() is not self._contacts[0].points:
+                raise ParameterError(
+                    f"'{body.name}' has been moved by another problem, to t = {body.time:g}: a "
+                    "rigid body is where the steps of one problem have brought it; make one for "
+                    "each problem, mpm.RigidBody(...)"
+                )
+        self.own()
+
+    def own(self) -> None:
+        """Note that the steps of this problem have brought the bodies where they are."""
+        self._has_moved = True
+        for body in self.all:
+            body.mover = self._token, weakref.ref(self._contacts[0].points)
 
     def begin(self, dt: float) -> None:
         """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
@@ -175,6 +215,16 @@ class Bodies:
         """Take what `memory` returned."""
         for k, body in enumerate(self.all):
             body.remember(state[f"rigid body {k}"])
+        self.own()
         if self.all:
             for contact, done in zip(self._contacts, state["friction's work"]):
                 contact.dissipated = float(done)
+
+
+def _same(one: Contact, other: Contact) -> bool:
+    """Whether two contacts are of one body, and points or faces of points are in both."""
+    if one.body is not other.body or one.points is not other.points:
+        return False
+    if one.tags is not None and other.tags is not None and not set(one.tags) & set(other.tags):
+        return False
+    return one.surface is other.surface or one.surface is None or other.surface is None

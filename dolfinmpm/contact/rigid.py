@@ -123,6 +123,7 @@ class RigidBody(ReadOnce):
             self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
+        self.mover: Any = None  # see `Bodies.take`
         self._force: Array = np.zeros(d)
         self._moment: Array = np.zeros(turns)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import meshio
 import numpy as np
 import pytest
@@ -148,6 +150,63 @@ def test_contacts_that_cannot_be():
     form = ufl.derivative(energy, u, v) + mpm.contact(block.body, points, u, v)
     with pytest.raises(ParameterError, match="stiffness_per_area"):
         mpm.QuasiStatic(form, u, points, mpm.fixed(block.V, "bottom"))
+
+
+def test_points_touch_a_body_in_one_contact():
+    block = Block(kind=None)
+    points, (u, v), bcs = block.points, block.uv, mpm.fixed(block.V, "bottom")
+    points["tag"][:] = np.where(points["x"][:, 0] < 0.5, 1, 2)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 1), (0, 1), name="top")
+    side = mpm.Surface(points, lambda x: np.isclose(x[0], 0), (-1, 0), name="side")
+    momentum = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), points, u, v)
+
+    def contact(**options):
+        return mpm.contact(block.body, points, u, v, **options)
+
+    again = contact()
+    for both in (
+        again + again, contact() + contact(friction=0.3), contact(tag=1) + contact(),
+        contact(tag=1) + contact(tag=(2, 1)), contact(surface=top) + contact(),
+        contact(surface=top) + contact(surface=top, tag=2),
+    ):  # fmt: skip
+        with pytest.raises(FormError, match="contact with 'disc' twice for the same points"):
+            mpm.QuasiStatic(momentum + both, u, points, bcs)
+    # of points and of faces that share nothing
+    for both in (contact(tag=1) + contact(tag=2), contact(surface=top) + contact(surface=side)):
+        mpm.QuasiStatic(momentum + both, u, points, bcs)
+
+
+def test_a_body_is_moved_by_one_problem():
+    one, other = Block(), Block(kind=None)
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), other.points, *other.uv)
+    F += mpm.contact(one.body, other.points, *other.uv)
+    bcs = mpm.rollers(other.V, "left", "right") + mpm.fixed(other.V, "bottom")
+    late = mpm.QuasiStatic(F, other.uv[0], other.points, bcs)
+    one.problem.step()
+    with pytest.raises(ParameterError, match="'disc' has been moved by another problem"):
+        late.step()
+    # also where the other problem is not there any more
+    body, place = one.body, one.body.position.copy()
+    del one
+    gc.collect()
+    with pytest.raises(ParameterError, match="'disc' has been moved by another problem"):
+        late.step()
+    np.testing.assert_array_equal(body.position, place)
+
+
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Explicit])
+def test_a_next_stage_goes_on_with_a_body(kind):
+    """A second problem of the same points; then the first one cannot go on."""
+    block = Block()
+    block.problem.step()
+    place = block.body.position[1]
+    bcs = mpm.rollers(block.V, "left", "right") + mpm.fixed(block.V, "bottom")
+    stage = kind(block.F, block.uv[0], block.points, bcs)
+    time = () if kind is mpm.QuasiStatic else (1e-3,)
+    stage.step(*time)
+    assert block.body.position[1] < place
+    with pytest.raises(ParameterError, match="make one for each problem"):
+        block.problem.step()
 
 
 def test_points_within_a_body_are_told_of():
