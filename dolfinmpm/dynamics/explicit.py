@@ -168,7 +168,7 @@ class Explicit(Problem):
         self.balance = Balance(points, settings.scaling, self.form.parts.declarations)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
-        sides = Sides(faces, points)
+        sides = Sides(faces, points, self.bcs)
         self._loop: Colliding | Fused | General
         if contact is not None:
             check_kind("contact", contact, Collision, "give mpm.Collision(tags=(1, 2))")

@@ -155,7 +155,7 @@ class TimeStepping(QuasiStatic):
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
-        sides = Sides(faces, points)
+        sides = Sides(faces, points, self.bcs)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides)
         check_masses(self.bodies)
         self.form.inertia = terms
