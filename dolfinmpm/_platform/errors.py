@@ -38,6 +38,7 @@ __all__ = [
     "StateError",
     "UndeterminedFieldError",
     "UnknownNameError",
+    "UnreadOptionWarning",
     "UnstablePairWarning",
     "UnsupportedGridError",
     "call_together",
@@ -145,6 +146,10 @@ class SoftVolumeWarning(DolfinMPMWarning):
 
 class UnstablePairWarning(DolfinMPMWarning):
     """Displacement and pore pressure are of equal order, without stabilisation."""
+
+
+class UnreadOptionWarning(DolfinMPMWarning):
+    """An option of PETSc was given, and nothing that solves a problem has read it."""
 
 
 class ImbalanceWarning(DolfinMPMWarning):

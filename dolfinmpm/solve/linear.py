@@ -401,6 +401,10 @@ class LinearSolver:
         """Begin anew after a failure: what PETSc was in the middle of cannot be gone on with."""
         self.snes = self.matrix = self.true = None
 
+    def warn_of_unread_options(self) -> None:
+        """See `Options`; once a problem has been solved."""
+        self._options.warn_of_unread(self._comm)
+
     def why(self, error: PETSc.Error) -> str:
         """Why it failed, if that is no fault of the program; else raises what it is."""
         self.forget()

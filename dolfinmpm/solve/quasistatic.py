@@ -279,6 +279,8 @@ class QuasiStatic(Problem):
         operator = self._operator(step)
         self.newton.guess.length = step.dt
         outcome = self._solve(operator)
+        if outcome.reason is None and outcome.iterations:
+            self.newton.linear.warn_of_unread_options()
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:
