@@ -41,7 +41,7 @@ from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import General
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.dynamics.traces import Stiffness, check_boundaries, weighed
 from dolfinmpm.solve.arguments import increments_of
@@ -86,7 +86,8 @@ class Explicit(Problem):
         mapping: How velocities go to the grid and come back; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
         ghost_mass: See `Newmark`.
-        courant: Share of the critical step that is taken.
+        courant: Share of the critical step that is taken, at most 1; math.inf takes the steps that
+            `step` is asked for as they are.
         damping: Share α of local damping, −α |f| sign v (Cundall 1987).
         mass_scaling: Factor of the mass in the inertia, not in loads: steps grow by its root.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
@@ -146,7 +147,7 @@ class Explicit(Problem):
             scheme, mapping, u[0]._dolfinmpm_space.basis, mass, damping, mass_scaling,
             bulk_viscosity, mass_cutoff, redistribution, time,
         )  # fmt: skip
-        self.courant = number("courant", courant, 0.0)
+        self.courant = checked_courant(courant)
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
@@ -324,7 +325,7 @@ class Explicit(Problem):
                 between.critical, between.since = self.critical_step(), 0
             longest = self.courant * between.critical
             left = target - self.time
-            count = math.ceil(left / longest * (1 - 1e-12))
+            count = max(1, math.ceil(left / longest * (1 - 1e-12)))
             dt = left / count
             now = int(min(count, self._loop.at_once, most - record.parts))
             self._check_speeds(dt)
@@ -387,11 +388,8 @@ class Explicit(Problem):
     def _check_speeds(self, dt: float) -> None:
         """Raise where steps of that length (s) do not follow a rigid body. Collective."""
         fault = self.bodies.fault(dt)
-        if fault is not None:
-            raise_together(
-                self.comm,
-                ParameterError(f"{fault}; give a smaller velocity, or a smaller courant number"),
-            )
+        remedy = "give a smaller velocity, or a smaller courant number"
+        raise_together(self.comm, None if fault is None else ParameterError(f"{fault}; {remedy}"))
         # all ranks know alike where forces have driven the free ones
         fault = self.bodies.fault(dt, inertia=True) if self.bodies.free else None
         if fault is not None:
