@@ -301,7 +301,7 @@ class Explicit(Problem):
             )
         record, between = MotionRecord(), self._between
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
-        self.bodies.take()
+        self._begin()
         whole = target - self.time
         touched = self._touched()
         if touched:

@@ -35,6 +35,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
+from dolfinmpm.grid.graded import times_laid
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     agree,
@@ -338,6 +339,20 @@ class Problem(ReadOnce):
     def _set_penalties(self, here: Activation) -> None:
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
+
+    def _begin(self) -> None:
+        """Look whether bodies and grid are where this problem has left them, as a step begins.
+
+        Raises:
+            ParameterError: Another problem has moved a rigid body, or the grid's lines.
+        """
+        self.bodies.take()
+        if times_laid(self.points.grid) != self.form.laid:
+            raise ParameterError(
+                "mpm.regrade has laid the grid's lines anew for another problem, and this one has "
+                f"kept where they were: make a new Space and a new {type(self).__name__} of its "
+                "points, or give it a grid of its own"
+            )
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrade`."""

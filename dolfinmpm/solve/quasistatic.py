@@ -269,7 +269,7 @@ class QuasiStatic(Problem):
     def _attempt(self, step: Step) -> Failed | None:
         """Solve and commit a step; returns why not, the state being untouched."""
         points, record = self.points, self._record
-        self.bodies.take()
+        self._begin()
         raise_together(self.comm, points.fault())
         garbage.free(self.comm)
         record.migrated += balance(points)

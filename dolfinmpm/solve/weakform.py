@@ -23,6 +23,7 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
+from dolfinmpm.grid.graded import times_laid
 from dolfinmpm.solve.boundaries import place_markers, set_penalties
 
 __all__ = ["Inertia", "WeakForm"]
@@ -62,6 +63,7 @@ class WeakForm:
         inertia: What the mass is made of, or None without inertial forces.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
+        laid: How often the grid's lines had been laid anew when it last looked.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -80,6 +82,7 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.bodies = Bodies(self.parts.contacts, points.grid)
+        self.laid = times_laid(points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self._revision = points.revision
@@ -243,6 +246,7 @@ class WeakForm:
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were."""
+        self.laid = times_laid(self.points.grid)
         for grid in (self.grid, self.softening):
             if grid is not None:
                 grid.lay()
