@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.progress import progress
@@ -75,11 +76,9 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
     Raises:
         ParameterError: A number is outside what it may be.
     """
-    if not (math.isfinite(factor) and factor > 0):
-        raise ParameterError(f"factor = {factor} must be a positive number")
-    if not (math.isfinite(cohesion) and cohesion >= 0):
-        raise ParameterError(f"cohesion = {cohesion} Pa must be at least 0")
-    if not 0 <= friction_angle < 90:
+    number("factor", factor, 0.0)
+    number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
+    if not 0 <= number("friction_angle", friction_angle, unit="degrees") < 90:
         raise ParameterError(
             f"friction_angle = {friction_angle} degrees must be from 0 to below 90"
         )
@@ -124,11 +123,11 @@ def factor_of_safety(
         ParameterError: A number is outside what it may be, the loading has fewer than two
             steps, the body fails at `low` already or stands at `high` still.
     """
-    if not 0 < low < high < math.inf:
+    if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
-    if not 0 < tolerance < math.inf:
+    if not number("tolerance", tolerance) > 0:
         raise ParameterError(f"tolerance = {tolerance} must be a positive number")
-    if not growth > 1:
+    if not number("growth", growth, high=math.inf, closed=True) > 1:
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
 
     first = _run(loading, low, growth, None)
@@ -161,7 +160,11 @@ def factor_of_safety(
 def _run(loading: Loading, factor: float, growth: float, elastic: float | None) -> Trial:
     """One trial; `elastic` is the displacement of a step in proportion, by default its first's."""
     steps, iterations, displacement, grown, reason = 0, 0, 0.0, 1.0, ""
-    for problem in loading(factor):
+    for problem in _steps(loading, factor):
+        if not callable(getattr(problem, "step", None)):
+            raise ParameterError(
+                f"the loading yields {shown(problem)}, and should yield the problem in every step"
+            )
         try:
             record = problem.step()
         except (ConvergenceError, PointsOutsideGridError) as error:
@@ -183,6 +186,22 @@ def _run(loading: Loading, factor: float, growth: float, elastic: float | None) 
     if steps < 2 and not reason:
         raise ParameterError(f"the loading at factor {factor:g} has {steps} steps, it needs two")
     return Trial(factor, not reason, reason, steps, displacement, grown, iterations)
+
+
+def _steps(loading: Loading, factor: float) -> Iterable[QuasiStatic]:
+    """The steps of a loading.
+
+    Raises:
+        ParameterError: It is no generator.
+    """
+    found = loading(factor) if callable(loading) else loading
+    if not isinstance(found, Iterable):
+        what = f"loading({factor:g}) returned {shown(found)}" if callable(loading) else "loading"
+        raise ParameterError(
+            f"{what} and must be a generator function of the factor: for every step of the load it "
+            "sets the load and has `yield problem`, not `return problem`"
+        )
+    return found
 
 
 def _largest_displacement(points: MaterialPoints) -> float:
