@@ -20,6 +20,7 @@ __all__ = [
     "ConflictingConditionsError",
     "ConvergenceError",
     "DegreesWarning",
+    "DifferentProblemWarning",
     "DolfinMPMError",
     "DolfinMPMWarning",
     "EmptyShapeError",
@@ -134,6 +135,10 @@ class FreeAxisWarning(DolfinMPMWarning):
 
 class DegreesWarning(DolfinMPMWarning):
     """An angle in degrees is so small that it may have been given in radians."""
+
+
+class DifferentProblemWarning(DolfinMPMWarning):
+    """A checkpoint goes on in a problem with other laws, bases, stabilisations or conditions."""
 
 
 class SingularMassWarning(DolfinMPMWarning):

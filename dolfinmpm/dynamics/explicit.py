@@ -452,5 +452,10 @@ class Explicit(Problem):
         work = self.balance.work
         work.external, work.internal = state["work"]
 
+    def _description(self) -> dict[str, str]:
+        own = self.settings
+        steps = f"scheme = {own.scheme}, {self.terms.kind} mass, damping = {own.damping:g}"
+        return {**super()._description(), "steps": f"{steps}, mass_scaling = {own.scaling:g}"}
+
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.mapping)}

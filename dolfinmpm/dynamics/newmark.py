@@ -324,6 +324,10 @@ class TimeStepping(QuasiStatic):
         self.motion.remember(state)
         self._loads.change = state["change of loads"].tolist()
 
+    def _description(self) -> dict[str, str]:
+        rule = f"{self.motion.rule}, {self.motion.terms.kind} mass"
+        return {**super()._description(), "steps": rule}
+
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.motion.mapping)}
 

@@ -18,9 +18,11 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import (
     CheckpointError,
+    DifferentProblemWarning,
     FormError,
     ParameterError,
     raise_together,
+    warn,
 )
 from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.assembly.points import Matrix
@@ -49,6 +51,7 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodies import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
+from dolfinmpm.solve.description import describe, differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
@@ -219,6 +222,7 @@ class Problem(ReadOnce):
         """
         state, local, cells = self._memory()
         history = [dataclasses.asdict(record) for record in self.history]
+        state["description"] = [list(pair) for pair in self._description().items()]
         checkpoint.write(path, self.points, state, local, history, cells, self._laws)
 
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -228,8 +232,11 @@ class Problem(ReadOnce):
         conditions. Points, loads and `history` are then those of the file, so that a script
         goes on with `for k in range(len(problem.history), steps)`. The constants and
         functions of the form, and the constants of the conditions, hold what they held in
-        the saved state: set what is to differ, such as a modulus, after this call.
+        the saved state: set what is to differ after this call.
         Increments are zero until the next step.
+
+        A next stage may have other parameters of laws, other bases, stabilisations and conditions;
+        a `DifferentProblemWarning` lists what differs.
 
         A run that goes on gives the same figures as one that was not interrupted: bit for
         bit on one rank, and on as many ranks as before if the grid is distributed as it
@@ -247,12 +254,26 @@ class Problem(ReadOnce):
         """
         found = checkpoint.read(path, self.points, self._laws)
         raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
+        # files of older versions tell nothing of it
+        before = dict(found.state.get("description", ()))
+        other = differences(before, self._description()) if before else []
+        if other:
+            warn(
+                self.comm,
+                f"{os.fspath(path)} goes on in a problem that is not the one that wrote it: "
+                + "; ".join(other),
+                DifferentProblemWarning,
+            )
         found.put(self.points)
         self._remember(found.state, found.local, found.cells)
         names = {f.name for f in dataclasses.fields(self._of_step)}
         self.history = [
             self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
         ]
+
+    def _description(self) -> dict[str, str]:
+        """What the problem is, in words, of which a next stage may change some. Collective."""
+        return describe(self.fields, self.form, self.bcs)
 
     @property
     def _laws(self) -> list[str]:
