@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, crossover
+from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, as_used, choose, crossover
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
@@ -173,6 +173,13 @@ class LinearSolver:
         if keeps:
             self.reuse = Reuse(self._comm)
             self.reuse.watch(ksp)
+
+    @property
+    def used(self) -> Method | None:
+        """What solves, as options have left it; None before the first matrix."""
+        if self.method is None or self.snes is None:
+            return self.method
+        return as_used(self.method, self.snes.getKSP())
 
     @property
     def iterations(self) -> list[int]:

@@ -241,7 +241,7 @@ class QuasiStatic(Problem):
         if here is not None:
             lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
             lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
-        method = self.newton.linear.method
+        method = self.newton.linear.used
         lines.append(f"linear solver: {method or 'chosen in the first step'}")
         return "\n".join(lines)
 

@@ -92,3 +92,21 @@ def test_options_that_nothing_reads_are_told():
     problem.step()
     with pytest.warns(errors.UnreadOptionWarning, match=r"fieldsplit_u_pc_type = 'lu', and [^;]*$"):
         problem_of(petsc_options={"fieldsplit_u_pc_type": "lu"}).step()
+
+
+def test_info_tells_the_solver_that_options_have_chosen():
+    def told(options):
+        problem = problem_of(petsc_options=options)
+        problem.step()
+        (line,) = [line for line in problem.info().splitlines() if "linear solver" in line]
+        return line.removeprefix("linear solver: ")
+
+    assert told({}).startswith("Cholesky by CHOLMOD: ")
+    for options, words in (
+        ({"pc_factor_mat_solver_type": "mumps"}, "LU by MUMPS: chosen by options"),
+        ({"pc_type": "cholesky"}, "Cholesky by MUMPS: chosen by options"),
+        ({"pc_type": "lu", "pc_factor_mat_solver_type": "petsc"}, "LU by PETSC: chosen by options"),
+        (KRYLOV, "CG with jacobi: chosen by options"),
+        ({"ksp_type": "gmres"}, "GMRES with Cholesky by CHOLMOD: chosen by options"),
+    ):
+        assert told(options) == words
