@@ -62,7 +62,7 @@ class ParameterError(DolfinMPMError, ValueError):
     """A number or a name is outside what it may be."""
 
 
-class UnknownNameError(ParameterError, KeyError):
+class UnknownNameError(ParameterError, KeyError, AttributeError):
     """Nothing goes by the name that was asked for."""
 
     # a KeyError shows its message in quotes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from dolfinmpm._platform.checks import shown
@@ -23,6 +25,25 @@ class ReadOnce:
     _live: ClassVar[frozenset[str]] = frozenset()
     _attributes: ClassVar[frozenset[str]] = frozenset()
     _arguments: ClassVar[frozenset[str]] = frozenset()
+
+    @classmethod
+    def _refuse_unknown(cls, names: Iterable[str], hints: dict[str, str]) -> None:
+        """Raise for arguments that the class and those that it is made of do not have.
+
+        Args:
+            names: Names of the arguments given.
+            hints: What is said of some of them.
+
+        Raises:
+            ParameterError: One is unknown; the message has the nearest.
+        """
+        for name in names:
+            if name in cls._arguments:
+                continue
+            near = difflib.get_close_matches(name, cls._arguments, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = f": {hints[name]}" if name in hints else hint
+            raise ParameterError(f"{cls.__name__} has no argument {name}{hint}")
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)

@@ -26,7 +26,7 @@ from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
-from dolfinmpm.body.markerplaces import corners_of, inward, revolved, rows_of, simplices_of
+from dolfinmpm.body.markerplaces import corners_of, put_inside, revolved, rows_of, simplices_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
@@ -106,7 +106,7 @@ class Boundary:
             raise EmptyShapeError(
                 f"the boundary has no markers; its markers must lie in the grid{axis}"
             )
-        at = at - inward(points.grid, at) * vectors / sizes[:, None]
+        at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False

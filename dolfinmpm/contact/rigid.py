@@ -357,7 +357,7 @@ class _Course:
                 )
             self._first = self.value(given, 0.0)
         elif rate is not None and not callable(rate):
-            constant: Array = vector(rate_name, np.atleast_1d(np.asarray(rate, object)), size)
+            constant: Array = vector(rate_name, rate, size)
             self.rate = lambda t: constant
         if callable(self.rate):
             self.value(self.rate, 0.0)

@@ -9,12 +9,13 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from dolfinmpm._platform.errors import DifferentProblemWarning, warn
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.cut.participants import Field
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["describe", "differences"]
+__all__ = ["describe", "warn_of_differences"]
 
 
 def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) -> dict[str, str]:
@@ -46,15 +47,24 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
     return found
 
 
-def differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """In what two problems differ, in words.
+def warn_of_differences(
+    comm: MPI.Comm, path: str, before: Mapping[str, str], now: Mapping[str, str]
+) -> None:
+    """Warn of what a checkpoint's problem and the one that reads it differ in.
 
     Args:
-        before, now: What `describe` tells of both.
+        comm: The ranks.
+        path: The file.
+        before, now: What `describe` tells of both; nothing is known of files of older versions.
     """
+    if not before:
+        return
     names = [*now, *(name for name in before if name not in now)]
     pairs = [(name, before.get(name, "none"), now.get(name, "none")) for name in names]
-    return [f"{name}: {old} there, {new} here" for name, old, new in pairs if old != new]
+    other = [f"{name}: {old} there, {new} here" for name, old, new in pairs if old != new]
+    if other:
+        text = f"{path} goes on in a problem that is not the one that wrote it: {'; '.join(other)}"
+        warn(comm, text, DifferentProblemWarning)
 
 
 def _law(declaration: Declaration) -> str:

@@ -18,11 +18,9 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import (
     CheckpointError,
-    DifferentProblemWarning,
     FormError,
     ParameterError,
     raise_together,
-    warn,
 )
 from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.assembly.points import Matrix
@@ -40,6 +38,7 @@ from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.grid.graded import times_laid
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
+    ELSEWHERE,
     agree,
     check_callable,
     check_conditions,
@@ -51,7 +50,7 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodies import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
-from dolfinmpm.solve.description import describe, differences
+from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
@@ -158,6 +157,10 @@ class Problem(ReadOnce):
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
+    def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
+        cls._refuse_unknown(given, ELSEWHERE)
+        return super().__new__(cls)
+
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
         return (
@@ -254,16 +257,8 @@ class Problem(ReadOnce):
         """
         found = checkpoint.read(path, self.points, self._laws)
         raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
-        # files of older versions tell nothing of it
         before = dict(found.state.get("description", ()))
-        other = differences(before, self._description()) if before else []
-        if other:
-            warn(
-                self.comm,
-                f"{os.fspath(path)} goes on in a problem that is not the one that wrote it: "
-                + "; ".join(other),
-                DifferentProblemWarning,
-            )
+        warn_of_differences(self.comm, os.fspath(path), before, self._description())
         found.put(self.points)
         self._remember(found.state, found.local, found.cells)
         names = {f.name for f in dataclasses.fields(self._of_step)}

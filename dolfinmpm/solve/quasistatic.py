@@ -44,6 +44,7 @@ from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
+from dolfinmpm.solve.unsupported import unsupported
 
 __all__ = ["QuasiStatic"]
 
@@ -286,7 +287,9 @@ class QuasiStatic(Problem):
         if state is None:
             state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
-            return Failed(state, self._worst(operator))
+            free = [] if self._has_inertia else self.bodies.free
+            advice = unsupported(free, operator.contacts, state, self.comm)
+            return Failed(state, self._worst(operator), advice)
         self._count(self.bodies.commit(operator.contacts))
         record.bodies = {
             one.contact.name: {"force": [float(f) for f in one.total()]} for one in operator.between
@@ -361,7 +364,7 @@ class QuasiStatic(Problem):
             f"({self._loads.describe()}) with parts of {share:.3g}: SNES says "
             f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
             f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
-            f"{done:.4g} of the step: {self._advice()}"
+            f"{done:.4g} of the step: {failed.advice or self._advice()}"
         )
 
     def _advice(self) -> str:

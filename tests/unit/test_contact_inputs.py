@@ -12,7 +12,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
 from dolfinmpm.contact.making import surface_of
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
@@ -71,9 +71,11 @@ def test_broken_meshes_are_refused(tmp_path):
         mpm.RigidBody(meshio.Mesh(CUBE, [("tetra", np.array([[0, 1, 2, 4]]))]))
     with pytest.raises(OSError, match="no file"):
         mpm.RigidBody(str(tmp_path / "missing.stl"))
-    (tmp_path / "text.stl").write_text("no mesh\n")
-    with pytest.raises(OSError, match="cannot read"):
-        mpm.RigidBody(tmp_path / "text.stl")
+    half = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 2 3\n"
+    for name, text in (("a.stl", "no mesh\n"), ("a.msh", "no mesh\n"), ("b.msh", half)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(OSError, match=rf"cannot read .*{name}, which is broken, or of another"):
+            mpm.RigidBody(tmp_path / name)
 
 
 def test_bodies_that_cannot_be():
@@ -252,6 +254,23 @@ def test_a_tool_that_is_faster_than_a_cell_a_step_takes_several_parts():
     explicit = Block(motion=(0, -1e9), kind=mpm.Explicit)
     with pytest.raises(ParameterError, match="more than a cell"):
         explicit.problem.step(1e-3)
+
+
+def test_a_free_body_that_nothing_holds_is_told():
+    """Smaller steps would not help."""
+    for free, middle, words in (
+        ((False, True, False), 1.6, "'disc' is free in the components 1 .* nothing touches it"),
+        (None, 1.499, "in the components 0, 1, 2 .* contact does not hold it in all of them"),
+    ):
+        block = Block(kind=None)
+        disc = mpm.RigidBody(mpm.Disc((0.5, middle), 0.5), force=(0, -1), free=free, name="disc")
+        F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), block.points, *block.uv)
+        F += mpm.contact(disc, block.points, *block.uv)
+        bcs = mpm.rollers(block.V, "left", "right") + mpm.fixed(block.V, "bottom")
+        with pytest.raises(ConvergenceError, match=words) as told:
+            mpm.QuasiStatic(F, block.V.increment, block.points, bcs).step()
+        assert "take smaller steps" not in str(told.value)
+        assert "give the contact friction" in str(told.value)
 
 
 def test_a_free_body_in_time_needs_a_mass():
