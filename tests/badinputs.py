@@ -8,6 +8,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from rawinputs import RAW
 
 import dolfinmpm as mpm
 
@@ -554,6 +555,8 @@ BAD = {
         r"threshold = 1\.5 must be in \(0, 1\]",
     ),
     "stabilisation: kind a list": (lambda s: mpm.Stabilisation(["ghost"]), "must be one of"),
+    # -- what Python, NumPy or UFL would tell of
+    **RAW,
     # -- ParaView
     "paraview: no path": (lambda s: mpm.ParaView(None, s.points), "path = None must be a path"),
     "paraview: a number": (lambda s: mpm.ParaView(3, s.points), "path = 3 must be a path"),

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = [
-    "Tags", "as_tags", "check_kind", "choice", "file_path", "number", "shown", "truth", "whole",
+    "Tags", "as_tags", "check_kind", "choice", "coordinates", "file_path", "number", "shown",
+    "truth", "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -88,7 +90,8 @@ def number(
         left = f"{'at least' if closed else 'above'} {low:g}" if low > -math.inf else ""
         right = f"{'at most' if closed else 'below'} {high:g}" if high < math.inf else ""
         limits = " and ".join(limit for limit in (left, right) if limit) or "finite"
-        raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}")
+        undefined = "; nan is what a computation leaves that has failed" * math.isnan(given)
+        raise ParameterError(f"{what} = {given:g}{unit and f' {unit}'} must be {limits}{undefined}")
     return given
 
 
@@ -105,6 +108,20 @@ def whole(what: str, value: Any, least: int) -> int:
     if given is None or given < least:
         raise ParameterError(f"{what} = {shown(value)} must be a whole number of at least {least}")
     return given
+
+
+def coordinates(what: str, given: Any) -> npt.NDArray[np.float64]:
+    """Numbers as an array, of any shape; whether they are as many as they must be is not asked.
+
+    Raises:
+        ParameterError: They are no numbers.
+    """
+    try:
+        return np.array(given, np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"{what} = {shown(given)} must be numbers, such as (0.0, 1.0)"
+        ) from None
 
 
 def truth(what: str, value: Any, *words: str) -> bool:

@@ -112,6 +112,13 @@ def _libpetsc() -> ctypes.CDLL:
     return ctypes.CDLL(module.__file__)
 
 
+def option_was_read(name: str) -> bool:
+    """Whether anybody has asked PETSc's database for an option, by its whole name."""
+    read = ctypes.c_int(0)
+    _libpetsc().PetscOptionsUsed(None, name.encode(), ctypes.byref(read))
+    return bool(read.value)
+
+
 class _SymbolInfo(ctypes.Structure):
     """Dl_info of dlfcn.h."""
 

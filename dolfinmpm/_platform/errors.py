@@ -22,6 +22,7 @@ __all__ = [
     "ConvergenceError",
     "DegreesWarning",
     "DifferentCallsError",
+    "DifferentProblemWarning",
     "DolfinMPMError",
     "DolfinMPMWarning",
     "EmptyShapeError",
@@ -40,6 +41,7 @@ __all__ = [
     "StateError",
     "UndeterminedFieldError",
     "UnknownNameError",
+    "UnreadOptionWarning",
     "UnstablePairWarning",
     "UnsupportedGridError",
     "call_together",
@@ -62,7 +64,7 @@ class ParameterError(DolfinMPMError, ValueError):
     """A number or a name is outside what it may be."""
 
 
-class UnknownNameError(ParameterError, KeyError):
+class UnknownNameError(ParameterError, KeyError, AttributeError):
     """Nothing goes by the name that was asked for."""
 
     # a KeyError shows its message in quotes
@@ -141,6 +143,10 @@ class DegreesWarning(DolfinMPMWarning):
     """An angle may have been given in radians in place of degrees, or the reverse."""
 
 
+class DifferentProblemWarning(DolfinMPMWarning):
+    """A checkpoint goes on in a problem with other laws, bases, stabilisations or conditions."""
+
+
 class SingularMassWarning(DolfinMPMWarning):
     """A consistent mass is next to singular: its nodal velocities are out of all proportion."""
 
@@ -151,6 +157,10 @@ class SoftVolumeWarning(DolfinMPMWarning):
 
 class UnstablePairWarning(DolfinMPMWarning):
     """Displacement and pore pressure are of equal order, without stabilisation."""
+
+
+class UnreadOptionWarning(DolfinMPMWarning):
+    """An option of PETSc was given, and nothing that solves a problem has read it."""
 
 
 class ImbalanceWarning(DolfinMPMWarning):

@@ -27,6 +27,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.body.location import bounds
 
@@ -105,16 +106,31 @@ def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
     """Gradient of a displacement or a test function at the points, in UFL.
 
     Of shape (d, d), `ufl.grad(w)`; at points that are rings (3, 3), in the axes r, z, θ and with
-    the hoop term w_r/r. What is written with it in the place of `ufl.grad` holds for both.
+    the hoop term w_r/r. What is written with it in the place of `ufl.grad` holds for both. That of
+    a scalar is `ufl.grad(w)`, of shape (d,), at rings too: it is the same all around.
 
     Args:
         points: Material points.
-        w: Increment or test function of a displacement.
+        w: Increment or test function of a displacement, or of a scalar field.
         radius: r in terms that are not sums over the points; that of the points by default.
+
+    Raises:
+        ParameterError: These are no points, or w is no field of UFL, or at rings of another shape.
     """
+    if not hasattr(points, "strain_dim"):
+        raise ParameterError(f"points = {shown(points)} must be material points, see mpm.fill")
+    if not isinstance(w, Expr):
+        raise ParameterError(
+            f"w = {shown(w)} must be a field of UFL, such as Space.increment or Space.test"
+        )
     G = ufl.grad(w)
-    if not points.axisymmetric:
+    if not points.axisymmetric or w.ufl_shape == ():
         return G
+    if w.ufl_shape != (2,):
+        raise ParameterError(
+            f"w has the shape {w.ufl_shape}, and at points that are rings it must be a vector of "
+            "radius and height, (2,), or a scalar"
+        )
     hoop = w[0] / (points.x[0] if radius is None else radius)
     return ufl.as_tensor([[G[0, 0], G[0, 1], 0], [G[1, 0], G[1, 1], 0], [0, 0, hoop]])
 

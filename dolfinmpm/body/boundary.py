@@ -28,7 +28,7 @@ from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
 from dolfinmpm.body.markerplaces import (
-    inward,
+    put_inside,
     revolved,
     rows_of,
     segments_of,
@@ -116,7 +116,7 @@ class Boundary:
             raise EmptyShapeError(
                 f"the boundary has no markers; its markers must lie in the grid{axis}"
             )
-        at = at - inward(points.grid, at) * vectors / sizes[:, None]
+        at = put_inside(points.grid, at, vectors / sizes[:, None])
         self.points, self.follows, self.activates = points, follows, activates
         self.forces: list[str] = []
         self.tiles = False

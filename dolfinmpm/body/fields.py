@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 
 from dolfinmpm._platform.checks import shown
-from dolfinmpm._platform.errors import FieldShapeError
+from dolfinmpm._platform.errors import FieldShapeError, ParameterError
 from dolfinmpm.grid.positions import ask
 
 if TYPE_CHECKING:
@@ -77,6 +77,39 @@ class PointField(ufl.Coefficient):
                 f"field '{self.name}' has shape {shape} at a point, its first value {given.shape}"
             )
         return np.broadcast_to(given, (len(x0), *shape)).copy()
+
+    # NumPy would make an array of objects of each component
+    __array_ufunc__ = None
+
+    def __mul__(self, other: Any) -> Any:
+        """The product in UFL.
+
+        Raises:
+            ParameterError: The other is no expression, but a tuple, a list or an array; or
+                density is to give a force with an acceleration of another dimension.
+        """
+        self._check_factor(other)
+        return super().__mul__(other)
+
+    def __rmul__(self, other: Any) -> Any:
+        """See `__mul__`."""
+        self._check_factor(other)
+        return super().__rmul__(other)
+
+    def _check_factor(self, other: Any) -> None:
+        d = self.points.gdim
+        if isinstance(other, (tuple, list, np.ndarray)) and np.ndim(other):
+            raise ParameterError(
+                f"{self} times {shown(other)}: UFL knows no tuples and arrays; write a constant, "
+                f"g = dolfinx.fem.Constant(points.grid, {shown(other)}), whose value steps may "
+                "change, or ufl.as_vector"
+            )
+        shape: tuple[int, ...] = getattr(other, "ufl_shape", ())
+        if self.name == "density" and len(shape) == 1 and shape != (d,):
+            raise ParameterError(
+                f"points.density times a vector of {shape[0]} components, and the points are in "
+                f"{d}D: give gravity {d} components (m/s²), the last one upwards"
+            )
 
     def __str__(self) -> str:
         return f"points.{self.name}"

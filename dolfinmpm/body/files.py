@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +15,7 @@ from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
 from dolfinmpm.body.checks import require_grid
+from dolfinmpm.body.meshfiles import read_mesh
 
 __all__ = ["from_csv", "from_mesh"]
 
@@ -161,15 +160,7 @@ def _points_of(mesh, gdim: int, points: str, degree: int) -> tuple[Array, Array,
     import meshio
 
     if not isinstance(mesh, meshio.Mesh):
-        # meshio ends the interpreter where a file is not there
-        if not Path(mesh).is_file():
-            raise FileNotFoundError(f"there is no file {mesh}")
-        try:
-            # its reader of Gmsh's files prints empty lines
-            with contextlib.redirect_stdout(io.StringIO()):
-                mesh = meshio.read(mesh)
-        except (meshio.ReadError, SystemExit) as error:
-            raise OSError(f"meshio cannot read {mesh}: {error}") from error
+        mesh = read_mesh(mesh)
     nodes = np.asarray(mesh.points, float)
     if np.any(np.ptp(nodes[:, gdim:], axis=0) > 1e-12 * np.ptp(nodes)):
         raise UnsupportedGridError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -18,6 +19,7 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm._platform.together import together
+from dolfinmpm.body.amounts import check_amount, check_per_cell
 from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.exchange import numbers_in_order
@@ -101,6 +103,7 @@ def fill(
     """
     require_grid(grid)
     _check_arguments(shape, per_cell, aligned, tag)
+    check_per_cell(per_cell, grid.geometry.dim)
     exact, axisymmetric = truth("exact", exact), truth("axisymmetric", axisymmetric)
     if axisymmetric:
         require_axis(grid)
@@ -173,9 +176,14 @@ def _check_inside(grid: Mesh, shape: Shape) -> None:
 
 
 def _parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int) -> Parts:
-    if lattice is None:
-        return CellParts(grid, n, shape.low, shape.high)
-    return LatticeParts(grid, lattice, n, shape.low, shape.high)
+    """Parts of the cells that the shape touches. Collective."""
+
+    def made() -> Parts:
+        if lattice is None:
+            return CellParts(grid, n, shape.low, shape.high)
+        return LatticeParts(grid, lattice, n, shape.low, shape.high)
+
+    return call_together(grid.comm, made)
 
 
 def _whole_parts(grid: Mesh, lattice: Lattice | None, shape: Shape, n: int):
@@ -228,6 +236,7 @@ def _divide_box(grid: Mesh, lattice: Lattice, shape: Shape, n: int):
     for low, high, size in zip(box.low, box.high, lattice.spacing):
         number = max(1, round((high - low) / (size / n)))
         lines.append(low + (np.arange(number) + 0.5) * (high - low) / number)
+    check_amount(math.prod(line.size for line in lines), n)
     half = 0.5 * (box.high - box.low) / [line.size for line in lines]
     x: Array = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
     if isinstance(shape, TurnedBox):

@@ -12,12 +12,13 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.constants import begin_at_zero, own_constant
 from dolfinmpm.grid.lattice import cell_size
 
 __all__ = ["RigidFooting"]
@@ -30,7 +31,7 @@ Array = npt.NDArray[np.float64]
 _STIFFNESS = 1e4
 
 
-class RigidFooting:
+class RigidFooting(ReadOnce):
     """A rigid footing that is pressed into a face of the body by a given settlement.
 
     The faces of the surface's points are held to the footing's motion by a penalty on
@@ -45,8 +46,8 @@ class RigidFooting:
     Args:
         surface: What is under the footing, with an axis as its normal.
         settlement: How far the footing has moved into the body (m) since it was made,
-            against the outward normal: a scalar DOLFINx constant. In parts of a step
-            the solver scales it like any load.
+            against the outward normal: a scalar DOLFINx constant. What it holds already the first
+            step brings about. In parts of a step the solver scales it like any load.
         rough: Whether the faces are held sideways too.
         E: Young's modulus of the body (Pa), for the default stiffness 10⁴ E/h, h being
             the size of the largest cell.
@@ -54,8 +55,11 @@ class RigidFooting:
 
     Raises:
         ParameterError: The surface has no axis for its normal, the settlement is not a
-            scalar constant, or neither E nor the stiffness is positive and finite.
+            scalar constant, or neither E nor the stiffness is positive and finite; or an
+            argument is assigned to later.
     """
+
+    _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})
 
     @together
     def __init__(
@@ -83,7 +87,7 @@ class RigidFooting:
                 "the settlement is a constant of another mesh; make it with "
                 "dolfinx.fem.Constant(points.grid, 0.0)"
             )
-        first = number("settlement", float(settlement.value), unit="m")
+        number("settlement", float(settlement.value), unit="m")
         if stiffness is None:
             if E is None:
                 raise ParameterError(
@@ -95,7 +99,7 @@ class RigidFooting:
         self.stiffness = number("stiffness", stiffness, 0.0, unit="Pa/m")
         # constants of the form, for numbers would be compiled into it
         self._k = own_constant(points.grid, self.stiffness)
-        self._first = own_constant(points.grid, first)
+        begin_at_zero("settlement", settlement)
         names = (f"{surface.name}_seat{k or ''}" for k in itertools.count())
         seat = next(name for name in names if name not in points.fields)
         self._seat = points.add_field(seat, (points.gdim,), "m")
@@ -104,6 +108,12 @@ class RigidFooting:
     def _faces(self) -> Array:
         points, R = self.surface.points, self.surface.points[self.surface.offset.name]
         return points["x"] + np.einsum("pij,pj->pi", in_section(points, points["F"]), R)
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        if name == "settlement":
+            return "set the value of the constant that it was made with, settlement.value = ..."
+        return f"make a new RigidFooting with {name}=..., and a new problem with its contact"
 
     def contact(self, u, v) -> ufl.Form:
         """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.
@@ -118,7 +128,7 @@ class RigidFooting:
         surface = self.surface
         check_displacement(surface.points, u=u)
         n = ufl.as_vector([float(c) for c in surface.normal])
-        gap = surface.position(u) - self._seat + (self.settlement - self._first) * n
+        gap = surface.position(u) - self._seat + self.settlement * n
         if not self.rough:
             gap = ufl.dot(gap, n) * n
         name = f"the contact of a footing on '{surface.name}'"
@@ -128,7 +138,7 @@ class RigidFooting:
         """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""
         n = self.surface.normal
         gap = self._faces() - self.surface.points[self._seat.name]
-        gap += (float(self.settlement.value) - float(self._first.value)) * n
+        gap += float(self.settlement.value) * n
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 

@@ -9,12 +9,18 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm._platform.errors import FieldShapeError, ParameterError, UnsupportedGridError
+from dolfinmpm._platform.errors import (
+    FieldShapeError,
+    ParameterError,
+    UnsupportedGridError,
+    raise_together,
+)
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.contours import kuhn
+from dolfinmpm.body.location import bounds
 from dolfinmpm.grid.lattice import largest_cell, lattice_of, smallest_height
 
-__all__ = ["inward", "revolved", "rows_of", "segments_of", "simplices_of", "triangles_of"]
+__all__ = ["put_inside", "revolved", "rows_of", "segments_of", "simplices_of", "triangles_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +61,35 @@ def rows_of(d: int, x: Any, area: Any) -> tuple[Array, Array]:
     return made[0], made[1]
 
 
-def inward(grid, x: Array) -> Array:
+def put_inside(grid, x: Array, normal: Array) -> Array:
+    """Markers moved inwards by a little, so that those at the grid's edge see it. Collective.
+
+    Args:
+        grid: Background grid.
+        x: Positions (m), shape (n, gdim).
+        normal: Their outward unit normals, likewise.
+
+    Raises:
+        ParameterError: A marker at the grid's edge would leave it: its normal points into the grid.
+    """
+    low, high = bounds(grid)
+    moved = x - _inward(grid, x) * normal
+    inside, still = (np.all((at >= low) & (at <= high), axis=1) for at in (x, moved))
+    out = np.flatnonzero(inside & ~still)
+    error = None
+    if out.size:
+        p = out[0]
+        error = ParameterError(
+            f"the boundary lies on the grid's edge at {x[p]} m, and its outward normal "
+            f"{normal[p] + 0.0} points into the grid, where the body would not be: the body is to "
+            "the left of corners in order, so turn them round, vertices[::-1]; of triangles and "
+            "arrays turn the normals round"
+        )
+    raise_together(grid.comm, error)
+    return moved
+
+
+def _inward(grid, x: Array) -> Array:
     """How far markers go inwards (m), shape (n, 1)."""
     far = np.full((len(x), 1), _INWARD * smallest_height(grid))
     lattice = lattice_of(grid)

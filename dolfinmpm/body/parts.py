@@ -13,6 +13,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis.cells import BOX
 from dolfinmpm.basis.linear import kind_of
+from dolfinmpm.body.amounts import check_amount
 from dolfinmpm.grid.lattice import Lattice
 
 __all__ = ["CellParts", "LatticeParts", "Parts"]
@@ -81,6 +82,7 @@ class LatticeParts(Parts):
         if low is not None and high is not None:
             near = np.all((upper >= low) & (lower <= high), axis=1)
         cells = np.flatnonzero(near).astype(np.int32)
+        check_amount(len(cells) * n**gdim, n)
         parts = np.array(list(itertools.product(range(n), repeat=gdim)))
         size = (upper[cells] - lower[cells])[:, None] / n
         self.low: Array = (lower[cells][:, None] + parts * size).reshape(-1, gdim)
@@ -121,6 +123,7 @@ class CellParts(Parts):
         if low is not None and high is not None:
             near = np.all((vertices.max(axis=1) >= low) & (vertices.min(axis=1) <= high), axis=1)
         cells = np.flatnonzero(near).astype(np.int32)
+        check_amount(len(cells) * n**self._gdim, n)
         self._vertices = vertices[cells]
         self._box = kind_of(grid) == BOX
         xi = self._pieces(1)

@@ -19,6 +19,7 @@ from dolfinmpm._platform.errors import (
     DolfinMPMError,
     FieldShapeError,
     ParameterError,
+    UnknownNameError,
     call_together,
     raise_together,
 )
@@ -33,6 +34,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
+from dolfinmpm.body.missing import no_field
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.partition import Partition
 
@@ -411,18 +413,13 @@ class MaterialPoints:
         try:
             return self.__dict__["_ufl"][name]
         except KeyError:
-            known = ", ".join(self.__dict__.get("_ufl", {}))
-            raise AttributeError(
-                f"material points have no field '{name}'; they have {known}"
-            ) from None
+            raise UnknownNameError(no_field(name, self.__dict__.get("_ufl", {}))) from None
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         try:
             return self.fields[name]
         except KeyError:
-            raise KeyError(
-                f"material points have no field '{name}'; they have {', '.join(self.fields)}"
-            ) from None
+            raise UnknownNameError(no_field(name, self.fields)) from None
 
     def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
         """Set a field's values on this rank; a single value is given to all points.

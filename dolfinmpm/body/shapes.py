@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import turn
 
@@ -106,7 +108,9 @@ class Box(Shape):
     """
 
     def __init__(self, low: float | Sequence[float], high: float | Sequence[float]):
-        lower, upper = np.atleast_1d(np.array(low, float)), np.atleast_1d(np.array(high, float))
+        lower, upper = (
+            np.atleast_1d(coordinates(what, at)) for what, at in (("low", low), ("high", high))
+        )
         finite = np.isfinite(lower).all() and np.isfinite(upper).all()
         if lower.shape != upper.shape or not finite or np.any(upper <= lower):
             raise ParameterError(
@@ -171,9 +175,8 @@ class Ball(Shape):
     """
 
     def __init__(self, centre: float | Sequence[float], radius: float):
-        if not (math.isfinite(radius) and radius > 0):
-            raise ParameterError(f"radius = {radius} m must be positive")
-        middle = np.atleast_1d(np.array(centre, float))
+        number("radius", radius, 0.0, unit="m")
+        middle = np.atleast_1d(coordinates("centre", centre))
         if middle.ndim != 1 or middle.size > 3 or not np.isfinite(middle).all():
             raise ParameterError(f"centre = {centre} m must be one to three finite coordinates")
         super().__init__(
@@ -204,7 +207,7 @@ class Polygon(Shape):
     """
 
     def __init__(self, vertices: Sequence[Sequence[float]]):
-        corners = np.array(vertices, float)
+        corners = coordinates("vertices", vertices)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
             raise ParameterError(
                 f"Polygon needs corners of shape (n, 2) with n >= 3, got {corners.shape}"
@@ -212,10 +215,11 @@ class Polygon(Shape):
 
         _check_simple(corners)
         self.vertices = corners
+        edges: Any = list(zip(corners, np.roll(corners, -1, axis=0)))
 
         def contains(x: Array) -> npt.NDArray[np.bool_]:
             inside = np.zeros(len(x), bool)
-            for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
+            for (x0, y0), (x1, y1) in edges:
                 if y0 != y1:
                     crosses = (y0 > x[:, 1]) != (y1 > x[:, 1])
                     inside ^= crosses & (x[:, 0] < x0 + (x[:, 1] - y0) * (x1 - x0) / (y1 - y0))

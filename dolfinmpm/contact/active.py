@@ -14,14 +14,13 @@ from dolfinmpm.assembly.points import Entries
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which, longest
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
+from dolfinmpm.contact.passing import entered, passes, suspected, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
-from dolfinmpm.contact.pose import Pose
-from dolfinmpm.contact.rigid import box_corners
-from dolfinmpm.contact.surfaces import Probe, Surface
+from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
-__all__ = ["MARGIN", "ActiveContact", "within"]
+__all__ = ["MARGIN", "ActiveContact"]
 
 Array = npt.NDArray[np.float64]
 Chosen = npt.NDArray[np.bool_]
@@ -76,6 +75,7 @@ class ActiveContact:
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
+        self._way = np.zeros(m)
 
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
@@ -147,21 +147,33 @@ class ActiveContact:
         chosen = chosen[gap < reach[chosen]]
         return chosen if among is None else among[chosen]
 
-    def missed(self, x: Array) -> bool:
+    def missed(self, x: Array, before: Array | None = None) -> bool:
         """Whether points that were not looked at have got into the body. Collective.
 
         Args:
             x: Positions of all points at the end of the step (m), shape (points, gdim).
+            before: Those at its start, where they may have gone through the body.
         """
         body = self.contact.body
-        far = within([body.pose], body.surface, x, 0.0)
+        way = 0.0 if before is None else float(np.abs(x - before).max(initial=0.0))
+        far = within([body.pose], body.surface, x, way)
         far[self._points] = False
         can = self._touchable(ALL)
         if can is not None:
             far &= can
         rows = np.flatnonzero(far)
-        inside = bool(rows.size) and body.surface.probe(body.pose.back(x[rows]))[0].min() < 0.0
-        return self.contact.points.comm.allreduce(inside, op=MPI.LOR)
+        ends = x if before is None else before
+        start, end = body.start.back(ends[rows]), body.pose.back(x[rows])
+        inside = bool(rows.size) and entered(body.surface, body.half_thickness, start, end).any()
+        return self.contact.points.comm.allreduce(bool(inside), op=MPI.LOR)
+
+    def passes(self) -> str | None:
+        """How corners of this rank pass through the body instead of touching it, or None."""
+        body = self.contact.body
+        half = body.half_thickness
+        if not len(self.x) or not suspected(half, self._gap, self._way):
+            return None
+        return passes(body.surface, half, self._start, body.pose.back(self.x), self._gap)
 
     # -- forces ---------------------------------------------------------------
 
@@ -189,7 +201,8 @@ class ActiveContact:
         if not clings:
             holds[:] = False
         # a corner comes no nearer than it goes
-        far = self._first > np.linalg.norm(at - self._start, axis=1)
+        self._way = np.linalg.norm(at - self._start, axis=1)
+        far = self._first > self._way
         c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
         self._find(c, at, self.contact.body.surface.probe(at[c]), holds)
 
@@ -374,22 +387,6 @@ class ActiveContact:
     def count(self) -> tuple[int, int]:
         """Corners of this rank that stick, and that slip."""
         return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
-
-
-def within(poses: list[Pose], surface: Surface, x: Array, reach: Array | float) -> Chosen:
-    """Which positions are within a reach of a box around a surface, in any pose.
-
-    Args:
-        poses: The poses.
-        surface: The surface; all are near to one that has no end.
-        x: Positions (m), shape (n, gdim).
-        reach: How far (m), a number or shape (n, 1).
-    """
-    if not np.isfinite(surface.low).all():
-        return np.ones(len(x), bool)
-    corners = np.concatenate([p.forth(box_corners(surface.low, surface.high)) for p in poses])
-    first, last = corners.min(axis=0), corners.max(axis=0)
-    return np.all((x + reach >= first) & (x - reach <= last), axis=1)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.passing import travelled
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.grid.lattice import smallest_height
@@ -27,11 +31,24 @@ class Bodies:
 
     Args:
         contacts: The contacts.
-        grid: The grid; in one part of a step a body may go as far as its smallest cell.
+        grid: The grid; in one part of a step a body may go as far as its smallest cell, and as
+            far as half its own thickness: what it goes over must be within it at the end, on the
+            side that it came from.
+
+    Raises:
+        FormError: Points touch a body in two contacts at once.
+        ParameterError: A body does not begin where its shape is.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
         self._contacts = list(contacts)
+        for one, other in itertools.combinations(contacts, 2):
+            if _same(one, other):
+                raise FormError(
+                    f"the form has {one!r} twice for the same points, which would feel its force "
+                    "twice: leave one out, or give them tags or surfaces that share the points"
+                )
+        self._token, self._has_moved = object(), False
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
@@ -40,6 +57,7 @@ class Bodies:
         self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
+                contact.body.check_start()
                 self.all.append(contact.body)
 
     @property
@@ -55,6 +73,32 @@ class Bodies:
     def rubbed(self) -> float:
         """Work that friction on them has taken (J)."""
         return sum(contact.dissipated for contact in self._contacts)
+
+    def take(self) -> None:
+        """Take the bodies for a step. A body that another problem has moved since is not to be had.
+
+        A problem may go on with the body that another one of the same points has moved before.
+
+        Raises:
+            ParameterError: Two problems move a body in turns, or one that has moved touches other
+                points.
+        """
+        for body in self.all:
+            if body.mover is None or body.mover[0] is self._token or body.time == 0.0:
+                continue
+            if self._has_moved or body.mover[1]() is not self._contacts[0].points:
+                raise ParameterError(
+                    f"'{body.name}' has been moved by another problem, to t = {body.time:g}: a "
+                    "rigid body is where the steps of one problem have brought it; make one for "
+                    "each problem, mpm.RigidBody(...)"
+                )
+        self.own()
+
+    def own(self) -> None:
+        """Note that the steps of this problem have brought the bodies where they are."""
+        self._has_moved = True
+        for body in self.all:
+            body.mover = self._token, weakref.ref(self._contacts[0].points)
 
     def begin(self, dt: float) -> None:
         """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
@@ -72,17 +116,56 @@ class Bodies:
         for body in self.all:
             body.pose = body.start
 
-    def fault(self, dt: float) -> str | None:
-        """Why a step of that length (s; steps) is too long for their motion, or None."""
+    def fault(self, dt: float, inertia: bool = False) -> str | None:
+        """Why a step of that length (s; steps) is too long for their motion, or None.
+
+        Args:
+            dt: The length.
+            inertia: Whether free bodies go on as they move.
+        """
         for body in self.all:
             body.begin(dt)
             if body.freedom is not None:
-                body.freedom.increment = np.zeros_like(body.freedom.increment)
-            travel = body.travel()
-            if travel > self._limit:
+                body.freedom.go_on(dt if inertia else 0.0)
+            fault = self._too_far(body, body.travel())
+            if body.freedom is not None:
+                body.freedom.go_on(0.0)
+            if fault is not None:
+                return fault
+        return None
+
+    def _limit_of(self, body: RigidBody) -> float:
+        """How far a body may go at once (m)."""
+        return min(self._limit, body.half_thickness)
+
+    def _too_far(self, body: RigidBody, travel: float) -> str | None:
+        """Why a body may not go so far (m) at once, or None."""
+        limit = self._limit_of(body)
+        if travel <= limit * (1 + 1e-9):
+            return None
+        what = "a cell" if limit == self._limit else "half its mean thickness"
+        return f"'{body.name}' moves {travel:.3g} m at once, more than {what} ({limit:.3g} m)"
+
+    def passed(self, contacts: Sequence[ActiveContact]) -> str | None:
+        """Why bodies, where they have been put, and points have passed each other, or None.
+
+        Not collective: other ranks may have another reason, or none.
+
+        Args:
+            contacts: The contacts, at the end of the step.
+        """
+        for body in self.all:
+            if body.freedom is not None:
+                # what prescribes the others has been asked `fault`
+                fault = self._too_far(body, travelled(body.surface, body.start, body.pose))
+                if fault is not None:
+                    return fault
+        for active in contacts:
+            how = active.passes()
+            if how is not None:
                 return (
-                    f"'{body.name}' moves {travel:.3g} m at once, more than a cell "
-                    f"({self._limit:.3g} m)"
+                    f"points that touch '{active.contact.body.name}' {how}: take smaller steps or "
+                    "a larger penalty, or bound the penetration"
                 )
         return None
 
@@ -107,7 +190,7 @@ class Bodies:
         """
         if count > 1:
             for body in self.all:
-                count = min(count, body.ahead(dt, count, self._limit))
+                count = min(count, body.ahead(dt, count, self._limit_of(body)))
         return count
 
     def push(self, contacts: Sequence[ActiveContact]) -> None:
@@ -159,7 +242,17 @@ class Bodies:
         """Take what `memory` returned."""
         for k, body in enumerate(self.all):
             body.remember(state[f"rigid body {k}"])
+        self.own()
         if self.all:
             for contact, done in zip(self._contacts, state["friction's work"]):
                 contact.dissipated = float(done)
             self.stored = float(state["stored in contact"])
+
+
+def _same(one: Contact, other: Contact) -> bool:
+    """Whether two contacts are of one body, and points or faces of points are in both."""
+    if one.body is not other.body or one.points is not other.points:
+        return False
+    if one.tags is not None and other.tags is not None and not set(one.tags) & set(other.tags):
+        return False
+    return one.surface is other.surface or one.surface is None or other.surface is None

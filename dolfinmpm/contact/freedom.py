@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.pose import Pose
 
@@ -53,17 +53,18 @@ class Freedom:
         size = 3 if gdim == 2 else 6
         if free is None:
             free = (True,) * size
-        if not isinstance(free, (Sequence, np.ndarray)) or len(free) != size:
+        flags = isinstance(free, (Sequence, np.ndarray)) and not isinstance(free, str)
+        if not flags or len(free) != size or any(f not in (False, True) for f in free):
             raise ParameterError(
-                f"free = {shown(free)} must say of {size} components whether they are: the "
-                "directions first, then the rotations"
+                f"free = {shown(free)} must say of {size} components whether they are, True or "
+                "False: the directions first, then the rotations"
             )
         self.free = np.flatnonzero(np.asarray(free, bool))
         self.mass = None if mass is None else number("mass", mass, 0.0, unit="kg")
         turns = size - gdim
         self._inertia = None
         if inertia is not None:
-            values = np.atleast_1d(np.asarray(inertia, float))
+            values = np.atleast_1d(coordinates("inertia", inertia))
             if values.shape not in ((1,), (turns,)) or not np.all((values > 0) & (values < np.inf)):
                 raise ParameterError(
                     f"inertia = {shown(inertia)} kg m² must be positive: a number, or in 3D three"
@@ -128,6 +129,13 @@ class Freedom:
         out = self.external(t) + force - self.gyroscopic(pose)
         self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
 
+    def go_on(self, dt: float) -> None:
+        """Take the increment of a body that goes on as it moves for so long (s)."""
+        free, self.increment = self.free, np.zeros_like(self.increment)
+        self.increment[free] = dt * self.velocity[free]
+        if self.acceleration is not None:
+            self.increment[free] += 0.5 * dt**2 * self.acceleration[free]
+
     def parts(self, share: float) -> tuple[Array, Array]:
         """Shift (m) and turn (rad) of the free components at a share of the step."""
         return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
@@ -139,7 +147,7 @@ class _Load:
     def __init__(self, name: str, given: Any, size: int):
         self._name, self._size, self.given = name, size, given
         if given is not None and not isinstance(given, fem.Constant) and not callable(given):
-            self.given = vector(name, np.atleast_1d(np.asarray(given, object)), size)
+            self.given = vector(name, given, size)
         if isinstance(given, fem.Constant) and given.value.size != size:
             raise ParameterError(f"{name} has {given.value.size} components and must have {size}")
 
@@ -161,7 +169,7 @@ def vector(what: str, given: Any, size: int) -> Array:
         ParameterError: They are not.
     """
     try:
-        values = np.asarray(given, float)
+        values = np.atleast_1d(np.asarray(given, float))
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (size,) or not np.isfinite(values).all():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.meshfiles import read_mesh
 from dolfinmpm.contact.facets import Facets, facet_normals
 
 __all__ = ["checked", "is_mesh", "mesh_surface"]
@@ -42,15 +42,7 @@ def mesh_surface(mesh: Any) -> Facets:
     name = "the mesh"
     if not isinstance(mesh, meshio.Mesh):
         name = str(mesh)
-        # meshio ends the interpreter where a file is not there
-        if not Path(mesh).is_file():
-            raise OSError(f"there is no file {mesh}")
-        try:
-            # a file of text passes for one of numbers until its length is looked at
-            with np.errstate(over="ignore"):
-                mesh = meshio.read(mesh)
-        except (meshio.ReadError, SystemExit, KeyError, ValueError) as error:
-            raise OSError(f"meshio cannot read {mesh}: {error}") from error
+        mesh = read_mesh(mesh)
     x = np.asarray(mesh.points, float)
     triangles = [np.asarray(b.data) for b in mesh.cells if b.type == "triangle"]
     lines = [np.asarray(b.data) for b in mesh.cells if b.type == "line"]

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.active import MARGIN, ActiveContact, within
+from dolfinmpm.contact.active import MARGIN, ActiveContact
 from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
-from dolfinmpm.contact.rigid import travelled
+from dolfinmpm.contact.passing import travelled, within
 from dolfinmpm.contact.terms import Contact
 
 __all__ = ["Nearby"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -13,10 +14,13 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.passing import half_thickness, travelled
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import Surface
+from dolfinmpm.grid.constants import begin_at_zero
 
 __all__ = ["RigidBody", "check_bodies"]
 
@@ -26,7 +30,7 @@ Motion = Callable[[float], Any]
 _numbers = itertools.count(1)
 
 
-class RigidBody:
+class RigidBody(ReadOnce):
     """A rigid body that touches material points through `contact`; all ranks know it.
 
     It stands still, or its motion is prescribed. Time t is that of the problem in s, or for
@@ -41,8 +45,8 @@ class RigidBody:
         angular_velocity: About the centre (rad/s; rad per step), counter-clockwise: a number, in
             3D a vector of shape (3,); or a function of t.
         displacement: Where the centre has got to since the body was made (m), instead of
-            velocities: a function of t, or a DOLFINx constant, which steps set and solvers scale
-            like a load.
+            velocities: a function of t that is 0 at t = 0, or a DOLFINx constant, which steps set
+            and solvers scale like a load; what it holds already the first step brings about.
         rotation: How far the body has turned since (rad), likewise: an angle, in 3D a rotation
             vector.
         centre: What it turns about (m); by default the middle of a box around it, or a plane's
@@ -66,15 +70,15 @@ class RigidBody:
         surface: Its surface, where it was at first.
         name: Its name.
         pose: Where it is.
-        force: Force of the material points on it (N; N/m in plane strain), shape (gdim,).
-        moment: Their moment about its centre (N m), shape (1,), in 3D (3,).
         time: Time that it is of (s; steps).
 
     Raises:
         ParameterError: An argument is not what it may be, or a mesh is open, inside out, or meets
-            itself at an edge; the message tells where.
+            itself at an edge; the message tells where. Or an argument is assigned to later.
         OSError: A file cannot be read.
     """
+
+    _attributes = frozenset({"name"})
 
     def __init__(
         self,
@@ -119,8 +123,9 @@ class RigidBody:
             self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
-        self.force: Array = np.zeros(d)
-        self.moment: Array = np.zeros(turns)
+        self.mover: Any = None  # see `Bodies.take`
+        self._force: Array = np.zeros(d)
+        self._moment: Array = np.zeros(turns)
 
     def require_axis(self) -> None:
         """Raise unless it can be the meridian of a body of revolution, which moves along the axis.
@@ -144,6 +149,38 @@ class RigidBody:
         return self.surface.gdim
 
     @property
+    def force(self) -> Array:
+        """Force of the material points on it (N; N/m in plane strain), shape (gdim,)."""
+        return self._force
+
+    @property
+    def moment(self) -> Array:
+        """Their moment about its centre (N m), shape (1,), in 3D (3,)."""
+        return self._moment
+
+    def _called(self) -> str:
+        return f"the rigid body '{self.name}'"
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        of_time = ("velocity", "angular_velocity"), ("displacement", "rotation")
+        if name in of_time[0]:
+            return f"make it with a function of time, {name}=lambda t: ..., which steps call"
+        if name in (*of_time[1], "force", "moment"):
+            return (
+                f"make it with a function of time, {name}=lambda t: ..., or with a "
+                "dolfinx.fem.Constant, whose value you set"
+            )
+        if name == "gravity":
+            return "make it with a dolfinx.fem.Constant, whose value you set"
+        return f"make a new body with {name}=..., and a new problem with a contact with it"
+
+    @functools.cached_property
+    def half_thickness(self) -> float:
+        """Volume by surface (m): half the thickness of a plate; see `passing.half_thickness`."""
+        return half_thickness(self.surface)
+
+    @property
     def position(self) -> Array:
         """Where its centre is (m), shape (gdim,)."""
         return self.pose.centre
@@ -165,6 +202,11 @@ class RigidBody:
         courses = self._shift, self._turn
         both = [(c, f) for c in courses for f in (c.given, c.rate) if f is not None]
         return [c.value(f, t) for c, f in both if not isinstance(f, fem.Constant)]
+
+    def check_start(self) -> None:
+        """Raise ParameterError where it would not begin where its shape is."""
+        for course in (self._shift, self._turn):
+            course.check_start()
 
     # -- what solvers do with it ----------------------------------------------
 
@@ -216,14 +258,14 @@ class RigidBody:
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
         way = np.concatenate([after.shift - before.shift, spin])
-        mean = 0.5 * np.concatenate([self.force + force, self.moment + moment])
+        mean = 0.5 * np.concatenate([self._force + force, self._moment + moment])
         against = -mean
         if self.freedom is not None:
             own = self.freedom.free
             load = self.freedom.external(self.time + 0.5 * self.dt)
             against[own] = load[own]
         self.start, self.time = self.pose, self.time + self.dt
-        self.force, self.moment = force, moment
+        self._force, self._moment = force, moment
         return float(against @ way)
 
     def kinetic(self) -> float:
@@ -296,7 +338,7 @@ class RigidBody:
         time, shift, rotation, turn, force, moment, rest = np.split(row, sizes)
         self.start = Pose(self.start.origin, shift, rotation.reshape(d, d), turn)
         self.pose, self.time = self.start, float(time[0])
-        self.force, self.moment = force, moment
+        self._force, self._moment = force, moment
         if self.freedom is not None:
             n = self.freedom.velocity.size
             self.freedom.velocity = rest[:n].copy()
@@ -316,31 +358,19 @@ def check_bodies(bodies: Any, gdim: int) -> None:
             raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
 
 
-def travelled(surface: Surface, start: Pose, end: Pose) -> float:
-    """How far a body's parts are apart in two poses at most; of one without end its centre (m)."""
-    if not np.isfinite(surface.low).all():
-        return float(np.linalg.norm(end.shift - start.shift))
-    corners = box_corners(surface.low, surface.high)
-    return float(np.linalg.norm(end.forth(corners) - start.forth(corners), axis=1).max())
-
-
-def box_corners(low: Array, high: Array) -> Array:
-    """Corners of a box (m), shape (2^gdim, gdim)."""
-    return np.array(list(itertools.product(*zip(low, high))))
-
-
 class _Course:
     """One prescribed motion: a displacement or a rotation, by itself or by its rate."""
 
     def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
         self.size, self.given, self.rate, self.absolute = size, given, rate, False
         self._name = name if given is not None else rate_name
+        self._first: Array = np.zeros(size)
         if isinstance(given, fem.Constant):
             if given.value.size != size:
                 raise ParameterError(
                     f"{name} has {given.value.size} components and must have {size}"
                 )
-            self._first: Array = np.array(given.value, float).ravel()
+            begin_at_zero(name, given)
         elif given is not None:
             if not callable(given):
                 raise ParameterError(
@@ -348,10 +378,18 @@ class _Course:
                 )
             self._first = self.value(given, 0.0)
         elif rate is not None and not callable(rate):
-            constant: Array = vector(rate_name, np.atleast_1d(np.asarray(rate, object)), size)
+            constant: Array = vector(rate_name, rate, size)
             self.rate = lambda t: constant
         if callable(self.rate):
             self.value(self.rate, 0.0)
+
+    def check_start(self) -> None:
+        """Raise ParameterError where it is not zero at first."""
+        if self._first.any():
+            raise ParameterError(
+                f"{self._name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
+                "got since it was made; make the shape where the body is at first"
+            )
 
     def value(self, function: Motion, t: float) -> Array:
         return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self.size)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.checks import coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.shapes import Polygon, Shape
 
@@ -26,7 +26,7 @@ class Plane(Shape):
     """
 
     def __init__(self, point: Sequence[float], normal: Sequence[float]):
-        at, n = np.array(point, float), np.array(normal, float)
+        at, n = coordinates("point", point), coordinates("normal", normal)
         size = float(np.linalg.norm(n))
         fits = at.ndim == 1 and at.shape == n.shape and 2 <= at.size <= 3
         if not fits or not np.isfinite(at).all() or not 0.0 < size < np.inf:
@@ -34,7 +34,7 @@ class Plane(Shape):
                 f"a plane needs a point and a normal of 2 or 3 finite coordinates, got {point} and "
                 f"{normal}"
             )
-        self.point, self.normal = at, n / size
+        self.point, self.normal = at, np.asarray(n / size, np.float64)
         super().__init__(lambda x: (x - self.point) @ self.normal <= 0.0)
 
 
@@ -53,7 +53,7 @@ class Wedge(Polygon):
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
         number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
         number("height", height, 0.0, unit="m")
-        at, reach = np.array(tip, float), height * math.tan(semi_angle)
+        at, reach = coordinates("tip", tip), height * math.tan(semi_angle)
         if at.shape != (2,):
             raise ParameterError(f"tip = {tip} must be a point in 2D")
         self.tip, self.semi_angle = at, float(semi_angle)
@@ -87,11 +87,11 @@ class Cone(Shape):
         number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
         base = radius / math.tan(semi_angle)
         number("length", length, base, unit="m")
-        self.tip, along = np.array(tip, float), np.array(axis, float)
+        self.tip, along = coordinates("tip", tip), coordinates("axis", axis)
         size = float(np.linalg.norm(along))
         if self.tip.shape != (3,) or along.shape != (3,) or not 0.0 < size < np.inf:
             raise ParameterError(f"a cone needs a tip and an axis in 3D, got {tip} and {axis}")
-        self.axis = along / size
+        self.axis = np.asarray(along / size, np.float64)
         self.profile = np.array(
             [(0, 0), (radius, base), (radius, length), (-radius, length), (-radius, base)], float
         )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,10 @@ from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
 __all__ = ["MotionRecord", "Time", "end_of", "mean_increment", "times"]
+
+
+# Steps of a run that nobody would wait for
+_MOST = 10**9
 
 
 class Time(float):
@@ -64,8 +69,8 @@ def times(
             changed between them.
 
     Raises:
-        ParameterError: The times do not rise, dt is given beside several of them, at_once is not
-            positive, or a step was not taken in an automatic loop.
+        ParameterError: The times do not rise, or are too many, dt is given beside several of them,
+            at_once is not positive, or a step was not taken in an automatic loop.
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:
@@ -86,11 +91,16 @@ def times(
     step = number("dt", dt, 0.0, math.inf, "s")
     # rounding must not add a step
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
-    listed = [start + (end - start) * k / count for k in range(1, count)] + [end]
-    return _given(start, end, listed, label)
+    if count > _MOST:
+        raise ParameterError(
+            f"dt = {step:g} s makes {count:.3g} steps up to {end:g} s, more than {_MOST:.0e}: "
+            'give the length of a step in s, or dt="auto"'
+        )
+    along = (start + (end - start) * k / count for k in range(1, count))
+    return _given(start, end, itertools.chain(along, [end]), label)
 
 
-def _given(start: float, end: float, listed: list[float], label: str) -> Iterator[Time]:
+def _given(start: float, end: float, listed: Iterable[float], label: str) -> Iterator[Time]:
     with progress_to(end - start, label) as show:
         for t in listed:
             yield Time(t)

@@ -44,7 +44,7 @@ from dolfinmpm.dynamics.general import General
 from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
-from dolfinmpm.dynamics.settings import Settings
+from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.snapshot import Snapshot
 from dolfinmpm.dynamics.traces import Stiffness, check_boundaries, weighed
 from dolfinmpm.solve.agreement import of_step
@@ -90,7 +90,8 @@ class Explicit(Problem):
         mapping: How velocities go to the grid and come back; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
         ghost_mass: See `Newmark`.
-        courant: Share of the critical step that is taken.
+        courant: Share of the critical step that is taken, at most 1; math.inf takes the steps that
+            `step` is asked for as they are.
         damping: Share α of local damping, −α |f| sign v (Cundall 1987).
         mass_scaling: Factor of the mass in the inertia, not in loads: steps grow by its root.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
@@ -118,6 +119,9 @@ class Explicit(Problem):
     history: list[MotionRecord]  # type: ignore[assignment]
     _of_step = MotionRecord
     _in_time = True
+
+    # `time` is that of the state
+    _live = frozenset({"courant", "time"})
 
     @together
     def __init__(
@@ -148,7 +152,7 @@ class Explicit(Problem):
             scheme, mapping, u[0]._dolfinmpm_space.basis, mass, damping, mass_scaling,
             bulk_viscosity, mass_cutoff, redistribution, time,
         )  # fmt: skip
-        self.courant = number("courant", courant, 0.0)
+        self.courant = checked_courant(courant)
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
@@ -171,7 +175,7 @@ class Explicit(Problem):
         self.balance = Balance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
-        sides = Sides(faces, points)
+        sides = Sides(faces, points, self.bcs)
         self._loop: Colliding | Fused | General
         if contact is not None:
             check_kind("contact", contact, Collision, "give mpm.Collision(tags=(1, 2))")
@@ -313,6 +317,7 @@ class Explicit(Problem):
             )
         record, between = MotionRecord(), self._between
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
+        self._begin()
         whole = target - self.time
         touched = self._touched()
         if touched:
@@ -338,10 +343,10 @@ class Explicit(Problem):
                 between.critical, between.since = self.critical_step(), 0
             longest = self.courant * between.critical
             left = target - self.time
-            count = math.ceil(left / longest * (1 - 1e-12))
+            count = max(1, math.ceil(left / longest * (1 - 1e-12)))
             dt = left / count
             now = int(min(count, self._loop.at_once, most - record.parts))
-            raise_together(self.comm, self._too_fast(dt))
+            self._check_speeds(dt)
             now = self.bodies.followed(dt, now)
             more = now < min(count, most - record.parts)
             self._advance(now, dt, whole, more, record)
@@ -397,10 +402,15 @@ class Explicit(Problem):
         if reason is not None:
             raise self._unstable(reason, dt)
 
-    def _too_fast(self, dt: float) -> ParameterError | None:
-        """What is wrong with a rigid body that steps of that length (s) do not follow, or None."""
+    def _check_speeds(self, dt: float) -> None:
+        """Raise where steps of that length (s) do not follow a rigid body. Collective."""
         fault = self.bodies.fault(dt)
-        return None if fault is None else ParameterError(f"{fault}; give a smaller velocity")
+        remedy = "give a smaller velocity, or a smaller courant number"
+        raise_together(self.comm, None if fault is None else ParameterError(f"{fault}; {remedy}"))
+        # all ranks know alike where forces have driven the free ones
+        fault = self.bodies.fault(dt, inertia=True) if self.bodies.free else None
+        if fault is not None:
+            raise self._unstable(fault, dt)
 
     def _check_energy(self, dt: float, begins: bool = False) -> None:
         """Raise InstabilityError if energy comes from nowhere. Collective."""
@@ -457,6 +467,11 @@ class Explicit(Problem):
         super()._remember(state, local, cells)
         self.time = state["time"]
         self.ledger.remember(state)
+
+    def _description(self) -> dict[str, str]:
+        own = self.settings
+        steps = f"scheme = {own.scheme}, {self.terms.kind} mass, damping = {own.damping:g}"
+        return {**super()._description(), "steps": f"{steps}, mass_scaling = {own.scaling:g}"}
 
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.mapping)}

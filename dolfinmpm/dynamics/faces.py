@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import ParameterError
@@ -49,6 +50,21 @@ class Face:
     friction: float | None
     impedance: tuple[float, float] | None
     where: str
+
+    @property
+    def kind(self) -> str:
+        """What messages call it."""
+        return "absorbing" if self.friction is None else "frictional"
+
+    def same_as(self, other: Face) -> bool:
+        """Whether another one is of the same kind at the same side."""
+        mine = self.kind, self.axis, self.end
+        return self.space is other.space and mine == (other.kind, other.axis, other.end)
+
+    def damps(self, component: int) -> bool:
+        """Whether it has dashpots in a direction."""
+        rates = self.impedance or (0.0, 0.0)
+        return rates[0 if component == self.axis else 1] > 0.0
 
 
 @together
@@ -211,15 +227,43 @@ class Faces:
                 V[rows, k] *= left
 
 
+def _refuse_held(face: Face, condition: Condition) -> None:
+    """Raise ParameterError if a condition holds all dashpots of a face. Collective."""
+    if condition.space is not face.space or not face.damps(condition.component):
+        return
+    free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
+    if not face.space.grid.comm.allreduce(free, op=MPI.LOR):
+        raise ParameterError(
+            f"the absorbing face at '{face.where}' damps velocities in the direction "
+            f"{condition.component}, and the condition at '{condition.where}' holds them there, so "
+            "that it would do nothing: leave out one of both"
+        )
+
+
 class Sides:
     """Faces of the grid in any numbering of the nodes.
 
     Args:
         faces: The faces.
         points: Material points that they act on.
+        conditions: Essential conditions of the problem.
+
+    Raises:
+        ParameterError: A condition holds all of a face in a direction that it damps, or two faces
+            of one kind are at one side.
     """
 
-    def __init__(self, faces: Sequence[Face], points: MaterialPoints):
+    def __init__(
+        self, faces: Sequence[Face], points: MaterialPoints, conditions: Sequence[Condition] = ()
+    ):
+        for k, face in enumerate(faces):
+            if any(face.same_as(other) for other in faces[:k]):
+                raise ParameterError(
+                    f"the {face.kind} face at '{face.where}' is there twice, and would act twice: "
+                    "leave one out"
+                )
+            for condition in conditions:
+                _refuse_held(face, condition)
         self._faces, self._d, self._rings = list(faces), points.gdim, points.axisymmetric
         # a basis goes with the partition of the lattice that it is for
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()

@@ -162,7 +162,10 @@ class RigidContacts:
         Returns:
             What is wrong with where points have got to, or None.
         """
-        look = np.zeros(len(self._near), np.uint8)
+        # one place more: whether points and bodies have passed each other
+        look = np.zeros(len(self._near) + 1, np.uint8)
+        passed = self._bodies.passed(self._active)
+        look[-1] = passed is not None
         for k, near in enumerate(self._near):
             gone = way * near.cell + near.way()
             sure = near.travelled(gone)
@@ -171,8 +174,11 @@ class RigidContacts:
         if self._points.comm.size > 1:
             # ranks that listed points anew within the step are surer than others
             self._points.comm.Allreduce(MPI.IN_PLACE, look, op=MPI.MAX)
+        if look[-1]:
+            found = self._points.comm.allgather(passed)
+            return next(reason for reason in found if reason is not None)
         missed = False
-        for k in np.flatnonzero(look):
+        for k in np.flatnonzero(look[:-1]):
             missed = self._active[k].missed(self._points["x"]) or missed
         if missed:
             return "material points got into a rigid body from further away than was looked at"

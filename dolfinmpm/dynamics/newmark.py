@@ -169,7 +169,7 @@ class TimeStepping(QuasiStatic):
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
-        sides = Sides(faces, points)
+        sides = Sides(faces, points, self.bcs)
         own = rule.alpha_m == rule.alpha_f == 0.0
         rule = replace(rule, by_forces=self._ties_movers and own)
         ledger = Ledger(points, self.form)
@@ -357,6 +357,10 @@ class TimeStepping(QuasiStatic):
         self.motion.remember(state)
         self.ledger.remember(state)
         self._loads.change = state["change of loads"].tolist()
+
+    def _description(self) -> dict[str, str]:
+        rule = f"{self.motion.rule}, {self.motion.terms.kind} mass"
+        return {**super()._description(), "steps": rule}
 
     def _problem(self) -> dict[str, Any]:
         return {**super()._problem(), "mapping": repr(self.motion.mapping)}

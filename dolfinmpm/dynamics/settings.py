@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +13,25 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.dynamics.lightnodes import Filter, checked_viscosity, filters
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 
-__all__ = ["Settings"]
+__all__ = ["Settings", "checked_courant"]
 
 SCHEMES = ("usl", "usf", "musl")
+
+
+def checked_courant(courant: Any) -> float:
+    """A share of the critical step, or infinity.
+
+    Raises:
+        ParameterError: It is no number, or steps would be longer than the critical one.
+    """
+    share = math.inf if courant == math.inf else number("courant", courant, 0.0)
+    if 1.0 < share < math.inf:
+        raise ParameterError(
+            f"courant = {share:g} is a share of the critical step and must be at most 1: longer "
+            "steps give wrong figures long before they are seen to be unstable; math.inf leaves "
+            "the steps as long as the times of problem.step(t) make them"
+        )
+    return share
 
 
 @dataclass(frozen=True)

@@ -203,8 +203,16 @@ def _touching(between, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any
     """Boundaries that touch others, and the increments that move them, by their markers' number.
 
     Raises:
-        FormError: The problem does not solve for the increment, or two contacts differ in it.
+        FormError: The problem does not solve for the increment, two contacts differ in it, or are
+            of the same boundaries.
     """
+    pairs = [{b.markers.number for b in contact.boundaries} for contact in between]
+    for k, pair in enumerate(pairs):
+        if pair in pairs[:k]:
+            raise FormError(
+                f"the form has {between[k]!r} twice, and the bodies would feel its force twice: "
+                "leave one out"
+            )
     found: dict[int, tuple[Boundary, Any]] = {}
     for contact in between:
         for boundary, u in zip(contact.boundaries, contact.u):

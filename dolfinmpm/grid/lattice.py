@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import check_kind
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
@@ -28,6 +29,7 @@ def once_per_grid(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def wrapper(grid, *args):
+        check_kind("grid", grid, Mesh, "give the background grid, points.grid")
         kept = grid.__dict__.setdefault("_dolfinmpm", {})
         key = (function.__qualname__, *args)
         if key not in kept:

@@ -10,9 +10,10 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import check_kind, file_path, shown
-from dolfinmpm._platform.errors import ParameterError, UnknownNameError
+from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.probes import Probe
+from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import write_table
 
 __all__ = ["History"]
@@ -70,8 +71,14 @@ class History:
 
     @together(of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a table as .csv or .json; see `study.write_table`. Collective."""
-        file_path("path", path)
+        """Write a table as .csv or .json; see `study.write_table`. Collective.
+
+        Raises:
+            ParameterError: The path is none, or another `History` that still lives writes it.
+        """
+        at = file_path("path", path)
+        call_together(self._comm, lambda: refuse_other(self, at, "History"))
+        take_paths(self, [at])
         write_table(self._rows, path, self._comm)
 
 

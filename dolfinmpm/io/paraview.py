@@ -21,6 +21,7 @@ from dolfinmpm.body.balance import occupied
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies
+from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.vtkfiles import (
     Arrays,
     index_text,
@@ -117,6 +118,7 @@ class ParaView:
             except OSError as cause:
                 error = OSError(f"cannot write {self.path}: {cause}")
         raise_together(self.comm, error)
+        take_paths(self, self._paths)
 
     def __enter__(self) -> ParaView:
         """The writer itself."""
@@ -134,7 +136,8 @@ class ParaView:
             time: Time (s), or the share of the load; more than at the last write.
 
         Raises:
-            ParameterError: The time is not finite or not after the last one.
+            ParameterError: The time is not finite or not after the last one, or another series
+                has been begun at this path since.
             OSError: A file cannot be written.
         """
         error = None
@@ -142,6 +145,8 @@ class ParaView:
             time = number("time", time)
             if self._times and time <= self._times[-1]:
                 raise ParameterError(f"time = {time} must be after the last, {self._times[-1]}")
+            for path in self._paths:
+                refuse_other(self, path, "ParaView series")
         except ParameterError as wrong:
             error = wrong
         raise_together(self.comm, error)
@@ -157,6 +162,13 @@ class ParaView:
     @property
     def _folder(self) -> Path:
         return self.path.with_suffix("")
+
+    @property
+    def _paths(self) -> list[Path]:
+        """The series of the points, of the grid and of rigid bodies."""
+        endings = ["_grid"] + ["_bodies"] * bool(self._bodies)
+        stem = self._folder.name
+        return [self.path, *(self.path.with_name(f"{stem}{ending}.pvd") for ending in endings)]
 
     def _wrong_arguments(self) -> ParameterError | None:
         if self.path.suffix != ".pvd":
@@ -256,15 +268,12 @@ class ParaView:
     def _write_series(self) -> None:
         folder = self._folder.name
         grid_times = self._times if self._grid_each_time else self._times[:1]
-        grid_path = self.path.with_name(f"{folder}_grid.pvd")
         series = [
-            (grid_path, grid_times, "grid", "pvtu"),
-            (self.path, self._times, "points", "pvtp"),
+            (self._times, "points", "pvtp"),
+            (grid_times, "grid", "pvtu"),
+            (self._times, "bodies", "vtp"),
         ]
-        if self._bodies:
-            path = self.path.with_name(f"{folder}_bodies.pvd")
-            series.append((path, self._times, "bodies", "vtp"))
-        for path, times, stem, kind in series:
+        for path, (times, stem, kind) in zip(self._paths, series):
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
             replace_file(path, series_text(times, files))
 

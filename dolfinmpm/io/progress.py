@@ -42,7 +42,7 @@ def steps(number: int, label: str = "") -> Iterator[float]:
     if count < 1:
         raise ParameterError(f"number of steps = {number!r} must be a whole number of at least 1")
     # checked here, not in the generator, whose first line runs at the first step only
-    return progress([k / count for k in range(1, count + 1)], label)
+    return (k / count for k in progress(range(1, count + 1), label))
 
 
 def progress(items: Sequence[Item], label: str = "") -> Iterator[Item]:

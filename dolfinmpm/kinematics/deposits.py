@@ -180,8 +180,12 @@ class Deposit:
 
         Args:
             x: Positions (m), shape (gdim, n).
-            gravity: g (m/s²).
+            gravity: g (m/s²), positive.
+
+        Raises:
+            ParameterError: g is not positive.
         """
+        number("gravity", gravity, 0.0, unit="m/s²")
         at = np.asarray(x, float)
         wet = at[-1] < self._table(at)
         dry = self._by_layer(at, [layer.unit_weight for layer in self.layers])

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
+from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError, StateError
@@ -192,6 +193,8 @@ class Parametrised:
         given: dict[str, Value] = {}
         for name in self.parameters:
             value = values[name]
+            if isinstance(value, Expr):
+                raise ParameterError(self._no_expression(name, value))
             if not callable(value):
                 array = self._numbers(name, value)
                 self.parameters[name].check(type(self).__name__, name, array)
@@ -203,6 +206,16 @@ class Parametrised:
         self.values: Mapping[str, Value] = MappingProxyType(given)
         if not self.varies:
             self.parameter_array()
+
+    def _no_expression(self, name: str, value: Any) -> str:
+        """What is said of a parameter in UFL, which is callable, but no function of positions."""
+        unit = self.parameters[name].unit
+        return (
+            f"{type(self).__name__}: {name} = {shown(value)} is an expression of UFL, and a law is "
+            f"a value, whose parameters are read once: give a number{unit and f' ({unit})'}, such "
+            f"as float(constant), or a function of positions, {name}=lambda x: ...; for another "
+            "number make a new law and a new problem, which compiles nothing anew"
+        )
 
     def _numbers(self, name: str, value: Any) -> Array:
         """A number, or one for each point."""
@@ -469,12 +482,19 @@ class Law(Parametrised):
             x: Positions for parameters that vary, shape (n, gdim).
 
         Raises:
+            ParameterError: Strains are no numbers, or not three at each point; or internal
+                variables are not as many as the law has.
             StateError: A strain admits no stress; the message has the point and its state.
         """
-        elastic = np.array(strain, float, order="C").reshape(-1, 3)
+        elastic = _principal(strain)
         n = len(elastic)
         parameters = self.parameter_array(x)
         old = self.first_internal(parameters) if internal is None else np.asarray(internal, float)
+        if old.shape[-1:] != (len(self.internal),) or old.shape[:-1] not in ((), (1,), (n,)):
+            raise ParameterError(
+                f"internal has the shape {old.shape} and must have a row for each strain: "
+                f"{', '.join(self.internal) or 'no variable'}, {(n, len(self.internal))}"
+            )
         old = np.ascontiguousarray(np.broadcast_to(old, (n, len(self.internal))))
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.empty((n, 3, 3))
         trial = elastic.copy()
@@ -493,6 +513,23 @@ class Law(Parametrised):
             f"{strain.tolist()}, {state or 'no internal variables'}; {given}. "
             "Take smaller steps, or soften less"
         )
+
+
+def _principal(strain: Any) -> Array:
+    """Principal strains as the kernel takes them, shape (n, 3).
+
+    Raises:
+        ParameterError: They are not three numbers at each point.
+    """
+    try:
+        found = np.array(strain, float, order="C")
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape[-1:] != (3,):
+        raise ParameterError(
+            f"strain = {shown(strain)} must be three principal strains at each point, shape (n, 3)"
+        )
+    return found.reshape(-1, 3)
 
 
 def lame(E: Any, nu: Any) -> tuple[Any, Any]:

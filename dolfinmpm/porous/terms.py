@@ -276,7 +276,7 @@ def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
     """k for UFL, a scalar or a tensor (m/s)."""
     d = points.gdim
     if callable(given) and not isinstance(given, Expr):
-        given = given(J, n)
+        given = _of_porosity(given, J, n)
     if isinstance(given, Expr):
         if given.ufl_shape not in ((), (d, d)):
             raise ParameterError(
@@ -287,6 +287,8 @@ def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
     if np.ndim(given) == 0:
         return own_constant(points.grid, number("permeability", given, 0.0, math.inf, "m/s", True))
     tensor = _tensor(given)
+    if not np.isfinite(tensor).all():
+        raise ParameterError(f"permeability = {shown(given)} must be finite (m/s)")
     symmetric = tensor.shape == (d, d) and np.allclose(tensor, tensor.T, rtol=1e-12, atol=0)
     if not symmetric or np.linalg.eigvalsh(tensor).min() < 0:
         raise ParameterError(
@@ -294,6 +296,23 @@ def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
             "negative eigenvalues (m/s)"
         )
     return own_constant(points.grid, tensor)
+
+
+def _of_porosity(function: Any, J: Any, n: Any) -> Any:
+    """What a function of J and n gives.
+
+    Raises:
+        ParameterError: It fails, as one of positions does.
+    """
+    try:
+        return function(J, n)
+    except Exception as error:
+        raise ParameterError(
+            f"permeability, a function, failed with {type(error).__name__}: {error}; it is called "
+            "once, in UFL, with the ratio of volumes J and the porosity n, as kozeny_carman gives "
+            "one; for one that varies in space give a field, points.add_field('k', value=lambda x: "
+            "...)"
+        ) from error
 
 
 def _tensor(given: Any) -> npt.NDArray[np.float64]:

@@ -108,8 +108,10 @@ def advance(
         if bad.size:
             evaluation.blame(int(bad[0]))
         return "a material point's state is not finite or its volume not positive"
-    if any(contact.missed(new["x"]) for contact in operator.contacts if moves):
-        return "material points got into a rigid body from further away than was looked at"
+    if operator.contacts and moves:
+        reason = _through(operator, new["x"])
+        if reason is not None:
+            return reason
     if operator.between:
         moved = [terms.motion(operator.here.movers)[0] for terms in operator.markers]
         for one in operator.between:
@@ -131,6 +133,16 @@ def advance(
     for one in operator.between:
         markers[one.facing.numbers[0]][1].update(one.new_fields())
     return NewState(new, to, markers)
+
+
+def _through(operator: Operator, x: Array) -> str | None:
+    """Why points have got into a body, or through it, at new positions (m), or None. Collective."""
+    points, contacts = operator.form.points, operator.contacts
+    # all ranks have the same answer
+    if any(contact.missed(x, points["x"]) for contact in contacts):
+        return "material points got into a rigid body from further away than was looked at"
+    found = points.comm.allgather(operator.form.bodies.passed(contacts))
+    return next((reason for reason in found if reason is not None), None)
 
 
 def _markers(operator: Operator, step: int) -> list[MarkerState]:

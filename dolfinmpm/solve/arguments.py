@@ -28,6 +28,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import KINDS, Stabilisation
 
 __all__ = [
+    "ELSEWHERE",
     "advice",
     "check_callable",
     "check_conditions",
@@ -43,6 +44,14 @@ __all__ = [
 
 # What the solver itself sets at the end of a step, or may never be set
 _KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
+
+# What is said of arguments that some problems have, or that belong elsewhere
+ELSEWHERE = {
+    "contact": "mpm.Collision is of mpm.Explicit; rigid bodies touch by mpm.contact in the form, "
+    "bodies with fields of their own by mpm.contact_between",
+    "dt": "step(t) is told where a step ends, see mpm.times",
+    "gravity": "it is a term of the form, F -= ufl.inner(points.density * g, v) * points.dX",
+}
 
 
 def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:

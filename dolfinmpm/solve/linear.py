@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
-from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, choose, crossover
+from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, as_used, choose, crossover
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
@@ -173,6 +173,13 @@ class LinearSolver:
         if keeps:
             self.reuse = Reuse(self._comm)
             self.reuse.watch(ksp)
+
+    @property
+    def used(self) -> Method | None:
+        """What solves, as options have left it; None before the first matrix."""
+        if self.method is None or self.snes is None:
+            return self.method
+        return as_used(self.method, self.snes.getKSP())
 
     @property
     def iterations(self) -> list[int]:
@@ -400,6 +407,10 @@ class LinearSolver:
     def forget(self) -> None:
         """Begin anew after a failure: what PETSc was in the middle of cannot be gone on with."""
         self.snes = self.matrix = self.true = None
+
+    def warn_of_unread_options(self) -> None:
+        """See `Options`; once a problem has been solved."""
+        self._options.warn_of_unread(self._comm)
 
     def why(self, error: PETSc.Error) -> str:
         """Why it failed, if that is no fault of the program; else raises what it is."""

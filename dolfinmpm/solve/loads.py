@@ -15,7 +15,7 @@ from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.grid.constants import is_own
+from dolfinmpm.grid.constants import is_own, reached, take_reached
 
 __all__ = ["Loads", "check_loads", "load_name", "loads_of"]
 
@@ -40,8 +40,10 @@ class Loads:
         for item in items:
             if not any(item is known for known in (*self.items, *increments)):
                 self.items.append(item)
-        self._start = self._read()
-        self._target = self._start
+        held = self._read()
+        known = [reached(item) for item in self.items]
+        self._start = [h if k is None else np.array(k) for h, k in zip(held, known)]
+        self._target = held
         self.change: list[float] = []
 
     @staticmethod
@@ -63,6 +65,8 @@ class Loads:
     def release(self) -> None:
         """Take the present values as those of a converged state."""
         self._start = self._read()
+        for item in self.items:
+            take_reached(item)
 
     def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
         """Each constant and function, with its values in the last converged state."""

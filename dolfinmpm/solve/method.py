@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+from petsc4py import PETSc
 
 from dolfinmpm.forms.terms import contact_of, depends_on, summands
 from dolfinmpm.solve.weakform import WeakForm
@@ -11,6 +13,7 @@ __all__ = [
     "SUBSTRUCTURES",
     "Method",
     "Tangent",
+    "as_used",
     "choose",
     "crossover",
     "only_momentum",
@@ -69,6 +72,8 @@ _BLOCKS = {
 # CHOLMOD is for one rank; this is what it is used by on several, one substructure a rank
 SUBSTRUCTURES = "substructures"
 _NAMES = {SUBSTRUCTURES: "CHOLMOD in substructures"}
+# PETSc's names of what makes factors
+_FACTORISE = ("lu", "cholesky")
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ class Method:
     @property
     def factors(self) -> bool:
         """Whether it factorises."""
-        return self.pc in ("lu", "cholesky")
+        return self.pc in _FACTORISE
 
     @property
     def incomplete(self) -> bool:
@@ -134,6 +139,25 @@ class Method:
         package = f" by {_NAMES.get(self.package, self.package.upper())}" if self.package else ""
         outer = "" if self.ksp == "preonly" else f"{self.ksp.upper()} with "
         return f"{outer}{name}{package}: {self.why}"
+
+
+def as_used(method: Method, ksp: PETSc.KSP) -> Method:
+    """The method as options have left it, for reports.
+
+    Args:
+        method: What was chosen.
+        ksp: PETSc's solver, after it has read the options.
+    """
+    pc = ksp.getPC()
+    kind = pc.getType()
+    if kind == "python":
+        # factors of substructures
+        kind = method.pc
+    package = pc.getFactorSolverType() if kind in _FACTORISE and pc.getType() == kind else None
+    if package is None and kind == method.pc:
+        package = method.package
+    found = replace(method, ksp=ksp.getType(), pc=kind, package=package or "")
+    return method if found.like(method) else replace(found, why="chosen by options")
 
 
 def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import sys
 import weakref
 from collections.abc import Mapping
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
+
+from dolfinmpm._platform.compat import option_was_read
+from dolfinmpm._platform.errors import UnreadOptionWarning, warn
 
 __all__ = ["Options"]
 
 _numbers = itertools.count(1)
 _of_problems: set[str] = set()
+# Options that are given most, to tell which one was meant
+_COMMON = (
+    "ksp_atol", "ksp_converged_reason", "ksp_gmres_restart", "ksp_max_it", "ksp_monitor",
+    "ksp_rtol", "ksp_type", "ksp_view", "mat_mumps_icntl_14", "pc_factor_levels",
+    "pc_factor_mat_ordering_type", "pc_factor_mat_solver_type", "pc_gamg_threshold",
+    "pc_hypre_type", "pc_type", "snes_converged_reason", "snes_linesearch_type", "snes_max_it",
+    "snes_monitor", "snes_rtol",
+)  # fmt: skip
 
 
 class Options:
@@ -44,6 +57,7 @@ class Options:
         for name, value in merged.items():
             database[self.prefix + name] = value
         self._suggested: set[str] = set()
+        self._unread = dict(given)
         _of_problems.add(self.prefix)
         weakref.finalize(owner, _remove, self.prefix)
 
@@ -54,6 +68,25 @@ class Options:
     def get(self, name: str) -> str | None:
         """What the user has set an option to, or None."""
         return PETSc.Options().getString(self.prefix + name, "") or None if self.has(name) else None
+
+    def warn_of_unread(self, comm: MPI.Comm) -> None:
+        """Warn once of options given to the problem that nothing has read when it was solved.
+
+        Args:
+            comm: Its ranks.
+        """
+        given, self._unread = self._unread, {}
+        for name, value in given.items():
+            if option_was_read(self.prefix + name):
+                continue
+            near = difflib.get_close_matches(name, _COMMON, 1, 0.8)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            warn(
+                comm,
+                f"petsc_options gives {name} = {value!r}, and nothing that solves this problem has "
+                f"read it{hint}",
+                UnreadOptionWarning,
+            )
 
     def mentions(self, start: str) -> bool:
         """Whether the user has set an option whose name begins so."""

@@ -22,6 +22,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     raise_together,
 )
+from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
@@ -37,8 +38,10 @@ from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, wi
 from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.forms.checks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
+from dolfinmpm.grid.graded import times_laid
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
+    ELSEWHERE,
     check_callable,
     check_conditions,
     check_spaces,
@@ -49,6 +52,7 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodies import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
+from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
@@ -62,7 +66,7 @@ from dolfinmpm.solve.weakform import WeakForm
 __all__ = ["Problem"]
 
 
-class Problem:
+class Problem(ReadOnce):
     """A weak form over points and grid, with what it takes to step through time or load.
 
     Args:
@@ -79,6 +83,8 @@ class Problem:
         ParameterError: An argument is not what it may be.
         FormError: A term of the form cannot be evaluated where it stands.
         ConflictingConditionsError: Two conditions contradict each other.
+
+    An argument that is assigned to later ends in a ParameterError, unless steps look at it.
     """
 
     _of_step: type[StepRecord] = StepRecord
@@ -87,6 +93,7 @@ class Problem:
     _has_inertia = False
     # whether nodes that move points are tied where the points hardly support them
     _ties_movers = False
+    _attributes = frozenset({"points", "form"})
 
     def __init__(
         self,
@@ -157,6 +164,17 @@ class Problem:
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
+    def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
+        cls._refuse_unknown(given, ELSEWHERE)
+        return super().__new__(cls)
+
+    def _instead(self, name: str) -> str:
+        """See `ReadOnce`."""
+        return (
+            f"make a new {type(self).__name__} of the same points with {name}=..., which goes on "
+            "from their state; what steps are to change are values of dolfinx.fem.Constant"
+        )
+
     def _settle_markers(self) -> None:
         """Bring boundaries to the cells of the positions that the problem sees. Collective."""
         if self.configuration == "total":
@@ -215,6 +233,7 @@ class Problem:
         """
         state, local, cells = self._memory()
         history = [dataclasses.asdict(record) for record in self.history]
+        state["description"] = [list(pair) for pair in self._description().items()]
         checkpoint.write(path, self.points, state, local, history, cells, self._laws)
 
     @together
@@ -225,8 +244,11 @@ class Problem:
         conditions. Points, loads and `history` are then those of the file, so that a script
         goes on with `for k in range(len(problem.history), steps)`. The constants and
         functions of the form, and the constants of the conditions, hold what they held in
-        the saved state: set what is to differ, such as a modulus, after this call.
+        the saved state: set what is to differ after this call.
         Increments are zero until the next step.
+
+        A next stage may have other parameters of laws, other bases, stabilisations and conditions;
+        a `DifferentProblemWarning` lists what differs.
 
         A run that goes on gives the same figures as one that was not interrupted: bit for
         bit on one rank, and on as many ranks as before if the grid is distributed as it
@@ -244,12 +266,18 @@ class Problem:
         """
         found = checkpoint.read(path, self.points, self._laws)
         raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
+        before = dict(found.state.get("description", ()))
+        warn_of_differences(self.comm, os.fspath(path), before, self._description())
         found.put(self.points)
         self._remember(found.state, found.local, found.cells)
         names = {f.name for f in dataclasses.fields(self._of_step)}
         self.history = [
             self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
         ]
+
+    def _description(self) -> dict[str, str]:
+        """What the problem is, in words, of which a next stage may change some. Collective."""
+        return describe(self.fields, self.form, self.bcs)
 
     @property
     def _laws(self) -> list[str]:
@@ -339,6 +367,20 @@ class Problem:
     def _set_penalties(self, here: Activation) -> None:
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
+
+    def _begin(self) -> None:
+        """Look whether bodies and grid are where this problem has left them, as a step begins.
+
+        Raises:
+            ParameterError: Another problem has moved a rigid body, or the grid's lines.
+        """
+        self.bodies.take()
+        if times_laid(self.points.grid) != self.form.laid:
+            raise ParameterError(
+                "mpm.regrade has laid the grid's lines anew for another problem, and this one has "
+                f"kept where they were: make a new Space and a new {type(self).__name__} of its "
+                "points, or give it a grid of its own"
+            )
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrade`."""

@@ -46,6 +46,7 @@ from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
+from dolfinmpm.solve.unsupported import unsupported
 
 __all__ = ["QuasiStatic"]
 
@@ -101,6 +102,8 @@ class QuasiStatic(Problem):
         ConflictingConditionsError: Two conditions contradict each other.
     """
 
+    _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
+
     # what is made of what takes part before it has equations, see `equilibrate`
     changed: Callable[[Activation], Activation] | None = None
 
@@ -128,7 +131,7 @@ class QuasiStatic(Problem):
             form, increment, points, bcs, updates=updates, stabilisation=stabilisation,
             prolongation=prolongation,
         )  # fmt: skip
-        self.max_halvings = max_halvings
+        self._max_halvings = max_halvings
         options = Options(self, options_prefix, own)
         # several fields are as a rule a saddle point, and pressure on what is round turns with it
         definite = len(self.fields) == 1 and not self.form.parts.contacts
@@ -153,6 +156,38 @@ class QuasiStatic(Problem):
             return self.solver.newton
         assert isinstance(self.solver, Newton)
         return self.solver
+
+    @property
+    def tolerance(self) -> float:
+        """Share of external forces and reactions at which Newton's method stops."""
+        return self.newton.tolerance
+
+    @tolerance.setter
+    def tolerance(self, value: float) -> None:
+        check_limits(value, self.max_iterations, self.max_halvings)
+        self.newton.tolerance = value
+        if isinstance(self.solver, Bordered) and isinstance(self.solver.border, FreeBodies):
+            self.solver.border.tolerance = value
+
+    @property
+    def max_iterations(self) -> int:
+        """Newton iterations before a step is halved."""
+        return self.newton.max_iterations
+
+    @max_iterations.setter
+    def max_iterations(self, value: int) -> None:
+        check_limits(self.tolerance, value, self.max_halvings)
+        self.newton.max_iterations = value
+
+    @property
+    def max_halvings(self) -> int:
+        """Halvings before a step is given up."""
+        return self._max_halvings
+
+    @max_halvings.setter
+    def max_halvings(self, value: int) -> None:
+        check_limits(self.tolerance, self.max_iterations, value)
+        self._max_halvings = value
 
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
@@ -211,7 +246,7 @@ class QuasiStatic(Problem):
         if here is not None:
             lines.append(_spread("unknowns", [count[1] for count in counts], here.unknowns.total))
             lines.append(f"active cells: {here.active_cells}, ghost facets: {here.ghost_facets}")
-        method = self.newton.linear.method
+        method = self.newton.linear.used
         lines.append(f"linear solver: {method or 'chosen in the first step'}")
         return "\n".join(lines)
 
@@ -240,21 +275,26 @@ class QuasiStatic(Problem):
     def _attempt(self, step: Step) -> Failed | None:
         """Solve and commit a step; returns why not, the state being untouched."""
         points, record = self.points, self._record
+        self._begin()
         raise_together(self.comm, points.fault())
         garbage.free(self.comm)
         record.migrated += balance(points)
-        fault = self.bodies.fault(step.dt)
+        fault = self.bodies.fault(step.dt, self._has_inertia)
         if fault is not None:
             return Failed(fault, "that body")
         operator = self._operator(step)
         self.newton.guess.length = step.dt
         outcome = self._solve(operator)
+        if outcome.reason is None and outcome.iterations:
+            self.newton.linear.warn_of_unread_options()
         record.unknowns = operator.here.unknowns.total
         state: NewState | str | None = outcome.reason
         if state is None:
             state = self._advance(operator, outcome.x, step)
         if isinstance(state, str):
-            return Failed(state, self._worst(operator))
+            free = [] if self._has_inertia else self.bodies.free
+            advice = unsupported(free, operator.contacts, state, self.comm)
+            return Failed(state, self._worst(operator), advice)
         self._count(self.bodies.commit(operator.contacts))
         record.bodies = {
             one.contact.name: {"force": [float(f) for f in one.total()]} for one in operator.between
@@ -329,13 +369,15 @@ class QuasiStatic(Problem):
             f"({self._loads.describe()}) with parts of {share:.3g}: SNES says "
             f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
             f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
-            f"{done:.4g} of the step: {self._advice()}"
+            f"{done:.4g} of the step: {failed.advice or self._advice()}"
         )
 
     def _advice(self) -> str:
         """What to do about a step that failed. Collective."""
         here = self.here
-        assert here is not None
+        if here is None:
+            # a rigid body goes too far, and no step was begun
+            return "take smaller steps"
         first = here.fields[0]
         named = any(field.remedy.kind != "none" for field in self.fields)
         active = active_on_grid(first)

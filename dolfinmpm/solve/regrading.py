@@ -28,7 +28,7 @@ def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
 
     Args:
         problem: A quasi-static problem, or one in time with implicit steps, the only one on its
-            grid.
+            grid that goes on: others tell so at their next step.
         lines: Coordinates of as many lines as the grid has, in each direction (m), such as
             `zoned_line` gives. The grid must have had cells of different sizes from the start.
 

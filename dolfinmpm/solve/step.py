@@ -30,10 +30,12 @@ class Failed:
     Attributes:
         reason: Why, in a few words.
         worst: The point whose law failed, or that is compressed most.
+        advice: What to do about it, if that is known.
     """
 
     reason: str
     worst: str
+    advice: str = ""
 
 
 @dataclass

@@ -24,6 +24,7 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
+from dolfinmpm.grid.graded import times_laid
 from dolfinmpm.solve.boundaries import place_markers, set_penalties
 
 __all__ = ["Inertia", "WeakForm"]
@@ -67,6 +68,7 @@ class WeakForm:
         own: What terms in UFL say of the stress of points without a law.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
+        laid: How often the grid's lines had been laid anew when it last looked.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -86,6 +88,7 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.bodies = Bodies(self.parts.contacts, points.grid)
+        self.laid = times_laid(points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self.own: list[OwnStress] = []
@@ -281,6 +284,7 @@ class WeakForm:
 
     def lay(self) -> None:
         """Forget what belongs to where the grid's lines were."""
+        self.laid = times_laid(self.points.grid)
         for grid in self.grids:
             grid.lay()
 

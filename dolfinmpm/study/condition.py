@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import ufl
 
+from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
@@ -52,7 +53,15 @@ def conditioning(
         gamma: Their factor.
         extra: Form added to that of the consistent mass, such as a penalty of one's own; the
             stiffness has it in the problem's form.
+
+    Raises:
+        ParameterError: An argument is not what it may be.
     """
+    check_kind("problem", problem, QuasiStatic, "give a problem with a tangent")
+    number("density", density, 0.0, unit="kg/m^d")
+    number("gamma", gamma, 0.0, closed=True)
+    if extra is not None:
+        check_kind("extra", extra, ufl.Form, "give a form over points.dX, points.dS or points.dC")
     stiffness, points = problem, problem.points
     space, remedy = stiffness.fields[0].space, stiffness.fields[0].remedy
     u, v = space.increment, space.test

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.progress import progress
@@ -33,11 +33,9 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
     Raises:
         ParameterError: A number is outside what it may be.
     """
-    if not (math.isfinite(factor) and factor > 0):
-        raise ParameterError(f"factor = {factor} must be a positive number")
-    if not (math.isfinite(cohesion) and cohesion >= 0):
-        raise ParameterError(f"cohesion = {cohesion} Pa must be at least 0")
-    if not 0 <= friction_angle < 90:
+    number("factor", factor, 0.0)
+    number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
+    if not 0 <= number("friction_angle", friction_angle, unit="degrees") < 90:
         raise ParameterError(
             f"friction_angle = {friction_angle} degrees must be from 0 to below 90"
         )
@@ -99,11 +97,11 @@ def factor_of_safety(
             or has fewer than two steps, no law has a strength or one does not tell it, the body
             fails at `low` already or stands at `high` still.
     """
-    if not 0 < low < high < math.inf:
+    if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
-    if not 0 < tolerance < math.inf:
+    if not number("tolerance", tolerance) > 0:
         raise ParameterError(f"tolerance = {tolerance} must be a positive number")
-    if not growth > 1:
+    if not number("growth", growth, high=math.inf, closed=True) > 1:
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):
         with FromState(loading, growth, steps, over) as attempt:
@@ -168,7 +166,12 @@ class _Anew:
     def __call__(self, factor: float) -> Trial:
         growth, elastic = self._growth, self._elastic
         steps, iterations, displacement, grown, reason = 0, 0, 0.0, 1.0, ""
-        for problem in self._problems(factor):
+        for problem in _steps(self._loading, factor):
+            if not callable(getattr(problem, "step", None)):
+                raise ParameterError(
+                    f"the loading yields {shown(problem)}, and should yield the problem in every "
+                    "step"
+                )
             try:
                 record = problem.step()
             except (ConvergenceError, PointsOutsideGridError) as error:
@@ -195,14 +198,21 @@ class _Anew:
             self._elastic = displacement / (grown * steps)
         return Trial(factor, not reason, reason, steps, displacement, grown, iterations)
 
-    def _problems(self, factor: float) -> Iterable[QuasiStatic]:
-        found = self._loading(factor)
-        if isinstance(found, Iterable):
-            return found
+
+def _steps(loading: Loading, factor: float) -> Iterable[QuasiStatic]:
+    """The steps of a loading.
+
+    Raises:
+        ParameterError: It is no generator.
+    """
+    found = loading(factor) if callable(loading) else loading
+    if not isinstance(found, Iterable):
+        what = f"loading({factor:g}) returned {shown(found)}" if callable(loading) else "loading"
         raise ParameterError(
-            f"the loading gives {shown(found)} at factor {factor:g} and must be a generator: "
-            "`yield problem` for each step of the load, in place of `return`"
+            f"{what} and must be a generator function of the factor: for every step of the load it "
+            "sets the load and has `yield problem`, not `return problem`"
         )
+    return found
 
 
 def _largest_displacement(points: MaterialPoints) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -18,11 +19,43 @@ __all__ = ["convergence", "observed_orders", "overall_order", "sweep", "worst"]
 Row = dict[str, Any]
 
 
-def _figures(answer: Any) -> Row:
-    """What a scene returned, by name."""
+def _figures(scene: Callable[[Any], Any], place: Any) -> Row:
+    """What a scene returns of a place, by name.
+
+    Raises:
+        ParameterError: The scene is no function, or returns no figures.
+    """
+    if not callable(scene):
+        raise ParameterError(
+            f"scene = {shown(scene)} must be a function that returns figures of a place or size"
+        )
+    answer = scene(place)
     if is_dataclass(answer) and not isinstance(answer, type):
         return asdict(answer)
-    return dict(answer) if isinstance(answer, dict) else {"error": float(answer)}
+    if isinstance(answer, dict):
+        return dict(answer)
+    try:
+        return {"error": float(answer)}
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"the scene returned {shown(answer)} for {shown(place)} and should return a dictionary "
+            "of figures, a Conditioning, or one number: has it a return?"
+        ) from None
+
+
+def _several(what: str, given: Any) -> list[Any]:
+    """Some things, one at least.
+
+    Raises:
+        ParameterError: There is none, or they cannot be gone through.
+    """
+    try:
+        found = [] if isinstance(given, (str, dict)) else list(given)
+    except TypeError:
+        found = []
+    if not found:
+        raise ParameterError(f"{what} = {shown(given)} must be a list with one entry at least")
+    return found
 
 
 def sweep(scene: Callable[..., Any], places: Sequence[Any], label: str = "") -> list[Row]:
@@ -37,8 +70,12 @@ def sweep(scene: Callable[..., Any], places: Sequence[Any], label: str = "") -> 
     Returns:
         For every place a dictionary with "place" and the figures; one number is
         called "error".
+
+    Raises:
+        ParameterError: There is no place, or the scene returns no figures.
     """
-    return [{"place": place, **_figures(scene(place))} for place in progress(places, label)]
+    listed = _several("places", places)
+    return [{"place": place, **_figures(scene, place)} for place in progress(listed, label)]
 
 
 def convergence(
@@ -66,10 +103,13 @@ def convergence(
     Raises:
         ParameterError: A size is not positive, or an error was not among the figures.
     """
-    h = np.asarray(sizes, float)
+    try:
+        h = np.asarray(sizes, float)
+    except (TypeError, ValueError):
+        h = np.empty(0)
     if h.ndim != 1 or h.size == 0 or not np.all(np.isfinite(h) & (h > 0)):
-        raise ParameterError(f"sizes = {sizes!r} must be some positive numbers")
-    rows = [{"h": float(size), **_figures(scene(size))} for size in progress(sizes, label)]
+        raise ParameterError(f"sizes = {shown(sizes)} must be some positive numbers")
+    rows = [{"h": float(size), **_figures(scene, size)} for size in progress(sizes, label)]
     if errors is None:
         floats = (float, np.floating)
         errors = [k for k in rows[0] if k != "h" and any(isinstance(r[k], floats) for r in rows)]
@@ -136,9 +176,23 @@ def overall_order(
 
 
 def worst(rows: Iterable[Row]) -> dict[str, float]:
-    """The worst figures of a sweep: the largest condition numbers and the smallest steps."""
-    rows = list(rows)
+    """The worst figures of a sweep: the largest condition numbers and the smallest steps.
+
+    Args:
+        rows: What `sweep` returned of a scene that returns its `Conditioning`.
+
+    Raises:
+        ParameterError: There is no row, or one has not all of them.
+    """
+    rows = _several("rows", rows)
     choose = {"kappa_K": max, "kappa_M": max, "dt_consistent": min, "dt_lumped": min}
+    for row in rows:
+        missing = [key for key in choose if not isinstance(row, dict) or key not in row]
+        if missing:
+            raise ParameterError(
+                f"a row has no {', '.join(missing)}: {shown(row)}; give what study.sweep returned "
+                "of a scene that returns a study.Conditioning"
+            )
     return {key: extreme(row[key] for row in rows) for key, extreme in choose.items()}
 
 

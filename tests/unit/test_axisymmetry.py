@@ -274,6 +274,20 @@ def test_an_energy_of_ones_own_equals_the_built_in_law():
 # -- loads ------------------------------------------------------------------------
 
 
+def test_the_gradient_of_a_scalar_is_the_same_all_around():
+    """Between two pipes a potential is the logarithm of the radius."""
+    grid = mesh.create_rectangle(COMM, [(1, 0), (3, 1)], (40, 2), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((1, 0), (3, 1)), 2, 1.0, axisymmetric=True)
+    V = mpm.Space(grid, shape=())
+    p, q = V.increment, V.test
+    assert mpm.gradient(points, p).ufl_shape == (2,)
+    points.add_field("potential")
+    F = ufl.inner(mpm.gradient(points, p), mpm.gradient(points, q)) * points.dX
+    bcs = mpm.prescribed(V, "left", 0, 0.0) + mpm.prescribed(V, "right", 0, np.log(3.0))
+    mpm.QuasiStatic(F, p, points, bcs, updates={"potential": p}).step()
+    np.testing.assert_allclose(points["potential"], np.log(points["x"][:, 0]), atol=1e-3)
+
+
 def test_areas_and_forces_are_those_of_the_whole_body():
     points = cylinder(low=(0.2, 0))
     side = mpm.Surface(points, lambda x: np.isclose(x[0], 0.8), (1, 0))

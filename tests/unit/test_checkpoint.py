@@ -16,6 +16,7 @@ from dolfinx import fem, mesh
 from scenes import arch
 
 import dolfinmpm as mpm
+from dolfinmpm import errors
 from dolfinmpm._platform.errors import CheckpointError
 
 QUADRILATERAL = mesh.CellType.quadrilateral
@@ -324,6 +325,53 @@ def test_a_grid_that_differs_inside_is_refused(kind, tmp_path):
     build(shift=1e-15).load(tmp_path / "a.h5")  # rounding
     other = {"shift": 1e-6} if kind == "vertex" else {"diagonal": mesh.DiagonalType.left}
     refused(tmp_path / "a.h5", build(**other), "vertices or cells lie elsewhere in the same box")
+
+
+def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
+    """A next stage may differ in it; nothing is said where nothing does."""
+    path, _, _ = saved
+    block()[0].load(path)
+    soft = mpm.materials.VonMises(E=5e5, nu=0.3, yield_stress=lambda x: 5e3 + 1e3 * x[1])
+    weak = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 4e3 + 1e3 * x[1])
+    ghost = mpm.Stabilisation("ghost", E=2e6)
+    for options, words in (
+        ({"law": soft}, r"law 1: VonMises\(E=1000000\.0, .* there, VonMises\(E=500000\.0,"),
+        ({"law": weak}, r"yield_stress=varying about .* there, .*yield_stress=varying about"),
+        ({"basis": "linear"}, 'basis of field 1: "gimp", averaged .* there, "linear"'),
+        ({"stabilisation": ghost}, r"stabilisation of field 1: .*E=1000000\.0.*E=2000000\.0"),
+    ):
+        with pytest.warns(errors.DifferentProblemWarning, match=words) as told:
+            block(**options)[0].load(path)
+        assert len(told) == 1
+        assert "; " not in str(told[0].message)
+    points, V, F = (problem := block()[0]).points, problem.fields[0].space, problem.form.given
+    for bcs, words in (
+        (mpm.fixed(V, "left", "bottom"), "conditions: component 0 at 'left'.*component 0 at 'bott"),
+        ((), "conditions: component 0 at 'left': 0; component 1 at 'bottom': 0 there, none here"),
+    ):
+        other = mpm.QuasiStatic(
+            F, V.increment, points, bcs, stabilisation=mpm.Stabilisation("ghost", E=1e6)
+        )
+        with pytest.warns(errors.DifferentProblemWarning, match=words):
+            other.load(path)
+
+    def moving(**options):
+        points = mpm.fill(problem.points.grid, mpm.Box((0, 0), (3, 2.7)), 2, 1000.0)
+        law = mpm.materials.Hencky(E=1e6, nu=0.3)
+        ball = mpm.RigidBody(mpm.Disc((1, 3.5), 0.5), name="ball")
+        friction = options.pop("friction", 0.1)
+        F = mpm.momentum(law, points, V.increment, V.test)
+        F += mpm.contact(ball, points, V.increment, V.test, friction=friction)
+        return mpm.Newmark(F, V.increment, points, **options)
+
+    moving().save(tmp_path / "in_time.h5")
+    moving().load(tmp_path / "in_time.h5")
+    for options, words in (
+        ({"friction": 0.4}, "contact 1: friction = 0.1, .* there, friction = 0.4"),
+        ({"gamma": 0.6, "beta": 0.3}, r"steps: Rule\(beta=0.25, gamma=0.5.* there, Rule\(beta=0.3"),
+    ):
+        with pytest.warns(errors.DifferentProblemWarning, match=words):
+            moving(**options).load(tmp_path / "in_time.h5")
 
 
 def test_another_problem_is_refused(saved, tmp_path):

@@ -276,6 +276,38 @@ def test_motion_is_prescribed_by_functions_and_constants():
     assert again.time == 1.5
 
 
+@pytest.mark.parametrize("when", ["before the body", "before the problem", "after it"])
+def test_what_a_constant_holds_at_first_the_first_step_brings_about(when):
+    grid = unit_grid("quadrilateral", 3)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 2 / 3)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    place, angle = fem.Constant(grid, (0.0, 0.0)), fem.Constant(grid, 0.0)
+
+    def put(now):
+        if when == now:
+            place.value[:], angle.value = (0.02, -0.06), 0.1
+
+    put("before the body")
+    body = mpm.RigidBody(mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), displacement=place, rotation=angle)
+    put("before the problem")
+    F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
+    problem = mpm.QuasiStatic(
+        F + mpm.contact(body, points, u, v), u, points, mpm.fixed(V, "bottom")
+    )
+    put("after it")
+    problem._share = 0.5
+    assert problem.step().parts == 2
+    np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
+    np.testing.assert_allclose(body.angle, 0.1)
+    assert body.force[1] == pytest.approx(0.60625, rel=1e-4)
+    with pytest.raises(mpm.errors.ParameterError, match=r"displacement = .* of its own"):
+        mpm.RigidBody(mpm.Disc((0.5, 2), 0.5), displacement=place)
+    away = mpm.RigidBody(mpm.Disc((0.5, 2), 0.5), displacement=lambda t: (0.0, -0.1 - t))
+    with pytest.raises(mpm.errors.ParameterError, match=r"displacement\(0\) = .* must be 0"):
+        mpm.QuasiStatic(F + mpm.contact(away, points, u, v), u, points)
+
+
 def test_a_constant_moves_a_body_and_is_scaled_as_a_load_is():
     grid = unit_grid("quadrilateral", 3)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 2 / 3)), 2, 1.0)

@@ -177,6 +177,9 @@ def test_what_cannot_be_two_bodies_is_named():
     refused("penetration", both, u[::-1], tests, penetration=0.0)
     with pytest.raises(ParameterError, match="tag = -1"):
         mpm.Space(grid, "gimp", tag=-1)
+    second = mpm.contact_between(both[::-1], u, tests[::-1])
+    with pytest.raises(FormError, match="twice, and the bodies would feel"):
+        mpm.QuasiStatic(F + second, u, points)
     with pytest.raises(FormError, match="does not solve for"):
         mpm.QuasiStatic(F, u[0], points)
     law = mpm.materials.Hencky(E=1.0, nu=0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import meshio
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
 from dolfinmpm.contact.making import surface_of
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
@@ -69,9 +71,11 @@ def test_broken_meshes_are_refused(tmp_path):
         mpm.RigidBody(meshio.Mesh(CUBE, [("tetra", np.array([[0, 1, 2, 4]]))]))
     with pytest.raises(OSError, match="no file"):
         mpm.RigidBody(str(tmp_path / "missing.stl"))
-    (tmp_path / "text.stl").write_text("no mesh\n")
-    with pytest.raises(OSError, match="cannot read"):
-        mpm.RigidBody(tmp_path / "text.stl")
+    half = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 2 3\n"
+    for name, text in (("a.stl", "no mesh\n"), ("a.msh", "no mesh\n"), ("b.msh", half)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(OSError, match=rf"cannot read .*{name}, which is broken, or of another"):
+            mpm.RigidBody(tmp_path / name)
 
 
 def test_bodies_that_cannot_be():
@@ -150,6 +154,63 @@ def test_contacts_that_cannot_be():
         mpm.QuasiStatic(form, u, points, mpm.fixed(block.V, "bottom"))
 
 
+def test_points_touch_a_body_in_one_contact():
+    block = Block(kind=None)
+    points, (u, v), bcs = block.points, block.uv, mpm.fixed(block.V, "bottom")
+    points["tag"][:] = np.where(points["x"][:, 0] < 0.5, 1, 2)
+    top = mpm.Surface(points, lambda x: np.isclose(x[1], 1), (0, 1), name="top")
+    side = mpm.Surface(points, lambda x: np.isclose(x[0], 0), (-1, 0), name="side")
+    momentum = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), points, u, v)
+
+    def contact(**options):
+        return mpm.contact(block.body, points, u, v, **options)
+
+    again = contact()
+    for both in (
+        again + again, contact() + contact(friction=0.3), contact(tag=1) + contact(),
+        contact(tag=1) + contact(tag=(2, 1)), contact(surface=top) + contact(),
+        contact(surface=top) + contact(surface=top, tag=2),
+    ):  # fmt: skip
+        with pytest.raises(FormError, match="contact with 'disc' twice for the same points"):
+            mpm.QuasiStatic(momentum + both, u, points, bcs)
+    # of points and of faces that share nothing
+    for both in (contact(tag=1) + contact(tag=2), contact(surface=top) + contact(surface=side)):
+        mpm.QuasiStatic(momentum + both, u, points, bcs)
+
+
+def test_a_body_is_moved_by_one_problem():
+    one, other = Block(), Block(kind=None)
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), other.points, *other.uv)
+    F += mpm.contact(one.body, other.points, *other.uv)
+    bcs = mpm.rollers(other.V, "left", "right") + mpm.fixed(other.V, "bottom")
+    late = mpm.QuasiStatic(F, other.uv[0], other.points, bcs)
+    one.problem.step()
+    with pytest.raises(ParameterError, match="'disc' has been moved by another problem"):
+        late.step()
+    # also where the other problem is not there any more
+    body, place = one.body, one.body.position.copy()
+    del one
+    gc.collect()
+    with pytest.raises(ParameterError, match="'disc' has been moved by another problem"):
+        late.step()
+    np.testing.assert_array_equal(body.position, place)
+
+
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Explicit])
+def test_a_next_stage_goes_on_with_a_body(kind):
+    """A second problem of the same points; then the first one cannot go on."""
+    block = Block()
+    block.problem.step()
+    place = block.body.position[1]
+    bcs = mpm.rollers(block.V, "left", "right") + mpm.fixed(block.V, "bottom")
+    stage = kind(block.F, block.uv[0], block.points, bcs)
+    time = () if kind is mpm.QuasiStatic else (1e-3,)
+    stage.step(*time)
+    assert block.body.position[1] < place
+    with pytest.raises(ParameterError, match="make one for each problem"):
+        block.problem.step()
+
+
 def test_points_within_a_body_are_told_of():
     block = Block(middle=(0.5, 1.2))
     with pytest.raises(ParameterError, match="material points are inside 'disc' before"):
@@ -193,6 +254,23 @@ def test_a_tool_that_is_faster_than_a_cell_a_step_takes_several_parts():
     explicit = Block(motion=(0, -1e9), kind=mpm.Explicit)
     with pytest.raises(ParameterError, match="more than a cell"):
         explicit.problem.step(1e-3)
+
+
+def test_a_free_body_that_nothing_holds_is_told():
+    """Smaller steps would not help."""
+    for free, middle, words in (
+        ((False, True, False), 1.6, "'disc' is free in the components 1 .* nothing touches it"),
+        (None, 1.499, "in the components 0, 1, 2 .* contact does not hold it in all of them"),
+    ):
+        block = Block(kind=None)
+        disc = mpm.RigidBody(mpm.Disc((0.5, middle), 0.5), force=(0, -1), free=free, name="disc")
+        F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), block.points, *block.uv)
+        F += mpm.contact(disc, block.points, *block.uv)
+        bcs = mpm.rollers(block.V, "left", "right") + mpm.fixed(block.V, "bottom")
+        with pytest.raises(ConvergenceError, match=words) as told:
+            mpm.QuasiStatic(F, block.V.increment, block.points, bcs).step()
+        assert "take smaller steps" not in str(told.value)
+        assert "give the contact friction" in str(told.value)
 
 
 def test_a_free_body_in_time_needs_a_mass():

@@ -136,6 +136,32 @@ def test_absorbing_needs_a_rectangular_grid():
         mpm.absorbing(mpm.Space(grid), "left", density=1.0, p_speed=1.0)
 
 
+@pytest.mark.parametrize("kind", [mpm.Explicit, mpm.Newmark])
+def test_what_a_condition_holds_no_face_acts_on(kind):
+    waves = {"density": 1.0, "p_speed": 10.0}
+    grid = mesh.create_rectangle(COMM, [(0, 0), (4, 2)], (8, 4), mesh.CellType.quadrilateral)
+    points = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=100.0, nu=0.0), points, V.increment, V.test)
+
+    def made(bcs):
+        return kind(F, V.increment, points, bcs)
+
+    right = mpm.absorbing(V, "right", **waves)
+    whole = mpm.prescribed(V, lambda x: x[0] > 1.9, 0, 0.0)
+    for held, where in ((mpm.fixed(V, "right"), "'right'"), (whole, "'nodes from")):
+        words = rf"absorbing face at 'right' .* direction 0, .* the condition at {where}"
+        with pytest.raises(errors.ParameterError, match=words):
+            made(right + held)
+    with pytest.raises(errors.ParameterError, match="absorbing face at 'right' is there twice"):
+        made(right + right)
+    # what is held at its ends, or in the direction that waves do not come in, still acts
+    made(right + mpm.rollers(V, "bottom", "top") + mpm.prescribed(V, "right", 1))
+    both = mpm.absorbing(V, "right", s_speed=1.0, **waves)
+    with pytest.raises(errors.ParameterError, match="direction 1"):
+        made(both + mpm.prescribed(V, "right", 1))
+
+
 @pytest.mark.parametrize("mu", [0.0, 0.2])
 def test_a_block_slides_on_a_frictional_face(mu):
     grid = mesh.create_rectangle(COMM, [(0, 0), (8, 2)], (32, 8), mesh.CellType.quadrilateral)
@@ -254,7 +280,7 @@ def test_aggregation_keeps_the_energy_of_a_block_in_flight():
     points = mpm.fill(grid, mpm.Box(low, low + wide), 3, density, aligned="body")
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(mpm.materials.Hencky(E=E, nu=nu), points, V.increment, V.test)
-    problem = mpm.Explicit(F, V.increment, points, stabilisation="aggregation", courant=1e6)
+    problem = mpm.Explicit(F, V.increment, points, stabilisation="aggregation", courant=np.inf)
     flight = 0.3 * c * np.array([1.0, 0.7])
     X = (points["x"] - points["x"].mean(axis=0)) / wide
     points["velocity"] = flight + 0.01 * c * np.sin(np.pi * X)
@@ -383,6 +409,8 @@ def test_a_run_goes_on_from_its_file(tmp_path, fused):
         ({"scheme": "euler"}, "scheme"),
         ({"mapping": "accel"}, "of implicit steps"),
         ({"courant": -1.0}, "courant"),
+        ({"courant": 2.0}, "courant = 2 is a share of the critical step and must be at most 1"),
+        ({"courant": "1"}, "courant = '1' must be a number"),
         ({"damping": 2.0}, "damping"),
         ({"mass": "diagonal"}, "mass"),
         ({"ghost_mass": 0.25}, "lumping takes away"),

@@ -15,6 +15,7 @@ from dolfinmpm._platform.errors import (
     ShapeOutsideGridError,
     UnsupportedGridError,
 )
+from dolfinmpm.body import amounts
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -237,3 +238,22 @@ def test_other_bad_arguments():
     box, triangles = mpm.Box((0, 0), (1, 1)), unit_grid("triangle")
     with pytest.raises(UnsupportedGridError, match="rectangular"):
         mpm.fill(triangles, box, 2, density=1.0, aligned="body")
+
+
+def test_more_points_than_can_be_meant_are_refused(monkeypatch):
+    grid = box_grid("quadrilateral")
+    with pytest.raises(
+        ParameterError, match=r"per_cell = 5000 puts 2\.5e\+07 points into each cell"
+    ):
+        mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), per_cell=5000, density=1.0)
+    # and more than the machine has room for
+    monkeypatch.setattr(amounts, "_memory", lambda: 1e6)
+    for kind in ("quadrilateral", "triangle"):
+        shape = mpm.Box((0.1, 0.2), (0.8, 0.7))
+        with pytest.raises(
+            ParameterError, match=r"per_cell = 50 makes .* GB at least, .* 0\.001 GB"
+        ):
+            mpm.fill(box_grid(kind), shape, per_cell=50, density=1.0)
+    with pytest.raises(ParameterError, match="GB at least"):
+        mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), 50, density=1.0, aligned="body")
+    mpm.fill(grid, mpm.Box((0.1, 0.2), (0.8, 0.7)), per_cell=2, density=1.0)

@@ -152,6 +152,31 @@ def test_a_zone_follows_what_presses():
     assert np.ptp(heights[1:]) < 0.02 * (points["x0"][:, 1].max() - heights[-1])
 
 
+@pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Explicit])
+def test_other_problems_on_the_grid_tell_that_its_lines_have_gone(kind):
+    grid = mpm.create_lattice(COMM, lines(1.0))
+    problem, g = problem_on(grid, evenly(grid), "gimp", "ghost")
+    points = evenly(grid)
+    V = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
+    other = kind(F, V.increment, points, mpm.fixed(V, "bottom"))
+    time = () if kind is mpm.QuasiStatic else (1e-4,)
+    other.step(*time)
+    mpm.regrade(problem, lines(2.2))
+    with pytest.raises(ParameterError, match=r"for another problem, .* make a new Space and a new"):
+        other.step(*(2 * t for t in time))
+    g.value[:] = 0.5, -2.0
+    problem.step()
+    # what is made then goes on
+    stale = points["cell"].copy()
+    W = mpm.Space(grid, "gimp")
+    F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, W.increment, W.test)
+    fresh = kind(F, W.increment, points, mpm.fixed(W, "bottom"))
+    assert (points["cell"] != stale).any()
+    fresh.step(*time)
+    problem.step()
+
+
 def test_what_cannot_be_laid_anew():
     grid = mpm.create_lattice(COMM, lines(1.0))
     problem, _ = problem_on(grid, evenly(grid), "gimp", "ghost")

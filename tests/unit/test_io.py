@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -219,6 +221,38 @@ def test_wrong_increments(folder):
         ParaView(folder / "a.pvd", points, increments=[u, q])
     with pytest.raises(ParameterError, match="another grid"):
         ParaView(folder / "a.pvd", quarter(), increments=[u])
+
+
+def test_two_series_have_paths_of_their_own(folder):
+    """The later one has the path; the earlier one is told at its next write."""
+    first = ParaView(folder / "a.pvd", quarter())
+    first.write(0.0)
+    second = ParaView(Path(os.path.relpath(folder)) / "a.pvd", quarter())
+    second.write(0.0)
+    with pytest.raises(ParameterError, match=r"another ParaView series writes .*a path of its own"):
+        first.write(1.0)
+    second.write(1.0)
+    # the series of the grid beside it
+    third = ParaView(folder / "a_grid.pvd", quarter())
+    with pytest.raises(ParameterError, match="another ParaView series writes"):
+        second.write(2.0)
+    third.write(0.0)
+
+
+def test_two_histories_have_paths_of_their_own(folder):
+    one, other = mpm.History(), mpm.History()
+    one.record(load=1.0)
+    other.record(load=2.0)
+    one.write(folder / "curve.csv")
+    one.write(folder / "curve.csv")
+    with pytest.raises(ParameterError, match="another History writes"):
+        other.write(folder / "curve.csv")
+    other.write(folder / "other.csv")
+    # one that is not there any more writes nothing
+    del one
+    gc.collect()
+    other.write(folder / "curve.csv")
+    assert mpm.study.read_table(folder / "curve.csv") == [{"load": 2.0}]
 
 
 def test_times_must_increase_and_files_be_writable(folder):

@@ -12,6 +12,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
+from dolfinmpm import errors
 
 
 def problem_of(**options):
@@ -79,3 +80,33 @@ def test_iterations_are_newtons_with_any_linear_solver():
     direct, krylov = problem_of().step(), problem_of(petsc_options=KRYLOV).step()
     assert krylov.iterations == direct.iterations == len(direct.residuals) - 1
     assert krylov.residuals[-1] == pytest.approx(direct.residuals[-1], abs=1e-9)
+
+
+def test_options_that_nothing_reads_are_told():
+    problem = problem_of(petsc_options={"ksp_tpye": "cg", "pc_type": "jacobi", "ksp_type": "cg"})
+    words = "ksp_tpye = 'cg', and nothing .* has read it; did you mean 'ksp_type'"
+    with pytest.warns(errors.UnreadOptionWarning, match=words) as told:
+        problem.step()
+    assert len(told) == 1
+    # once
+    problem.step()
+    with pytest.warns(errors.UnreadOptionWarning, match=r"fieldsplit_u_pc_type = 'lu', and [^;]*$"):
+        problem_of(petsc_options={"fieldsplit_u_pc_type": "lu"}).step()
+
+
+def test_info_tells_the_solver_that_options_have_chosen():
+    def told(options):
+        problem = problem_of(petsc_options=options)
+        problem.step()
+        (line,) = [line for line in problem.info().splitlines() if "linear solver" in line]
+        return line.removeprefix("linear solver: ")
+
+    assert told({}).startswith("Cholesky by CHOLMOD: ")
+    for options, words in (
+        ({"pc_factor_mat_solver_type": "mumps"}, "LU by MUMPS: chosen by options"),
+        ({"pc_type": "cholesky"}, "Cholesky by MUMPS: chosen by options"),
+        ({"pc_type": "lu", "pc_factor_mat_solver_type": "petsc"}, "LU by PETSC: chosen by options"),
+        (KRYLOV, "CG with jacobi: chosen by options"),
+        ({"ksp_type": "gmres"}, "GMRES with Cholesky by CHOLMOD: chosen by options"),
+    ):
+        assert told(options) == words

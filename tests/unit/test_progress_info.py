@@ -17,6 +17,7 @@ import dolfinmpm
 from dolfinmpm._platform.compat import library_of
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.report import _blas, _threads, info
+from dolfinmpm.dynamics import times
 from dolfinmpm.io.progress import steps
 
 ROOT = MPI.COMM_WORLD.rank == 0
@@ -66,6 +67,17 @@ def test_a_bar_is_not_needed(monkeypatch):
     monkeypatch.setenv("DOLFINMPM_PROGRESS", "1")
     monkeypatch.setitem(sys.modules, "tqdm", None)
     assert list(steps(2)) == [0.5, 1.0]
+
+
+def test_many_steps_make_no_list():
+    loads = steps(10**12)
+    assert [next(loads), next(loads)] == [1e-12, 2e-12]
+    loads = times(1.0, dt=1e-8)
+    assert [float(next(loads)) for _ in range(2)] == pytest.approx([1e-8, 2e-8])
+    with pytest.raises(ParameterError, match=r"dt = 1e-12 s makes 1e\+12 steps up to 1 s"):
+        times(1.0, dt=1e-12)
+    assert list(times(0.5, dt=0.2)) == pytest.approx([1 / 6, 2 / 6, 0.5])
+    assert list(times(0.5, dt=0.2))[-1] == 0.5
 
 
 @pytest.mark.parametrize("number", [0, -3, 2.0, "4", None, True])

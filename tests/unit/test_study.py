@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import matplotlib.image
 import numpy as np
 import pytest
+from badinputs import scene
 from conftest import unit_grid
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -114,6 +115,39 @@ def test_pictures(tmp_path):
     study.plot_convergence({"none": rows}, tmp_path / "empty.png", "other")
     for name in ("sweep", "convergence", "empty"):
         assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
+
+
+def test_wrong_sweeps():
+    def scene(place):
+        return {"kappa_K": 1.0}
+
+    for call, words in (
+        (lambda: study.sweep(None, [1]), "scene = None must be a function"),
+        (lambda: study.sweep(lambda place: None, [1, 2]), "returned None for 1 .* a return"),
+        (lambda: study.sweep(lambda place: "a", [1]), "returned 'a' for 1"),
+        (lambda: study.sweep(scene, None), "places = None must be a list"),
+        (lambda: study.sweep(scene, []), r"places = \[\] must be a list"),
+        (lambda: study.convergence(lambda h: None, [0.1]), "returned None for 0.1"),
+        (lambda: study.convergence(scene, ["a"]), r"sizes = \['a'\] must be some positive"),
+        (lambda: study.worst([]), r"rows = \[\] must be a list with one entry"),
+        (lambda: study.worst(study.sweep(scene, [1])), "a row has no kappa_M, dt_consistent"),
+        (lambda: study.worst(None), "rows = None must be a list"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            call()
+
+
+def test_conditions_of_what_cannot_be():
+    problem = scene().solver()
+    for arguments, words in (
+        ((problem, -1), r"density = -1 kg/m\^d must be above 0"),
+        ((problem, "1"), "density = '1' must be a number"),
+        ((problem, 1.0, -1.0), "gamma = -1 must be at least 0"),
+        ((scene().points, 1.0), "problem = a MaterialPoints must be a QuasiStatic"),
+        ((problem, 1.0, 1.0, 3.0), "extra = 3.0 must be a Form"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            study.conditioning(*arguments)
 
 
 def test_a_penalty_of_ones_own_enters_the_mass():
@@ -259,6 +293,12 @@ def test_safety_is_drawn(tmp_path):
         ({"low": 1.9}, "fails at low = 1.9 already, in step 4 of the load: step 7 failed"),
         ({"loading": lambda F: load_spring(F, steps=1)}, "at factor 1 has 1 steps, it needs two"),
         ({"loading": lambda F: []}, "at factor 1 has 0 steps"),
+        ({"loading": lambda F: Spring(1.0)}, r"loading\(1\) returned a Spring .* `yield problem`"),
+        ({"loading": lambda F: None}, r"loading\(1\) returned None .* `yield problem`"),
+        ({"loading": 3}, "must be a generator function"),
+        ({"loading": lambda F: [1, 2]}, "yields 1, and should yield the problem"),
+        ({"low": "1"}, "low = '1' must be a number"),
+        ({"growth": None}, "growth = None must be a number"),
         ({"loading": lambda F: [Spring(1.0)] * 2}, "moves nothing"),
     ],
 )

@@ -147,9 +147,9 @@ def test_tangent_of_a_follower_pressure(basis):
 # -- footings -----------------------------------------------------------------
 
 
-def footing(stiffness=None, rough=True, width=6.0, basis="gimp", **options):
+def footing(stiffness=None, rough=True, width=6.0, basis="gimp", first=0.0, **options):
     grid, points, V = block(basis, high=(6.0, 2.6), cells=(6, 4), per_cell=2)
-    s = fem.Constant(grid, 0.0)
+    s = fem.Constant(grid, first)
     under = mpm.Surface(points, lambda x: np.isclose(x[1], 2.6) & (x[0] < width), (0, 1))
     foot = mpm.RigidFooting(under, s, rough=rough, E=1e3, stiffness=stiffness)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
@@ -226,7 +226,7 @@ def test_parts_of_a_step_scale_the_settlement():
 def test_footing_on_what_has_settled_already():
     grid, points, V = block(high=(6.0, 2.6))
     top = face(points, 1, 2.6, (0, 1))
-    t, s = fem.Constant(grid, (0.0, -100.0)), fem.Constant(grid, 7.0)
+    t, s = fem.Constant(grid, (0.0, -100.0)), fem.Constant(grid, 0.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     u, v = V.increment, V.test
     problem_of(points, V, -top.traction(t, v), bcs).step()
@@ -242,9 +242,25 @@ def test_a_second_footing_leaves_the_first_alone():
     s.value = 0.1
     problem.step()
     load = foot.load()
-    second = mpm.RigidFooting(foot.surface, s, E=1e3)
+    with pytest.raises(ParameterError, match=r"settlement = 0\.1 .* a constant of its own"):
+        mpm.RigidFooting(foot.surface, s, E=1e3)
+    second = mpm.RigidFooting(foot.surface, fem.Constant(problem.points.grid, 0.0), E=1e3)
     assert second.load() == pytest.approx(0.0, abs=1e-9)
     assert foot.load() == load > 1
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_what_a_settlement_holds_at_first_the_first_step_brings_about(share):
+    """Also in parts of a step: 11 897 N and not 0."""
+    loads = []
+    for first in (0.2, 0.0):
+        problem, foot, s = footing(width=3.0, first=first)
+        problem._share = share
+        s.value = 0.2
+        problem.step()
+        loads.append(foot.load())
+    assert loads[0] == pytest.approx(loads[1], rel=1e-12)
+    assert loads[0] > 10
 
 
 @pytest.mark.parametrize("basis", ["linear", pytest.param("gimp", marks=pytest.mark.long)])
