@@ -61,8 +61,6 @@ class WeakForm:
         points: The material points.
         grid: What DOLFINx assembles.
         moduli: What of it has moduli of the laws' tangents at facets.
-        softening: The same of the terms of the tangent only, or None.
-        changes: The same of the penalties on changes of the velocity, or None.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
         own: What terms in UFL say of the stress of points without a law.
@@ -92,10 +90,9 @@ class WeakForm:
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
         self.own: list[OwnStress] = []
-        self._revision = points.revision
-        self._checked = False
-        self.softening = self._beside(softening)
-        self.changes = self._beside(changes)
+        # none before the first step
+        self._revision = -1
+        self._beside = self._assembler(softening), self._assembler(changes)
         self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
         self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -110,17 +107,26 @@ class WeakForm:
             # what cannot be compiled is to be told now; tangents wait until a solver asks
             region.external, region.internal, region.operands  # noqa: B018
 
-    def _beside(self, form: ufl.Form | None) -> GridAssembler | None:
+    def _assembler(self, form: ufl.Form | None) -> GridAssembler | None:
         """What assembles terms over the grid that are no forces on the increments, or None."""
         if form is None:
             return None
         return GridAssembler(split(form, self.spaces, self.points).grid, self.spaces)
 
     @property
+    def softening(self) -> GridAssembler | None:
+        """What assembles terms of the tangent only, or None."""
+        return self._beside[0]
+
+    @property
+    def changes(self) -> GridAssembler | None:
+        """What assembles penalties on changes of the velocity, or None."""
+        return self._beside[1]
+
+    @property
     def grids(self) -> list[GridAssembler]:
         """All that DOLFINx assembles."""
-        beside = [g for g in (self.softening, self.changes) if g is not None]
-        return [self.grid, *beside]
+        return [self.grid, *(grid for grid in self._beside if grid is not None)]
 
     def bind(self) -> None:
         """Let laws give points that came since what they keep at first. Collective.
@@ -129,7 +135,7 @@ class WeakForm:
             FormError: When it is called first, if tags of the form match no points, or points
                 have a load and no law.
         """
-        first, revision = not self._checked, self.points.revision
+        first, revision = self._revision < 0, self.points.revision
         if first:
             self.parts.tagged.check()
         # fields may have been set since the problem was made
@@ -139,7 +145,7 @@ class WeakForm:
                 declaration.bind()
             for contact in self.parts.contacts:
                 contact.bind(self.parts.declarations)
-            self._revision, self._checked = revision, True
+            self._revision = revision
             self._first_moduli()
 
     def _laws_of(self, modulus: FacetModulus) -> list[Declaration]:
