@@ -361,10 +361,15 @@ class ActiveContact:
         traction, pressure, _ = self.contact.names
         return [(traction, self._traction), (pressure, self.pressures)]
 
-    def stored(self) -> float:
-        """Energy that the penalty has stored by normal forces (J), on all ranks. Collective."""
+    def stored(self, before: bool = False) -> float:
+        """Energy that the penalty has stored by normal forces (J), on all ranks. Collective.
+
+        Args:
+            before: Whether at the end of the last step.
+        """
         k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
-        own = 0.5 * float(np.sum(self.pressures**2 / k))
+        p = self._pressed if before else self.pressures
+        own = 0.5 * float(np.sum(p**2 / k))
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def dissipated(self) -> float:

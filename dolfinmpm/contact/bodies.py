@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -52,8 +53,9 @@ class Bodies:
         # looking for it is collective, and without contacts nobody asks
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
-        #: What the penalties of contact have stored (J).
+        #: What the penalties of contact have stored, now and before the first step (J).
         self.stored = 0.0
+        self.given: float | None = None
         self._before = 0.0
         for contact in contacts:
             if not any(contact.body is body for body in self.all):
@@ -222,6 +224,8 @@ class Bodies:
             both[0] = both[0] + force
             both[1] = both[1] + moment
             active.contact.dissipated += active.dissipated()
+        if self.given is None:
+            self.given = sum(active.stored(before=True) for active in contacts)
         self.stored = sum(active.stored() for active in contacts)
         before, self._before = self._before, 0.0
         return before + sum(body.commit(*sums[id(body)]) for body in self.all)
@@ -236,7 +240,8 @@ class Bodies:
             return {}
         rows = {f"rigid body {k}": body.memory() for k, body in enumerate(self.all)}
         rubbed = np.array([c.dissipated for c in self._contacts])
-        return {**rows, "friction's work": rubbed, "stored in contact": self.stored}
+        stored = np.array([self.stored, math.nan if self.given is None else self.given])
+        return {**rows, "friction's work": rubbed, "stored in contact": stored}
 
     def remember(self, state: dict[str, Any]) -> None:
         """Take what `memory` returned."""
@@ -246,7 +251,8 @@ class Bodies:
         if self.all:
             for contact, done in zip(self._contacts, state["friction's work"]):
                 contact.dissipated = float(done)
-            self.stored = float(state["stored in contact"])
+            self.stored, given = (float(energy) for energy in state["stored in contact"])
+            self.given = None if math.isnan(given) else given
 
 
 def _same(one: Contact, other: Contact) -> bool:

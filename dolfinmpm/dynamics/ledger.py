@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 LOSSES = ("ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision")
 _SUMS = ("external", "internal", "grid", *LOSSES)
 # What the energies are measured from
-_FIRST = ("kinetic", "strain", "bodies", "contact", "initial", "started")
+_FIRST = ("kinetic", "strain", "bodies", "initial", "started")
 
 
 @dataclass
@@ -178,9 +178,9 @@ class Ledger:
             strain = self._strain()
             first |= {
                 "kinetic": kinetic, "strain": strain, "bodies": self._bodies.kinetic(),
-                "contact": self._bodies.stored, "started": 1.0,
+                "started": 1.0,
             }  # fmt: skip
-            first["initial"] = kinetic + strain + first["bodies"] + first["contact"]
+            first["initial"] = kinetic + strain + first["bodies"]
         elif kinetic != self._last:
             first["kinetic"] += kinetic - self._last
             first["initial"] += kinetic - self._last
@@ -201,11 +201,8 @@ class Ledger:
         return float(self._points.comm.allreduce(kinetic_energy(self._points), op=MPI.SUM))
 
     def moving(self) -> float:
-        """Kinetic energy with that of the inertia's factor, of rigid bodies, and in contacts (J).
-
-        Collective.
-        """
-        return self.scaling * self.end() + self._bodies.kinetic() + self._bodies.stored
+        """Kinetic energy with that of the inertia's factor, and of rigid bodies (J). Collective."""
+        return self.scaling * self.end() + self._bodies.kinetic()
 
     def _strain(self) -> float:
         """What the laws store (J). Collective."""
@@ -236,8 +233,9 @@ class Ledger:
             # inertia has more energy than mass
             losses["mass scaling"] = (self.scaling - 1.0) * gained
         known = kinetic + strain + bodies + contact + sum(losses.values())
-        losses["integrator"] = first["initial"] + work.external - known
-        return Energies(kinetic, strain, work.external, bodies, contact, first["initial"], losses)
+        initial = first["initial"] + (self._bodies.given or 0.0)
+        losses["integrator"] = initial + work.external - known
+        return Energies(kinetic, strain, work.external, bodies, contact, initial, losses)
 
     def memory(self) -> dict[str, Any]:
         """What a checkpoint keeps."""

@@ -240,7 +240,7 @@ def test_a_footing_that_weighs_on_it_is_a_load():
 WRONG = {
     "no problem": (lambda p: 3, {}, "loading = 3 must be an mpm.QuasiStatic"),
     "one that returns": (lambda p: lambda factor: p, {}, "must be a generator"),
-    "one that returns nothing": (lambda p: lambda factor: None, {}, "in place of `return`"),
+    "one that returns nothing": (lambda p: lambda factor: None, {}, "not `return problem`"),
     "steps": (lambda p: p, {"steps": 0}, "steps = 0"),
     "time that steps have not": (lambda p: p, {"over": 1.0}, "of mpm.Transient alone"),
     "Newmark": (

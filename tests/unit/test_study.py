@@ -295,7 +295,7 @@ def test_safety_is_drawn(tmp_path):
         ({"loading": lambda F: []}, "at factor 1 has 0 steps"),
         ({"loading": lambda F: Spring(1.0)}, r"loading\(1\) returned a Spring .* `yield problem`"),
         ({"loading": lambda F: None}, r"loading\(1\) returned None .* `yield problem`"),
-        ({"loading": 3}, "must be a generator function"),
+        ({"loading": 3}, "a function of the factor that yields one"),
         ({"loading": lambda F: [1, 2]}, "yields 1, and should yield the problem"),
         ({"low": "1"}, "low = '1' must be a number"),
         ({"growth": None}, "growth = None must be a number"),

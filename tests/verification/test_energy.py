@@ -158,7 +158,5 @@ def test_what_the_user_gives_counts_as_there_from_the_start():
 
 def test_an_unknown_loss_is_named():
     problem = dropped(8, stabilisation="ghost")
-    with pytest.raises(
-        mpm.errors.UnknownNameError, match="no loss is named 'heat'; there are"
-    ):
+    with pytest.raises(mpm.errors.UnknownNameError, match="no loss is named 'heat'; there are"):
         problem.energies()["heat"]
