@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
@@ -47,7 +48,8 @@ class ReadOnce:
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        code = cls.__init__.__code__
+        # what is collective has a door around it
+        code = inspect.unwrap(cls.__init__).__code__
         own = code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount]
         cls._arguments = cls._arguments | frozenset(own)
 
