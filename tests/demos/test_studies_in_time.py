@@ -14,7 +14,7 @@ def test_vibrating_bar(tmp_path):
     assert figures["momentum_zeros"] == pytest.approx([2.5147, 7.5161, 12.5175, 17.5189], abs=2e-4)
     exact = [2.5141, 7.5143, 12.5144, 17.5145]
     assert figures["momentum_zeros_exact"] == pytest.approx(exact, abs=1e-4)
-    assert figures["energy"] == pytest.approx([1.0, 0.99993, 0.99989], abs=1e-5)
+    assert figures["energy"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     assert figures["period"] == pytest.approx(10.0028, abs=2e-4)
     assert figures["steps"] == 200
     assert (tmp_path / "vibrating_bar.png").stat().st_size > 0
