@@ -14,6 +14,7 @@ from dolfinmpm.assembly.points import Entries
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which, longest
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
+from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.passing import entered, passes, suspected, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.surfaces import Probe
@@ -38,9 +39,10 @@ class ActiveContact:
         field: Number of its field.
         among: The points that are looked at, increasing, where others are known to be far away.
         distance: How near to the body corners are that can touch in this step (m).
+        means: How mean forces over a step enter its balance; None for forces at its end.
 
     Attributes:
-        contact, field: The arguments.
+        contact, field, means: The arguments.
         clings: Whether corners that touched before are held where nothing has moved yet, so that
             the first iteration of Newton's method takes them along with a body that goes away.
         corners: Corners that may touch in this step.
@@ -53,9 +55,10 @@ class ActiveContact:
 
     def __init__(
         self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None,
-        distance: float = math.inf,
+        distance: float = math.inf, means: Means | None = None,
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
+        self.means = means
         points, body = contact.points, contact.body
         self._sites = Sites(points, sight, contact.surface, contact.material)
         self._points = self._candidates(among, distance)
@@ -75,7 +78,7 @@ class ActiveContact:
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
-        self._way = np.zeros(m)
+        self._way, self._loss = np.zeros(m), np.zeros(m)
 
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
@@ -91,11 +94,14 @@ class ActiveContact:
         return kept
 
     @staticmethod
-    def on(contact: Contact, here: Participants) -> ActiveContact:
-        """A contact on what is active in a step. Collective."""
+    def on(
+        contact: Contact, here: Participants, in_time: bool = False, means: Means | None = None
+    ) -> ActiveContact:
+        """A contact on what is active in a step, in time or not. Collective."""
         fields = here.fields
         k = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
-        return ActiveContact(contact, Sight.of(fields[k], here.total, len(contact.points)), k)
+        sight = Sight.of(fields[k], here.total, len(contact.points), in_time)
+        return ActiveContact(contact, sight, k, means=means)
 
     # -- which points may touch -----------------------------------------------
 
@@ -226,6 +232,9 @@ class ActiveContact:
         self._gap[:], self.states[:] = np.inf, FREE
         for values in (self.forces, self.pressures, self._traction, self._slope):
             values[:] = 0.0
+        if self.means is not None:
+            self._find_means(c, at, probe)
+            return
         if not c.size:
             return
         contact, k = self.contact, self._stiffness[c]
@@ -240,6 +249,33 @@ class ActiveContact:
         self._gap[c], self.states[c] = probe[0], state
         self.forces[c] = contact.body.pose.directions(found[0])
 
+    def _find_means(self, c: Rows, at: Array, probe: Probe) -> None:
+        """Find mean forces over the step; see `_find`."""
+        rubbed = np.any(self._before != 0.0, axis=1)
+        if rubbed.any():
+            c = np.union1d(c, np.flatnonzero(rubbed))
+            probe = self.contact.body.surface.probe(at[c])
+        self._loss[:] = 0.0
+        if not c.size:
+            return
+        body, k, friction = self.contact.body, self._stiffness[c], self.contact.friction
+        way = at[c] - self._start[c]
+        middle = body.surface.probe(self._start[c] + 0.5 * way)[1:]
+        found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
+        loss, state = np.empty(c.size), np.empty(c.size, np.int8)
+        mean_forces(
+            self._first[c], *probe[:2], *middle, way, self._before[c], self._multiplier[c], k,
+            self.contact.slip_share * k, friction, *found, loss, state,
+        )  # fmt: skip
+        for own, values in zip(self._written, found):
+            own[c] = values
+        self._gap[c], self.states[c], self._loss[c] = probe[0], state, loss
+        # by the directions in the middle of the body's turn
+        Q = 0.5 * (body.start.rotation + body.pose.rotation)
+        U, _, Vt = np.linalg.svd(Q)
+        self._turned = U @ Vt
+        self.forces[c] = found[0] @ self._turned.T
+
     @property
     def _written(self) -> tuple[Array, ...]:
         """What the law of contact gives of each corner; forces in the frame of the body."""
@@ -247,21 +283,39 @@ class ActiveContact:
 
     def add_internal(self, out: Array) -> None:
         """Add the nodal forces, as internal forces count, which resist: −f (N)."""
-        if self.pressures.any():
-            self.corners.add(-self.forces, out)
+        if self.states.any():
+            self.corners.add(-self._weight * self.forces, out)
 
     def add_forces(self, out: Array) -> None:
         """Add the nodal forces (N)."""
-        if self.pressures.any():
+        if self.states.any():
             self.corners.add(self.forces, out)
+
+    @property
+    def _weight(self) -> float:
+        """Weight of the forces in a step's balance."""
+        return 1.0 if self.means is None else self.means.weight
+
+    @property
+    def _slope_weight(self) -> float:
+        """Weight of derivatives of forces by the increments in a step's balance."""
+        return 1.0 if self.means is None else self.means.weight * self.means.scale
+
+    def _lever(self) -> Array:
+        """From the body's centre to the corners (m), where forces act in the step."""
+        body = self.contact.body
+        if self.means is None:
+            return np.asarray(self.x - body.pose.centre)
+        middle = 0.5 * (self.corners.x + self.x)
+        return np.asarray(middle - 0.5 * (body.start.centre + body.pose.centre))
 
     def add_tangent(self, to: Entries) -> None:
         """Add the derivative of `add_internal` by the increments to the matrix."""
         active = np.flatnonzero(self.states != FREE)
         if active.size == 0:
             return
-        seen = self.corners.N, self.corners.nodes
-        add_corners(active, seen, seen, -self._world_slope(active), to)
+        seen = self.corners.entries()
+        add_corners(active, seen, seen, -self._slope_weight * self._world_slope(active), to)
 
     # -- multipliers and what is kept -----------------------------------------
 
@@ -286,8 +340,7 @@ class ActiveContact:
 
         Of rings they are those all around.
         """
-        arm = self.x - self.contact.body.pose.centre
-        moment = _cross(arm, self.forces)
+        moment = _cross(self._lever(), self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
         both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
         d = self.forces.shape[1]
@@ -305,16 +358,14 @@ class ActiveContact:
         active = np.flatnonzero(self.states != FREE)
         if active.size:
             by_motion = np.zeros((len(self.x), *out.shape[1:]))
-            by_motion[active] = -self._by_motion(active)
-            flat = by_motion.reshape(len(self.x), -1)
-            nodal = np.asarray(self.corners.N.T @ flat)
-            out[self.corners.nodes] += nodal.reshape(-1, *out.shape[1:])
+            by_motion[active] = -self._slope_weight * self._by_motion(active)
+            self.corners.add(by_motion, out)
 
     def _by_motion(self, active) -> Array:
         """Derivative of the forces on corners by the body's motion, shape (n, gdim, components)."""
-        K = self._world_slope(active)
+        K, share = self._world_slope(active), self._own_share
         arm = cross_matrix(self.x[active] - self.contact.body.pose.centre)
-        turned = cross_matrix(self.forces[active])
+        turned = share * cross_matrix(self.forces[active])
         by_turn = turned.transpose(0, 2, 1) - K @ arm.transpose(0, 2, 1)
         return np.concatenate([-K, by_turn], axis=2)
 
@@ -328,23 +379,30 @@ class ActiveContact:
         active = np.flatnonzero(self.states != FREE)
         if active.size == 0:
             return
-        K, d = self._world_slope(active), self.x.shape[1]
-        S = cross_matrix(self.x[active] - self.contact.body.pose.centre)
-        S_f = cross_matrix(self.forces[active])
-        to_x = -np.concatenate([K, S @ K - S_f], axis=1)
+        K, d, weight = self._world_slope(active), self.x.shape[1], self._slope_weight
+        S = cross_matrix(self._lever()[active])
+        S_f = self._own_share * cross_matrix(self.forces[active])
+        to_x = -weight * np.concatenate([K, S @ K - S_f], axis=1)
         whole = np.zeros((len(self.x), d, by_y.shape[0]))
         whole[active] = to_x.transpose(0, 2, 1)
-        nodal = np.asarray(self.corners.N.T @ whole.reshape(len(self.x), -1))
-        by_x[self.corners.nodes] += nodal.reshape(-1, *by_x.shape[1:])
+        self.corners.add(whole, by_x)
         A = self._by_motion(active)
         to_y = -np.concatenate([A, S @ A], axis=1)
         # the arm is from the centre, which moves
         to_y[:, d:, :d] -= S_f
-        by_y += to_y.sum(axis=0)
+        by_y += weight * to_y.sum(axis=0)
+
+    @property
+    def _own_share(self) -> float:
+        """Share of the end in where forces act in the step."""
+        return 1.0 if self.means is None else 0.5
 
     def _world_slope(self, active) -> Array:
         """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
         Q = self.contact.body.pose.rotation
+        if self.means is not None:
+            P = self._turned
+            return np.einsum("ij,cjk,lk->cil", P, self._slope[active], Q)
         return np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
 
     def new_fields(self) -> dict[str, Array]:
@@ -362,7 +420,7 @@ class ActiveContact:
         return [(traction, self._traction), (pressure, self.pressures)]
 
     def stored(self, before: bool = False) -> float:
-        """Energy that the penalty has stored by normal forces (J), on all ranks. Collective.
+        """Energy that the penalties have stored (J), on all ranks. Collective.
 
         Args:
             before: Whether at the end of the last step.
@@ -370,13 +428,16 @@ class ActiveContact:
         k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
         p = self._pressed if before else self.pressures
         own = 0.5 * float(np.sum(p**2 / k))
+        if self.contact.friction:
+            t = self._before if before else self._traction
+            own += 0.5 * float(np.sum(np.sum(t * t, axis=1) / (self.contact.slip_share * k)))
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def dissipated(self) -> float:
         """Work that friction takes in this step (J), on all ranks. Collective."""
         slips = self.states == SLIPS
-        done = 0.0
-        if slips.any():
+        done = float(self._loss.sum())
+        if slips.any() and self.means is None:
             t, size = self._traction[slips], np.linalg.norm(self._traction[slips], axis=1)
             eT = self.contact.slip_share * self._stiffness[slips]
             at = self.contact.body.pose.back(self.x[slips])

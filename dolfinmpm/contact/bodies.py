@@ -228,7 +228,8 @@ class Bodies:
             self.given = sum(active.stored(before=True) for active in contacts)
         self.stored = sum(active.stored() for active in contacts)
         before, self._before = self._before, 0.0
-        return before + sum(body.commit(*sums[id(body)]) for body in self.all)
+        mean = any(active.means is not None for active in contacts)
+        return before + sum(body.commit(*sums[id(body)], mean) for body in self.all)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
         """What records of steps have of the bodies, by name."""

@@ -7,7 +7,8 @@ corners as a body bends, and what bends is no stair. In large shear it is far fr
 
 Where the basis has domains a corner sees the functions as they are there, from a cell that the
 domain overlaps: nodes that its point sees too, so that contact makes no node active and couples
-none anew. Elsewhere it moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`.
+none anew. Elsewhere it moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`. In steps in time every
+corner moves as its point's new state will put it, see `dolfinmpm.contact.motions`.
 
 Of a marked face whose normal is an axis only the corners on that face touch; of one from arrays the
 face's middle does.
@@ -31,6 +32,7 @@ from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.motions import Mixed, Plain, Seen, growth_by_gradient
 from dolfinmpm.cut.participants import ActiveField, Basis
 
 __all__ = ["Corners", "Sight", "Sites", "corner_count", "longest", "stencil_matrix"]
@@ -61,22 +63,27 @@ class Corners:
         which: Which of its point's corners each is, likewise.
         x: Positions at the start of the step (m), shape (m, gdim).
         nodes: Nodes that any of them sees, shape (k,).
-        N: What they see of these nodes, shape (m, k).
+        seen: What they see of these nodes.
     """
 
     rows: Rows
     which: Rows
     x: Array
     nodes: npt.NDArray[np.int32]
-    N: scipy.sparse.csr_matrix
+    seen: Plain | Mixed
 
     def displacement(self, u: Array) -> Array:
         """Displacements of the corners (m), shape (m, gdim), from nodal ones."""
-        return np.asarray(self.N @ u[self.nodes])
+        return self.seen.displacement(u[self.nodes])
 
     def add(self, forces: Array, out: Array) -> None:
-        """Add forces on the corners, shape (m, ...), to nodal ones."""
-        out[self.nodes] += self.N.T @ forces
+        """Add forces on the corners, shape (m, gdim, ...), to nodal ones."""
+        out[self.nodes] += self.seen.nodal(forces)
+
+    def entries(self) -> Seen:
+        """What each corner sees of which node."""
+        start, nodes, weights = self.seen.entries()
+        return start, self.nodes[nodes], weights
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,8 @@ class Sight:
         C: Matrix from the nodes that remain to all nodes, or None.
         stencils: Stencils of some points, which count from 0 there, by their rows.
         place: Where forces have a node of the basis, shape (nodes,), or None for there.
+        growth: How domains grow where corners move as their points' states put them, in steps in
+            time; None where they move with the functions at the corners.
     """
 
     basis: Basis
@@ -96,10 +105,16 @@ class Sight:
     C: scipy.sparse.csr_matrix | None
     stencils: Callable[[Rows], Stencils]
     place: npt.NDArray[np.int32] | None = None
+    growth: str | None = None
+
+    @property
+    def columns(self) -> int:
+        """Number of the nodes that remain."""
+        return self.basis.nodes.size if self.C is None else self.C.shape[1]
 
     @staticmethod
-    def of(field: ActiveField, total: bool, count: int) -> Sight:
-        """That of so many points in a field on an activation."""
+    def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> Sight:
+        """That of so many points in a field on an activation, in steps in time or others."""
 
         def stencils(rows: Rows) -> Stencils:
             chosen = np.zeros(count, bool)
@@ -107,7 +122,8 @@ class Sight:
             s = selected(field.stencils, chosen)
             return replace(s, order=np.searchsorted(rows, s.order).astype(np.int32))
 
-        return Sight(field.basis, total, field.C, stencils)
+        growth = field.space.domains if in_time else None
+        return Sight(field.basis, total, field.C, stencils, growth=growth)
 
 
 class Sites:
@@ -132,8 +148,9 @@ class Sites:
         self._F: Array = in_section(points, points["F"])
         self._middles = surface is not None and surface.normal is None
         # whether corners see functions as they are there, and whether domains say where that is
-        self._placed = not (self._middles or sight.total) and sight.basis.averaged
-        self.boxes = self._placed and not material
+        placed = not (self._middles or sight.total) and sight.basis.averaged
+        self.boxes = placed and not material
+        self._placed = placed and sight.growth is None
         signs = _signs(points.gdim)
         self.which: Rows = np.arange(1 if self._middles else len(signs))
         if surface is not None and surface.normal is not None:
@@ -190,25 +207,36 @@ class Sites:
             rows: The points, increasing, shape (n,).
             kept: Tells of positions of corners which of them are to be kept, increasing.
         """
+        points = self._points
         which = np.tile(self.which, rows.size)
         each = np.repeat(rows, self.which.size)
         x: Array
         how: Any  # cells of functions, or offsets
-        x, how = self._in_place(rows) if self._placed else self._of_material(each, which)
+        if self._placed:
+            x, how = self._in_place(rows)
+        elif self.boxes:
+            how = _signs(points.gdim)[which]
+            x = points["x"][each] + how * points["l"][each]
+        else:
+            x, how = self._of_material(each, which)
         k = kept(x)
         each, which, x, how = each[k], which[k], x[k], how[k]
-        N = self._seen_in(x, how) if self._placed else self._seen_from(each, how)
+        grows = self.boxes and not self._placed
+        M: Any
+        if self._placed:
+            M = self._seen_in(x, how)
+        else:
+            M = self._seen_with(each, how) if grows else self._seen_from(each, how)
         # by a table of all nodes, which is cheaper than to sort those of all corners
-        seen = np.zeros(N.shape[1], np.int32)
-        seen[N.indices] = 1
+        seen = np.zeros(self._sight.columns, np.int32)
+        seen[M.indices] = 1
         nodes: npt.NDArray[np.int32] = np.flatnonzero(seen).astype(np.int32)
         seen[nodes] = np.arange(nodes.size)
-        N = scipy.sparse.csr_matrix(
-            (N.data, seen[N.indices], N.indptr), shape=(each.size, nodes.size)
-        )
+        kind = Mixed if grows else Plain
+        found = kind(M.indptr, seen[M.indices], M.data, nodes.size)
         if self._sight.place is not None:
             nodes = self._sight.place[nodes]
-        return Corners(each, which, x, nodes, N)
+        return Corners(each, which, x, nodes, found)
 
     def _in_place(self, rows: Rows) -> tuple[Array, Rows]:
         """Positions of corners, and the cells in the halo's tables that they see functions in."""
@@ -256,14 +284,45 @@ class Sites:
 
     def _seen_from(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
         """What corners see by the stencils of their points, which go on by the gradient."""
+        N, *dN = self._stencils(each)[2:]
+        data = N.data.copy()
+        for k, part in enumerate(dN):
+            data += np.repeat(along[:, k], np.diff(N.indptr)) * part.data
+        return self._behind_ties(N, data)
+
+    def _seen_with(self, each: Rows, signs: Array) -> scipy.sparse.bsr_matrix:
+        """What corners of domains see that grow with their points' gradients."""
+        d, points, growth = self._points.gdim, self._points, self._sight.growth
+        assert growth is not None
+        rows, own, N, *dN = self._stencils(each)
+        T = growth_by_gradient(self._F[rows], points["l0"][rows], growth)
+        T = signs[:, :, None, None] * T[own]
+        length = np.diff(N.indptr)
+        W = N.data[:, None, None] * np.eye(d)
+        for k, part in enumerate(dN):
+            W += np.repeat(T[:, :, :, k], length, axis=0) * part.data[:, None, None]
+        return self._behind_ties(N, W)
+
+    def _stencils(self, each: Rows) -> list[Any]:
+        """The different points, which of them each is of, N and ∂N/∂x_k of each in one pattern."""
         rows, own = np.unique(each, return_inverse=True)
         s, shape = self._sight.stencils(rows), (rows.size, self._sight.basis.nodes.size)
-        parts = [stencil_matrix(s, s.N, shape)[own]]
-        for k in range(self._points.gdim):
-            parts.append(
-                scipy.sparse.diags(along[:, k]) @ stencil_matrix(s, s.dN[:, k], shape)[own]
-            )
-        return scipy.sparse.csr_matrix(sum(parts[1:], parts[0]))
+        values = [s.N, *s.dN.T]
+        return [rows, own, *(stencil_matrix(s, v, shape)[own] for v in values)]
+
+    def _behind_ties(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
+        """A matrix of N's pattern, by the nodes that ties leave, with numbers or blocks."""
+        C, d = self._sight.C, self._points.gdim
+        if data.ndim == 1:
+            M = scipy.sparse.csr_matrix((data, N.indices, N.indptr), shape=N.shape)
+            return M if C is None else scipy.sparse.csr_matrix(M @ C)
+        shape = N.shape[0] * d, N.shape[1] * d
+        B = scipy.sparse.bsr_matrix((data, N.indices, N.indptr), shape=shape)
+        if C is None:
+            return B
+        blocks = C.data[:, None, None] * np.eye(d)
+        shape = C.shape[0] * d, C.shape[1] * d
+        return B @ scipy.sparse.bsr_matrix((blocks, C.indices, C.indptr), shape=shape)
 
 
 def longest(half: Array) -> Array:

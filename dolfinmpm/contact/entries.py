@@ -5,15 +5,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from dolfinmpm.assembly.points import Entries
+from dolfinmpm.contact.motions import Seen
 
-__all__ = ["Seen", "add_corners"]
-
-# What places see: N of the nodes that any of them sees, shape (places, k), and these, shape (k,)
-Seen = tuple["scipy.sparse.csr_matrix", npt.NDArray[np.int32]]
-
+__all__ = ["add_corners"]
 
 def add_corners(
     active: npt.NDArray[np.integer],
@@ -22,18 +18,19 @@ def add_corners(
     K: npt.NDArray[np.float64],
     to: Entries,
 ) -> None:
-    """Add Σ_c N_ca K_c N_cb to the matrix.
+    """Add Σ_c W_caᵀ K_c W_cb to the matrix.
 
     Args:
         active: Which places, shape (n,).
-        rows, columns: What they see of the row field and of the column field.
+        rows, columns: What they see of the row field and of the column field; either both of them
+            N, or both ∂x_i/∂u_j.
         K: Derivatives of forces by displacements there (N/m), shape (n, d, d).
         to: The matrix between the two fields.
     """
-    (A, a), (B, b) = rows, columns
-    _add(
-        active, A.indptr, a[A.indices], A.data, B.indptr, b[B.indices], B.data, K, to.rows.row_of,
-        to.columns.row_of, to.pattern.indptr, to.pattern.indices, to.data, to.prescribed, to.lift,
+    kernel = _add if rows[2].ndim == 1 else _add_mixed
+    kernel(
+        active, *rows, *columns, K, to.rows.row_of, to.columns.row_of, to.pattern.indptr,
+        to.pattern.indices, to.data, to.prescribed, to.lift,
     )  # fmt: skip
 
 
@@ -42,7 +39,7 @@ def _add(
     active, a_start, a_nodes, a_N, b_start, b_nodes, b_N, K, row_of, column_of, indptr, indices,
     data, prescribed, lift,
 ):  # fmt: skip
-    d = K.shape[1]
+    block = np.empty(K.shape[1:])
     for e in range(active.size):
         c = active[e]
         for a in range(a_start[c], a_start[c + 1]):
@@ -50,15 +47,59 @@ def _add(
                 weight = a_N[a] * b_N[b]
                 if weight == 0.0:
                     continue
+                block[:] = weight * K[e]
+                _put(
+                    block, a_nodes[a], b_nodes[b], row_of, column_of, indptr, indices, data,
+                    prescribed, lift,
+                )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_mixed(
+    active, a_start, a_nodes, a_W, b_start, b_nodes, b_W, K, row_of, column_of, indptr, indices,
+    data, prescribed, lift,
+):  # fmt: skip
+    d = K.shape[1]
+    left, block = np.empty((d, d)), np.empty((d, d))
+    for e in range(active.size):
+        c = active[e]
+        for a in range(a_start[c], a_start[c + 1]):
+            _transposed(a_W[a], K[e], left)
+            for b in range(b_start[c], b_start[c + 1]):
                 for i in range(d):
-                    row = row_of[a_nodes[a], i]
-                    if row < 0:
-                        continue
                     for k in range(d):
-                        value = weight * K[e, i, k]
-                        column = column_of[b_nodes[b], k]
-                        if column < 0:
-                            lift[a_nodes[a], i] += value * prescribed[b_nodes[b], k]
-                            continue
-                        begin, end = indptr[row], indptr[row + 1]
-                        data[begin + np.searchsorted(indices[begin:end], column)] += value
+                        block[i, k] = 0.0
+                        for j in range(d):
+                            block[i, k] += left[i, j] * b_W[b, j, k]
+                _put(
+                    block, a_nodes[a], b_nodes[b], row_of, column_of, indptr, indices, data,
+                    prescribed, lift,
+                )  # fmt: skip
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _transposed(W, K, out):
+    """Wᵀ K."""
+    d = W.shape[0]
+    for i in range(d):
+        for k in range(d):
+            out[i, k] = 0.0
+            for j in range(d):
+                out[i, k] += W[j, i] * K[j, k]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _put(block, a, b, row_of, column_of, indptr, indices, data, prescribed, lift):
+    """Add the block of two nodes."""
+    d = block.shape[0]
+    for i in range(d):
+        row = row_of[a, i]
+        if row < 0:
+            continue
+        for k in range(d):
+            column = column_of[b, k]
+            if column < 0:
+                lift[a, i] += block[i, k] * prescribed[b, k]
+                continue
+            begin, end = indptr[row], indptr[row + 1]
+            data[begin + np.searchsorted(indices[begin:end], column)] += block[i, k]

@@ -245,8 +245,12 @@ class RigidBody(ReadOnce):
         free.increment = np.zeros_like(free.velocity)
         free.increment[own] = self.dt * free.velocity[own]
 
-    def commit(self, force: Array, moment: Array) -> float:
-        """Take where it has been put for where it is, and what acts on it there.
+    def commit(self, force: Array, moment: Array, mean: bool = False) -> float:
+        """Take where it has been put for where it is, and what acts on it.
+
+        Args:
+            force, moment: Of the points on it (N, N m), at the end of the step.
+            mean: Whether these are means over the step.
 
         Returns:
             Work of what moves it (J): on what is prescribed of it, against the means of the forces
@@ -258,8 +262,9 @@ class RigidBody(ReadOnce):
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
         way = np.concatenate([after.shift - before.shift, spin])
-        mean = 0.5 * np.concatenate([self._force + force, self._moment + moment])
-        against = -mean
+        against = -np.concatenate([force, moment])
+        if not mean:
+            against = 0.5 * (against - np.concatenate([self._force, self._moment]))
         if self.freedom is not None:
             own = self.freedom.free
             load = self.freedom.external(self.time + 0.5 * self.dt)

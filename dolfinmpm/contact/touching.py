@@ -17,6 +17,8 @@ from dolfinmpm.contact.between import Between
 from dolfinmpm.contact.corners import stencil_matrix
 from dolfinmpm.contact.cutpieces import pieces_in_cells
 from dolfinmpm.contact.entries import add_corners
+from dolfinmpm.contact.means import Means, mean_forces
+from dolfinmpm.contact.motions import Seen
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.cut.participants import ActiveField, Participants
 from dolfinmpm.cut.unknowns import Unknowns
@@ -55,6 +57,10 @@ class Side:
     def displacement(self, u: Sequence[Array]) -> Array:
         """Displacements of the places (m), shape (places, d), from nodal ones of all fields."""
         return np.asarray(self.N @ u[self.field][self.nodes])
+
+    def entries(self) -> Seen:
+        """What each place sees of which node."""
+        return self.N.indptr, self.nodes[self.N.indices], self.N.data
 
     def add(self, forces: Array, out: Sequence[Array]) -> None:
         """Add forces at the places (N), shape (places, d), to nodal ones of all fields."""
@@ -226,18 +232,20 @@ class ActiveBetween:
 
     Args:
         facing: The places that face each other.
+        means: How mean forces over a step enter its balance; None for forces at its end.
 
     Attributes:
         contact: The contact.
-        facing: The argument.
+        facing: The first argument.
         clings: See `ActiveContact`.
         forces: Forces on the first body there (N), shape (m, d).
         pressures: Their normal parts (N), shape (m,).
         states: Whether places are free, stick or slip, likewise.
     """
 
-    def __init__(self, facing: Facing):
+    def __init__(self, facing: Facing, means: Means | None = None):
         self.contact, self.facing, self.clings = facing.contact, facing, False
+        self._means = means
         contact, rows = facing.contact, facing.rows
         m, d = facing.normal.shape
         self.forces: Array = np.zeros((m, d))
@@ -254,6 +262,7 @@ class ActiveBetween:
         self._stiffness: Array = contact.stiffness * facing.areas
         self._gap: Array = np.full(m, np.inf)
         self._slip: Array = np.zeros((m, d))
+        self._loss: Array = np.zeros(m)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
     def move(self, u: Sequence[Array]) -> None:
@@ -267,6 +276,14 @@ class ActiveBetween:
         n = facing.normal
         self._gap = facing.gap + np.einsum("ci,ci->c", slip, n)
         at_rest = not (moved[0].any() or moved[1].any())
+        if self._means is not None:
+            flat = np.zeros((*n.shape, n.shape[1]))
+            mean_forces(
+                facing.gap, self._gap, n, n, flat, slip, self._before, self._multiplier,
+                self._stiffness, contact.slip_share * self._stiffness, contact.friction,
+                self.forces, self._traction, self.pressures, self._slope, self._loss, self.states,
+            )  # fmt: skip
+            return
         holds = self._touch & (self.clings and at_rest)
         flat = np.zeros((*n.shape, n.shape[1]))
         forces_on_corners(
@@ -283,10 +300,11 @@ class ActiveBetween:
 
     def add_internal(self, out: Sequence[Array]) -> None:
         """Add the nodal forces of all fields, as internal forces count, which resist (N)."""
-        if self.pressures.any():
+        if self.states.any():
             one, other = self.facing.sides
-            one.add(-self.forces, out)
-            other.add(self.forces, out)
+            weight = 1.0 if self._means is None else self._means.weight
+            one.add(-weight * self.forces, out)
+            other.add(weight * self.forces, out)
 
     def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
         """Add the derivative of `add_internal` by the increments to the matrix."""
@@ -294,10 +312,12 @@ class ActiveBetween:
         if not active.size:
             return
         K = -self._slope[active]
+        if self._means is not None:
+            K *= self._means.weight * self._means.scale
         for a in self.facing.sides:
             for b in self.facing.sides:
                 to = entries[a.field, b.field]
-                add_corners(active, (a.N, a.nodes), (b.N, b.nodes), K if a is b else -K, to)
+                add_corners(active, a.entries(), b.entries(), K if a is b else -K, to)
 
     def augment(self) -> bool:
         """Take the pressures for multipliers where places are too deep; see `ActiveContact`."""
@@ -349,6 +369,8 @@ class ActiveBetween:
 
     def _dissipated(self) -> Array:
         """Work that friction takes at each place in this step (J), shape (m,)."""
+        if self._means is not None:
+            return self._loss
         done = np.zeros(len(self.states))
         slips = self.states == SLIPS
         if slips.any():

@@ -65,7 +65,8 @@ class RigidContacts:
             self._exchange = window.exchange(self._points.gdim)
             self._sums = np.zeros((len(window.nodes), self._points.gdim))
             place = window.place.astype(np.int32)
-            self._sight = Sight(window.basis, False, None, self._stencils, place)
+            growth = self._near[0].contact.u._dolfinmpm_space.domains
+            self._sight = Sight(window.basis, False, None, self._stencils, place, growth)
         points = self._points
         cell = np.array([np.diff(line).min() for line in window.basis.lattice.lines])
         for near in self._near:
@@ -137,7 +138,7 @@ class RigidContacts:
         d, corners = self._points.gdim, active.corners
         first = COLUMNS[d].strain
         velocities = self._window.nodes[corners.nodes, first : first + d]
-        return np.asarray(corners.N @ (self._dt * velocities))
+        return corners.seen.displacement(self._dt * velocities)
 
     @stages.assemble
     def follow(self) -> None:
@@ -145,8 +146,8 @@ class RigidContacts:
         self._bodies.put(1.0)
         d = self._points.gdim
         speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].strain, d)
-        # corners of domains are between the nodes that they see, and go no further than these
-        self._nodes_go = self._dt * speed
+        # corners go on by their points' gradients, up to half a cell from these
+        self._nodes_go = 2.0 * self._dt * speed
         for k, near in enumerate(self._near):
             if near.way() + self._nodes_go > near.distance:
                 self._active[k] = self._made(near)

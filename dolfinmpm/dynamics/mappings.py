@@ -37,6 +37,7 @@ class NodalMotion:
         V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
         V_end, A_end: Those at its end.
         u: Their displacement (m); Δt V_end if it is None.
+        push: Mean accelerations (m/s²) besides, by contact; None for none.
     """
 
     V: Array
@@ -44,6 +45,7 @@ class NodalMotion:
     V_end: Array
     A_end: Array
     u: Array | None = None
+    push: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,8 @@ class Mapping:
         if self.kind == "accel":
             old = points["acceleration"]
             new["velocity"] = v + dt * ((1 - gamma) * old + gamma * a_new)
+            if motion.push is not None:
+                new["velocity"] += dt * collect(s, motion.push)
         elif self.kind == "flip":
             velocity = v + collect(s, motion.V_end - motion.V)
             if self.share < 1.0:

@@ -58,6 +58,19 @@ class Rule:
         """v' at the nodes (m/s)."""
         return V + dt * ((1 - self.gamma) * A + self.gamma * A_end)
 
+    def pushed(self, V_end: Array, A_end: Array, push: Array, dt: float) -> tuple[Array, Array]:
+        """v' and a' where contact has pushed besides, by its mean accelerations (m/s²).
+
+        Its impulse is that of the whole step, and accelerations go on without it.
+
+        Args:
+            V_end, A_end: Those that `velocity` and `acceleration` give of the increment.
+            push: M⁻¹ times the mean forces.
+            dt: Length of the step (s).
+        """
+        V_end = V_end + dt * (1.0 - 0.5 * self.gamma / self.beta) * push
+        return V_end, A_end - 0.5 / self.beta * push
+
     def known(self, V: Array, A: Array, dt: float) -> Array:
         """What of the accelerations at the level of balance does not depend on the increment."""
         start = V / (self.beta * dt) + (0.5 / self.beta - 1.0) * A
@@ -170,7 +183,7 @@ class Motion:
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
             plain.start()
-            start = plain.forces()
+            start = plain.forces(contacts=False)
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
@@ -242,7 +255,11 @@ class Motion:
             u = operator.increments[one.k]
             A_end = rule.acceleration(u, one.V, one.A, dt)
             V_end = rule.velocity(one.V, one.A, A_end, dt)
-            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u))
+            push = None
+            if operator.touches:
+                push = self._push(one, operator)
+                V_end, A_end = rule.pushed(V_end, A_end, push, dt)
+            motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
         reason = self._judge(motions, here, dt)
         if reason is not None:
             return reason
@@ -261,6 +278,21 @@ class Motion:
         self._starting = False
         self.time, self.last = step.t, dt
         return None
+
+    def _push(self, one: MovingNodes, operator: Operator) -> Array:
+        """Accelerations of the nodes of a field by mean forces of contact (m/s²). Collective."""
+        forces = one.mass.nodal()
+        forces.arrays[0][:] = self._pressed(operator)[one.k]
+        return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
+
+    @staticmethod
+    def _pressed(operator: Operator) -> list[Array]:
+        """Mean forces of contact on the nodes of each field (N). Collective."""
+        means = operator.form.means
+        assert means is not None
+        out = [np.zeros_like(u) for u in operator.increments]
+        operator.contact_forces(out)
+        return [-force / means.weight for force in out]
 
     def _from_nodes(
         self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
@@ -301,9 +333,10 @@ class Motion:
             plain.move(x, scale)
             return plain.load_work()
         plain.start()
-        start = plain.forces()
+        start = plain.forces(contacts=False)
         plain.move(x, scale)
-        forces = [0.5 * (f + g) for f, g in zip(start, plain.forces())]
+        both = zip(start, plain.forces(contacts=False), self._pressed(operator))
+        forces = [0.5 * (f + g) - pressed for f, g, pressed in both]
         for one, motion in zip(self.nodes, motions):
             forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
         return plain.load_work() + plain.held_work(forces)

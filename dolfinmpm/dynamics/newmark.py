@@ -27,6 +27,7 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
@@ -40,7 +41,6 @@ from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.checks import check_levels
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.forms.terms import contact_of
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
@@ -162,8 +162,7 @@ class TimeStepping(QuasiStatic):
                     f"the frictional face at '{face.where}' is of explicit steps; hold the side "
                     "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
-        touches = isinstance(form, ufl.Form) and any(map(contact_of, form.integrals()))
-        self._ties_movers = mass == "consistent" and ghost_mass is None and not touches
+        self._ties_movers = mass == "consistent" and ghost_mass is None
         super().__init__(form, increment, points, conditions, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
@@ -176,6 +175,8 @@ class TimeStepping(QuasiStatic):
         self.motion = Motion(points, rule, chosen, terms, error, time, sides, ledger)
         check_masses(self.bodies)
         self.form.inertia = terms
+        weight = (1.0 - rule.alpha_m) / (2.0 * rule.beta)
+        self.form.means = Means(weight, 1.0 / (1.0 - rule.alpha_f))
 
     @property
     def ledger(self) -> Ledger:
@@ -245,7 +246,6 @@ class TimeStepping(QuasiStatic):
         motion = self.motion
         done = (step.t - motion.start) / (motion.end - motion.start)
         self._loads.set(done if motion.jumped else done - (1 - share) * step.share)
-        self.bodies.put(share)
         motion.set_time(step.t - (1 - share) * step.dt)
 
     def _operator(self, step: Step) -> Operator:
@@ -281,12 +281,13 @@ class TimeStepping(QuasiStatic):
         rule, dt = self.motion.rule, step.dt
         for body in self.bodies.free:
             assert body.freedom is not None
-            force = np.concatenate([body.force, body.moment])
-            body.freedom.begin(body.start, force, body.time, self.motion.jumped)
+            none = np.zeros(body.freedom.increment.size)
+            body.freedom.begin(body.start, none, body.time, self.motion.jumped)
         if isinstance(self.solver, Bordered) and isinstance(self.solver.border, FreeBodies):
             self.solver.border.inertial = Inertial(
-                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f
-            )
+                rule.factor(dt), lambda V, A: rule.known(V, A, dt), 1.0 - rule.alpha_f,
+                weight=self._means.weight,
+            )  # fmt: skip
 
     def _rates(self, here: Activation, step: Step) -> list[Array]:
         """Velocities of held components at the start of a step (m/s), each field's. Collective.
@@ -323,7 +324,7 @@ class TimeStepping(QuasiStatic):
         self._load_at(step, 0.5)
         reason = motion.to_points(operator, state, step, x, scale)
         if reason is None:
-            self._move_free(step.dt)
+            self._move_free(operator, step.dt)
         self._load_at(step, 1.0)
         return state if reason is None else reason
 
@@ -332,8 +333,13 @@ class TimeStepping(QuasiStatic):
         super().lay()
         self.motion.lay()
 
-    def _move_free(self, dt: float) -> None:
-        """Give the free rigid bodies their velocities at the end of a step."""
+    @property
+    def _means(self) -> Means:
+        assert self.form.means is not None
+        return self.form.means
+
+    def _move_free(self, operator: Operator, dt: float) -> None:
+        """Give the free rigid bodies their velocities at the end of a step. Collective."""
         rule = self.motion.rule
         for body in self.bodies.free:
             free = body.freedom
@@ -342,7 +348,13 @@ class TimeStepping(QuasiStatic):
             assert A is not None
             A_end = rule.acceleration(free.increment, V, A, dt)
             own = free.free
-            free.velocity[own] = rule.velocity(V, A, A_end, dt)[own]
+            pushed = np.zeros_like(A)
+            totals = [c.totals() for c in operator.contacts if c.contact.body is body]
+            force = sum((np.concatenate(both) for both in totals), np.zeros_like(A))
+            M = free.inertia(body.start)[np.ix_(own, own)]
+            pushed[own] = np.linalg.solve(M, force[own])
+            V_end, A_end = rule.pushed(rule.velocity(V, A, A_end, dt), A_end, pushed, dt)
+            free.velocity[own] = V_end[own]
             free.acceleration = np.zeros_like(A)
             free.acceleration[own] = A_end[own]
 

@@ -23,6 +23,8 @@ from dolfinmpm.solve.operator import Operator
 __all__ = ["FreeBodies", "Inertial", "check_masses"]
 
 Array = npt.NDArray[np.float64]
+# Forces of inertia that are taken for rounding, by their parts that cancel
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,15 @@ class Inertial:
         factor: Derivative of the acceleration by the increment at the level of balance (1/s²).
         known: The rest of it (m/s²) for velocities and accelerations at the start.
         level: The level, as a share of the step.
+        touches_at: Share of the step where contact finds its forces.
+        weight: Weight of these in the balance.
     """
 
     factor: float
     known: Callable[[Array, Array], Array]
     level: float
+    touches_at: float = 1.0
+    weight: float = 1.0
 
 
 class FreeBodies:
@@ -70,6 +76,11 @@ class FreeBodies:
     def _level(self) -> float:
         return 1.0 if self.inertial is None else self.inertial.level
 
+    @property
+    def _put_at(self) -> float:
+        """Share of the step at whose end contact finds its forces."""
+        return 1.0 if self.inertial is None else self.inertial.touches_at
+
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
         """The bodies go on as they move, the points' increments are none. Collective."""
         for body in self._bodies:
@@ -79,7 +90,7 @@ class FreeBodies:
             if self.inertial is not None and free.acceleration is not None:
                 guess = body.dt * free.velocity + 0.5 * body.dt**2 * free.acceleration
                 free.increment[free.free] = guess[free.free]
-            body.put(self._level)
+            body.put(self._put_at)
         x = np.zeros(operator.here.unknowns.owned)
         return x, operator.residual(x).norm
 
@@ -92,7 +103,7 @@ class FreeBodies:
             n = free.free.size
             free.increment[free.free] += change[at : at + n] / self._level
             at += n
-            body.put(self._level)
+            body.put(self._put_at)
 
     def _columns(self, nodal: Array, field: int) -> Array:
         """Owned unknowns' entries of forces at nodes, one column each. Collective.
@@ -130,6 +141,7 @@ class FreeBodies:
     def gap(self, x: Array) -> tuple[Array, Array, Array]:
         """See `Border`. Collective."""
         gaps, columns, blocks = [], [], []
+        weight = 1.0 if self.inertial is None else self.inertial.weight
         comm = self._operator.here.unknowns.comm
         for body in self._bodies:
             free = body.freedom
@@ -140,7 +152,7 @@ class FreeBodies:
             touching: Array = np.zeros(size)
             for contact in self._contacts(body):
                 force, moment = contact.totals()
-                touching += np.concatenate([force, moment])
+                touching += weight * np.concatenate([force, moment])
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
                 contact.add_to_body(nodal, by_y)
@@ -151,16 +163,19 @@ class FreeBodies:
             out, slope = -touching - external, -by_y
             M = free.inertia(body.start)
             inertia: Array = np.zeros(size)
+            least: Array = np.zeros(size)
             if self.inertial is not None:
                 assert free.acceleration is not None
                 known = self.inertial.known(free.velocity, free.acceleration)
                 w = self._level * free.increment
                 inertia = M @ (self.inertial.factor * w + known) + free.gyroscopic(body.start)
                 out, slope = out + inertia, slope + self.inertial.factor * M
+                # of a body that goes on as it moves what adds up to nothing
+                least = _ROUNDING * np.abs(M) @ np.abs(known)
             d = body.gdim
             scale = np.ones(size)
             for part in (slice(0, d), slice(d, size)):
-                sizes = [np.abs(v[part]).max() for v in (touching, external, inertia)]
+                sizes = [np.abs(v[part]).max() for v in (touching, external, inertia, least)]
                 scale[part] = max(sizes)
             # moments of a body that does not turn are measured by its forces
             reach = max(_size(body), 1e-300)

@@ -86,10 +86,15 @@ class Operator:
         ]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
+        # increments moved to by those at the level where forces balance
+        self._scale = 1.0
         # what a matrix has of blocks, and of their columns of prescribed components
         self._base: tuple[Array, list[Array]] | None = None
-        self.contacts = [ActiveContact.on(contact, here) for contact in form.parts.contacts]
-        self.between = [ActiveBetween(facing) for facing in here.facing if self._main]
+        in_time, means = form.inertia is not None, form.means
+        self.contacts = [
+            ActiveContact.on(contact, here, in_time, means) for contact in form.parts.contacts
+        ]
+        self.between = [ActiveBetween(facing, means) for facing in here.facing if self._main]
         self.renew_external()
 
     # -- vectors --------------------------------------------------------------
@@ -126,6 +131,7 @@ class Operator:
                 carries from step to step are none, and stay.
         """
         self.here.unknowns.expand(x, self.here.prescribed, self._u)
+        self._scale = scale
         if scale != 1.0:
             for u, name in zip(self._u.arrays, self.form.values):
                 u *= scale if name is None else 1.0
@@ -159,17 +165,21 @@ class Operator:
         return self._u.arrays
 
     @stages.assemble
-    def forces(self, boundaries: bool = True, penalties: bool = True) -> list[Array]:
+    def forces(
+        self, boundaries: bool = True, penalties: bool = True, contacts: bool = True
+    ) -> list[Array]:
         """Internal and external forces at the increments moved to (N), each field's. Collective.
 
         Args:
             boundaries: Whether with the internal ones of terms over boundaries.
             penalties: Whether with those that are linear in the increments.
+            contacts: Whether with those of contacts.
 
         Returns:
             Shapes (nodes, components), summed over ranks at the nodes' owners.
         """
-        internal = self._internal(self._sets if boundaries else [self.points], penalties).arrays
+        sets = self._sets if boundaries else [self.points]
+        internal = self._internal(sets, penalties, contacts).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
     def load_work(self, of: Sequence[Array] | None = None) -> float:
@@ -214,7 +224,12 @@ class Operator:
         self.here.unknowns.clear(self._u)
         self._interpolate()
 
-    def _internal(self, sets: Sequence[Evaluation] | None = None, penalties: bool = True) -> Nodal:
+    def _internal(
+        self,
+        sets: Sequence[Evaluation] | None = None,
+        penalties: bool = True,
+        contacts: bool = True,
+    ) -> Nodal:
         """Internal forces at the increments moved to, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
@@ -224,8 +239,9 @@ class Operator:
                 force[field.nodes] = math.nan
         for blocks in self._constant if penalties else ():
             add_product(blocks, self._u.arrays, out.arrays)
-        self.touch()
-        self._add_contacts(out.arrays)
+        if contacts:
+            self.touch()
+            self._add_contacts(out.arrays)
         if not self.form.parts.grid.linear:
             self.fill_functions()
             self.form.grid.add_internal(here.fields, out.arrays)
@@ -233,11 +249,19 @@ class Operator:
         return out
 
     def touch(self) -> None:
-        """Let contacts find their forces at the increments moved to."""
+        """Let contacts find their forces at the increments moved to.
+
+        Mean forces over a step are those of the increments at its end.
+        """
+        if not self.touches:
+            return
+        u, means = self._u.arrays, self.form.means
+        if means is not None and means.scale != self._scale:
+            u = [means.scale / self._scale * values for values in u]
         for contact in self.contacts:
-            contact.move(self._u.arrays[contact.field])
+            contact.move(u[contact.field])
         for one in self.between:
-            one.move(self._u.arrays)
+            one.move(u)
 
     def _add_contacts(self, out: Sequence[Array]) -> None:
         """Add the forces of contacts as they were last found, as internal forces."""
@@ -246,6 +270,11 @@ class Operator:
         for one in self.between:
             one.add_internal(out)
 
+    @property
+    def touches(self) -> bool:
+        """Whether any contact is in the form."""
+        return bool(self.contacts or self.between)
+
     @stages.assemble
     def contact_forces(self, out: Sequence[Array]) -> None:
         """Add the forces of contacts as they were last found, as internal forces. Collective.
@@ -253,7 +282,7 @@ class Operator:
         Args:
             out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
         """
-        if not (self.contacts or self.between):
+        if not self.touches:
             return
         forces = self.here.unknowns.nodal()
         self._add_contacts(forces.arrays)

@@ -16,6 +16,7 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.means import Means
 from dolfinmpm.contact.touching import LAYERS, Facing
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
 from dolfinmpm.cut.participants import Activation, ActiveField, Participants
@@ -63,6 +64,7 @@ class WeakForm:
         moduli: What of it has moduli of the laws' tangents at facets.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
+        means: How contacts act in the mean over steps in time, or None.
         own: What terms in UFL say of the stress of points without a law.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
@@ -89,6 +91,7 @@ class WeakForm:
         self.laid = times_laid(points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
+        self.means: Means | None = None
         self.own: list[OwnStress] = []
         # none before the first step
         self._revision = -1

@@ -1,0 +1,169 @@
+"""The mean force of contact over a step in time, which makes no energy.
+
+With q = λ − ε_N g at the start and at the end of a step, the pressure p = max(0, q) stores
+ψ = p²/(2ε_N). Its mean over the step is what the energy asks for,
+
+    p̄ = (p₁² − p₀²) / (2 (q₁ − q₀)),    n̄ · Δξ = g₁ − g₀,
+
+so that p̄ n̄ · Δξ = −Δψ exactly (Simo & Tarnow 1992, doi 10.1007/BF00913408; Laursen & Chawla 1997,
+doi 10.1002/(SICI)1097-0207(19970315)40:5<863::AID-NME92>3.0.CO;2-V): n̄ is the normal in the middle
+of the way Δξ in the frame of the body, corrected along Δξ (Gonzalez 1996, doi 10.1007/BF02440162).
+
+Friction: the traction t₁ at the end follows from Coulomb's return mapping under p₁, and acts in
+the mean, t̄ = (t₀ + t₁)/2. What sticks stores |t|²/(2ε_T), what slips takes t̄ · Δs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS
+
+__all__ = ["Means", "mean_forces"]
+
+
+@dataclass(frozen=True)
+class Means:
+    """How mean forces over a step enter the balance within it.
+
+    Attributes:
+        weight: Their weight there.
+        scale: Increments at the end by those at the level where forces balance.
+    """
+
+    weight: float
+    scale: float
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mean(q0, q1):
+    """p̄, and its derivative by q₁."""
+    if q0 >= 0.0 and q1 >= 0.0:
+        return 0.5 * (q0 + q1), 0.5
+    if q1 > 0.0:
+        return q1 * q1 / (2.0 * (q1 - q0)), q1 * (q1 - 2.0 * q0) / (2.0 * (q1 - q0) ** 2)
+    if q0 > 0.0:
+        return q0 * q0 / (2.0 * (q0 - q1)), q0 * q0 / (2.0 * (q0 - q1) ** 2)
+    return 0.0, 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def mean_forces(
+    first, gap, normal, middle, curvature, way, before, multiplier, normal_stiffness,
+    slip_stiffness, friction, force, traction, pressure, slope, loss, state,
+):  # fmt: skip
+    """Mean forces on corners over a step and their derivatives. All in the frame of the body.
+
+    Args:
+        first, gap: g at the start and at the end (m), shape (m,).
+        normal: n at the end, shape (m, d).
+        middle, curvature: n and ∇n in the middle of the way, shapes (m, d), (m, d, d).
+        way: Δξ (m), shape (m, d).
+        before: t₀ (N), likewise.
+        multiplier: λ (N), shape (m,).
+        normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), likewise.
+        friction: μ.
+        force: Written: p̄ n̄ + t̄ (N), shape (m, d).
+        traction: Written: t₁ (N), likewise.
+        pressure: Written: p₁ (N), shape (m,).
+        slope: Written: derivative of the force by ξ at the end (N/m), shape (m, d, d).
+        loss: Written: work that friction takes (J), shape (m,).
+        state: Written: FREE, STICKS or SLIPS, shape (m,); FREE where there is no force.
+    """
+    d = way.shape[1]
+    along, start, w, trial = np.empty(d), np.empty(d), np.empty(d), np.empty(d)
+    dn, ds = np.empty(d), np.empty(d)
+    tangent = np.empty((d, d))
+    for c in range(way.shape[0]):
+        n, H, eN, eT = middle[c], curvature[c], normal_stiffness[c], slip_stiffness[c]
+        q0, q1 = multiplier[c] - eN * first[c], multiplier[c] - eN * gap[c]
+        p, dp = _mean(q0, q1)
+        last = max(q1, 0.0)
+        pressure[c], loss[c], state[c] = last, 0.0, FREE
+        rubbed = 0.0
+        for i in range(d):
+            force[c, i] = 0.0
+            traction[c, i] = 0.0
+            rubbed += before[c, i] ** 2
+            for j in range(d):
+                slope[c, i, j] = 0.0
+        if p == 0.0 and rubbed == 0.0:
+            continue
+        state[c] = STICKS
+        # n̄ = n + s Δξ
+        size, error = 0.0, gap[c] - first[c]
+        for i in range(d):
+            size += way[c, i] ** 2
+            error -= n[i] * way[c, i]
+        s = error / size if size > 0.0 else 0.0
+        for j in range(d):
+            ds[j] = 0.0
+            if size > 0.0:
+                bent = 0.0
+                for i in range(d):
+                    bent += H[i, j] * way[c, i]
+                ds[j] = (normal[c, j] - n[j] - 0.5 * bent - 2.0 * s * way[c, j]) / size
+        for i in range(d):
+            along[i] = n[i] + s * way[c, i]
+        for i in range(d):
+            force[c, i] = p * along[i]
+            for j in range(d):
+                slope[c, i, j] = p * (0.5 * H[i, j] + way[c, i] * ds[j])
+                slope[c, i, j] -= dp * eN * along[i] * normal[c, j]
+            slope[c, i, i] += p * s
+        if friction == 0.0:
+            continue
+        # t₀ turns with the normal, into the plane across that in the middle
+        off, left = 0.0, 0.0
+        for i in range(d):
+            off += before[c, i] * n[i]
+        for i in range(d):
+            start[i] = before[c, i] - off * n[i]
+            left += start[i] ** 2
+        turned = math.sqrt(rubbed / left) if left > 0.0 else 0.0
+        off = 0.0
+        for i in range(d):
+            start[i] *= turned
+            w[i] = start[i] - eT * way[c, i]
+            off += w[i] * n[i]
+        size = 0.0
+        for i in range(d):
+            trial[i] = w[i] - off * n[i]
+            size += trial[i] * trial[i]
+        size = math.sqrt(size)
+        for j in range(d):
+            dn[j] = 0.0
+            for i in range(d):
+                dn[j] += w[i] * 0.5 * H[i, j]
+        for i in range(d):
+            for j in range(d):
+                tangent[i, j] = eT * n[i] * n[j] - 0.5 * off * H[i, j] - n[i] * dn[j]
+            tangent[i, i] -= eT
+        share = 1.0
+        if size > friction * last:
+            state[c], share = SLIPS, friction * last / size
+        slipped = (1.0 - share) * size / eT
+        work = 0.0
+        for i in range(d):
+            traction[c, i] = share * trial[i]
+            mean = 0.5 * (start[i] + traction[c, i])
+            force[c, i] += mean
+            work += mean * trial[i]
+        loss[c] = slipped * work / size if slipped > 0.0 else 0.0
+        for j in range(d):
+            by_size = 0.0
+            if state[c] == SLIPS:
+                for i in range(d):
+                    by_size += trial[i] * tangent[i, j]
+                by_size /= size
+            for i in range(d):
+                change = share * tangent[i, j]
+                if state[c] == SLIPS:
+                    change -= share * trial[i] / size * by_size
+                    if last > 0.0:
+                        change -= friction * eN * normal[c, j] * trial[i] / size
+                slope[c, i, j] += 0.5 * change
