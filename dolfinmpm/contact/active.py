@@ -67,7 +67,7 @@ class ActiveContact:
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
-        traction, pressure, _ = contact.names
+        traction, pressure, _, stiffness = contact.names
         self._before = points[traction][c.rows, c.which]
         self._multiplier: Array = np.zeros(m)
         self._pressed = points[pressure][c.rows, c.which]
@@ -76,6 +76,13 @@ class ActiveContact:
         self._first = self._probe[0]
         self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
+        self._in_time = sight.growth is not None
+        if self._in_time:
+            # while a corner touches its stiffness does not change with the normal: what is
+            # stored would, and the energy with it
+            kept = points[stiffness][c.rows, c.which]
+            held = (self._pressed > 0.0) & (kept > 0.0)
+            self._stiffness = np.where(held, kept, self._stiffness)
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
         self._way, self._loss = np.zeros(m), np.zeros(m)
@@ -416,8 +423,11 @@ class ActiveContact:
 
     def kept(self) -> list[tuple[str, Array]]:
         """What corners keep of it at the end of the step, by the name of the points' field."""
-        traction, pressure, _ = self.contact.names
-        return [(traction, self._traction), (pressure, self.pressures)]
+        traction, pressure, _, stiffness = self.contact.names
+        parts = [(traction, self._traction), (pressure, self.pressures)]
+        if self._in_time:
+            parts.append((stiffness, np.where(self.pressures > 0.0, self._stiffness, 0.0)))
+        return parts
 
     def stored(self, before: bool = False) -> float:
         """Energy that the penalties have stored (J), on all ranks. Collective.

@@ -44,7 +44,8 @@ class Contact:
         penetration: Bound of the penetration (m) by multipliers, or None.
         integrand: What the form has in its place.
         names: Fields of the points: tangential forces on corners (N) in the frame of the body,
-            normal ones (N), and Young's modulus (Pa).
+            normal ones (N), Young's modulus (Pa), and the stiffness of corners that touch in
+            steps in time (N/m).
         dissipated: Work that friction has taken (J), on all ranks.
     """
 
@@ -64,7 +65,8 @@ class Contact:
         self.integrand: Expr = integrand
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         first = f"contact{next(counter)}"
-        self.names = f"{first}_traction", f"{first}_pressure", f"{first}_modulus"
+        kept = "traction", "pressure", "modulus", "stiffness"
+        self.names = tuple(f"{first}_{name}" for name in kept)
         self.dissipated = 0.0
 
     def __repr__(self) -> str:
@@ -77,9 +79,10 @@ class Contact:
             ParameterError: The penalty needs moduli, and a point has none.
         """
         points, count = self.points, corner_count(self.points.gdim, self.surface)
-        traction, pressure, modulus = self.names
+        traction, pressure, modulus, stiffness = self.names
         points.add_field(traction, (count, points.gdim), "N")
         points.add_field(pressure, (count,), "N")
+        points.add_field(stiffness, (count,), "N/m")
         if self.stiffness is not None:
             return
         points.add_field(modulus, (), "Pa")
