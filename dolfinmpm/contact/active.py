@@ -76,8 +76,7 @@ class ActiveContact:
         self._first = self._probe[0]
         self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
-        self._in_time = sight.growth is not None
-        if self._in_time:
+        if sight.growth is not None:
             # while a corner touches its stiffness does not change with the normal: what is
             # stored would, and the energy with it
             kept = points[stiffness][c.rows, c.which]
@@ -424,10 +423,8 @@ class ActiveContact:
     def kept(self) -> list[tuple[str, Array]]:
         """What corners keep of it at the end of the step, by the name of the points' field."""
         traction, pressure, _, stiffness = self.contact.names
-        parts = [(traction, self._traction), (pressure, self.pressures)]
-        if self._in_time:
-            parts.append((stiffness, np.where(self.pressures > 0.0, self._stiffness, 0.0)))
-        return parts
+        held = np.where(self.pressures > 0.0, self._stiffness, 0.0)
+        return [(traction, self._traction), (pressure, self.pressures), (stiffness, held)]
 
     def stored(self, before: bool = False) -> float:
         """Energy that the penalties have stored (J), on all ranks. Collective.

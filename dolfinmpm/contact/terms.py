@@ -44,8 +44,7 @@ class Contact:
         penetration: Bound of the penetration (m) by multipliers, or None.
         integrand: What the form has in its place.
         names: Fields of the points: tangential forces on corners (N) in the frame of the body,
-            normal ones (N), Young's modulus (Pa), and the stiffness of corners that touch in
-            steps in time (N/m).
+            normal ones (N), Young's modulus (Pa), and the stiffness of corners that touch (N/m).
         dissipated: Work that friction has taken (J), on all ranks.
     """
 

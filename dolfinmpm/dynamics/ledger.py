@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 LOSSES = ("ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision")
 _SUMS = ("external", "internal", "grid", *LOSSES)
 # What the energies are measured from
-_FIRST = ("kinetic", "strain", "bodies", "initial", "started")
+_FIRST = ("kinetic", "strain", "bodies", "rubbed", "initial", "started")
 
 
 @dataclass
@@ -178,7 +178,7 @@ class Ledger:
             strain = self._strain()
             first |= {
                 "kinetic": kinetic, "strain": strain, "bodies": self._bodies.kinetic(),
-                "started": 1.0,
+                "rubbed": self._bodies.rubbed, "started": 1.0,
             }  # fmt: skip
             first["initial"] = kinetic + strain + first["bodies"]
         elif kinetic != self._last:
@@ -226,7 +226,7 @@ class Ledger:
         laws = [d.law for d in self._form.parts.declarations]
         if any(getattr(law, "strengths", ()) != () for law in laws):
             losses["plastic"] = work.internal - (strain - first["strain"])
-        losses["friction"] += self._bodies.rubbed
+        losses["friction"] += self._bodies.rubbed - first["rubbed"]
         gained = kinetic - first["kinetic"]
         losses["projection"] = work.grid - self.scaling * gained
         if self.scaling != 1.0:
