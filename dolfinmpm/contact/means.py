@@ -125,10 +125,11 @@ def mean_forces(
             start[i] = before[c, i] - off * n[i]
             left += start[i] ** 2
         turned = math.sqrt(rubbed / left) if left > 0.0 else 0.0
+        # w = t₀ − ε_T Δξ/2 is the mean of a corner that sticks
         off = 0.0
         for i in range(d):
             start[i] *= turned
-            w[i] = start[i] - eT * way[c, i]
+            w[i] = start[i] - 0.5 * eT * way[c, i]
             off += w[i] * n[i]
         size = 0.0
         for i in range(d):
@@ -141,19 +142,23 @@ def mean_forces(
                 dn[j] += w[i] * 0.5 * H[i, j]
         for i in range(d):
             for j in range(d):
-                tangent[i, j] = eT * n[i] * n[j] - 0.5 * off * H[i, j] - n[i] * dn[j]
-            tangent[i, i] -= eT
+                tangent[i, j] = 0.5 * (eT * n[i] * n[j] - off * H[i, j]) - n[i] * dn[j]
+            tangent[i, i] -= 0.5 * eT
         share = 1.0
-        if size > friction * last:
-            state[c], share = SLIPS, friction * last / size
-        slipped = (1.0 - share) * size / eT
-        work = 0.0
+        if size > friction * p:
+            state[c], share = SLIPS, friction * p / size
+        done, kept = 0.0, 0.0
         for i in range(d):
-            traction[c, i] = share * trial[i]
-            mean = 0.5 * (start[i] + traction[c, i])
+            mean = share * trial[i]
             force[c, i] += mean
-            work += mean * trial[i]
-        loss[c] = slipped * work / size if slipped > 0.0 else 0.0
+            traction[c, i] = 2.0 * mean - start[i] if last > 0.0 else 0.0
+            kept += traction[c, i] ** 2
+        if state[c] == SLIPS or last == 0.0:
+            done = 0.0
+            for i in range(d):
+                # Δξ along the surface
+                done -= share * trial[i] * 2.0 * (start[i] - trial[i]) / eT
+            loss[c] = done - 0.5 * (kept - rubbed) / eT
         for j in range(d):
             by_size = 0.0
             if state[c] == SLIPS:
@@ -163,7 +168,6 @@ def mean_forces(
             for i in range(d):
                 change = share * tangent[i, j]
                 if state[c] == SLIPS:
-                    change -= share * trial[i] / size * by_size
-                    if last > 0.0:
-                        change -= friction * eN * normal[c, j] * trial[i] / size
-                slope[c, i, j] += 0.5 * change
+                    s = trial[i] / size
+                    change -= share * s * by_size + friction * dp * eN * normal[c, j] * s
+                slope[c, i, j] += change
