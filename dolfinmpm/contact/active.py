@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.points import Entries
-from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which, longest
+from dolfinmpm.contact.candidates import candidates, touchable
+from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.means import Means, mean_forces
@@ -21,13 +21,10 @@ from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
-__all__ = ["MARGIN", "ActiveContact"]
+__all__ = ["ActiveContact"]
 
 Array = npt.NDArray[np.float64]
 Chosen = npt.NDArray[np.bool_]
-
-# How far around a body points are looked at, besides its way in a step, in half-lengths of domains
-MARGIN = 4.0
 
 
 class ActiveContact:
@@ -61,7 +58,7 @@ class ActiveContact:
         self.means = means
         points, body = contact.points, contact.body
         self._sites = Sites(points, sight, contact.surface, contact.material)
-        self._points = self._candidates(among, distance)
+        self._points = candidates(contact, self._sites, among, distance)
         self.corners = c = self._sites.corners(self._points, lambda x: self._kept(x, distance))
         m, d = c.x.shape
         self.x: Array = c.x.copy()
@@ -111,54 +108,6 @@ class ActiveContact:
 
     # -- which points may touch -----------------------------------------------
 
-    def _touchable(self, rows: Which) -> Chosen | None:
-        """Which of some points can touch at all, or None if all can."""
-        can = self._sites.marked(rows)
-        if self.contact.tags is None:
-            return can
-        chosen = self.contact.chosen(rows)
-        return chosen if can is None else chosen & can
-
-    def _candidates(self, among: Rows | None, distance: float) -> Rows:
-        """Which points may touch in this step, increasing. Collective before the first step.
-
-        Raises:
-            ParameterError: Points are inside the body before the first step.
-        """
-        body, points = self.contact.body, self.contact.points
-        rows: Which = ALL if among is None else among
-        x, l0 = points["x"][rows], points["l0"][rows]
-        # points that come from further away in one step are missed, and the step is halved
-        margin = np.minimum(MARGIN * longest(l0), distance)
-        reach = self._sites.reach(rows) + margin
-        # where a distance is told nothing comes nearer than that in the step
-        poses = [body.start, body.pose] if math.isinf(distance) else [body.start]
-        near = within(poses, body.surface, x, reach[:, None])
-        can = self._touchable(rows)
-        if can is not None:
-            near &= can
-        chosen = np.flatnonzero(near)
-        gap: Array = np.full(chosen.size, np.inf)
-        first = gap
-        if chosen.size:
-            for k, pose in enumerate(poses):
-                found = body.surface.probe(pose.back(x[chosen]))[0]
-                gap = np.minimum(gap, found)
-                if k == 0:
-                    first = found
-        if body.time == 0.0:
-            error = None
-            if first.min(initial=np.inf) < 0.0:
-                p = chosen[np.argmin(first)]
-                error = ParameterError(
-                    f"{np.count_nonzero(first < 0)} material points are inside '{body.name}' "
-                    f"before the first step; that at {x[p]} m is so by "
-                    f"{-first.min():.4g} m: fill the body beside it, or make the rigid body outside"
-                )
-            raise_together(points.comm, error)
-        chosen = chosen[gap < reach[chosen]]
-        return chosen if among is None else among[chosen]
-
     def missed(self, x: Array, before: Array | None = None) -> bool:
         """Whether points that were not looked at have got into the body. Collective.
 
@@ -170,7 +119,7 @@ class ActiveContact:
         way = 0.0 if before is None else float(np.abs(x - before).max(initial=0.0))
         far = within([body.pose], body.surface, x, way)
         far[self._points] = False
-        can = self._touchable(ALL)
+        can = touchable(self.contact, self._sites, ALL)
         if can is not None:
             far &= can
         rows = np.flatnonzero(far)

@@ -37,7 +37,7 @@ class Between:
         penetration: Bound of the penetration (m) by multipliers, or None.
         name: Name in records, and first part of those of the markers' fields.
         names: Fields of the first boundary's markers: forces along the surface (N), normal ones
-            (N), the work that friction has taken (J), and steps taken.
+            (N), the work that friction has taken (J), steps taken, and what is stored (J).
         integrand: What the form has in its place.
     """
 
@@ -55,7 +55,7 @@ class Between:
         points = boundaries[0].points
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
-        parts = ("traction", "pressure", "work", "steps")
+        parts = ("traction", "pressure", "work", "steps", "stored")
         self.names = tuple(f"{self.name}_{part}" for part in parts)
 
     def __repr__(self) -> str:
@@ -71,6 +71,12 @@ class Between:
         """Work that friction has taken (J), on all ranks. Collective."""
         done = float(self.boundaries[0].markers[self.names[2]].sum())
         return self.points.comm.allreduce(done, op=MPI.SUM)
+
+    @property
+    def stored(self) -> float:
+        """Energy that the penalties have stored (J), on all ranks. Collective."""
+        own = float(self.boundaries[0].markers[self.names[4]].sum())
+        return self.points.comm.allreduce(own, op=MPI.SUM)
 
     @property
     def begun(self) -> bool:
@@ -109,7 +115,8 @@ class Between:
             ParameterError: The penalty needs moduli, and a body has none.
         """
         markers, points = self.boundaries[0].markers, self.points
-        for name, shape, unit in zip(self.names, ((points.gdim,), (), (), ()), ("N", "N", "J", "")):
+        shapes, units = ((points.gdim,), (), (), (), ()), ("N", "N", "J", "", "J")
+        for name, shape, unit in zip(self.names, shapes, units):
             markers.add_field(name, shape, unit)
         if self._penalty is None:
             return

@@ -229,7 +229,8 @@ class Bodies:
         self.stored = sum(active.stored() for active in contacts)
         before, self._before = self._before, 0.0
         mean = any(active.means is not None for active in contacts)
-        return before + sum(body.commit(*sums[id(body)], mean) for body in self.all)
+        works = [body.commit(*sums[id(body)], mean=mean) for body in self.all]
+        return before + sum(works)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
         """What records of steps have of the bodies, by name."""

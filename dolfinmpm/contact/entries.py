@@ -11,6 +11,7 @@ from dolfinmpm.contact.motions import Seen
 
 __all__ = ["add_corners"]
 
+
 def add_corners(
     active: npt.NDArray[np.integer],
     rows: Seen,

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.active import MARGIN, ActiveContact
+from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.candidates import MARGIN
 from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
 from dolfinmpm.contact.passing import travelled, within
 from dolfinmpm.contact.terms import Contact

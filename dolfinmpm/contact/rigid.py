@@ -245,7 +245,7 @@ class RigidBody(ReadOnce):
         free.increment = np.zeros_like(free.velocity)
         free.increment[own] = self.dt * free.velocity[own]
 
-    def commit(self, force: Array, moment: Array, mean: bool = False) -> float:
+    def commit(self, force: Array, moment: Array, *, mean: bool = False) -> float:
         """Take where it has been put for where it is, and what acts on it.
 
         Args:

@@ -358,14 +358,23 @@ class ActiveBetween:
     def new_fields(self) -> dict[str, Array]:
         """What the markers of the first boundary keep of it at the end of the step."""
         markers, rows = self.contact.boundaries[0].markers, self.facing.rows
-        traction, pressure, work, steps = self.contact.names
+        traction, pressure, work, steps, stored = self.contact.names
         new: dict[str, Array] = {name: np.zeros_like(markers[name]) for name in self.contact.names}
         new[work][:] = markers[work]
-        parts = self._traction, self.pressures, self._dissipated()
-        for name, values in zip((traction, pressure, work), parts):
+        parts = self._traction, self.pressures, self._dissipated(), self._stored()
+        for name, values in zip((traction, pressure, work, stored), parts):
             np.add.at(new[name], rows, values)
         new[steps][:] = markers[steps] + 1.0
         return new
+
+    def _stored(self) -> Array:
+        """Energy that the penalties have stored at each place (J), shape (m,)."""
+        k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
+        stored = 0.5 * np.maximum(self.pressures, 0.0) ** 2 / k
+        if self.contact.friction:
+            t = self._traction
+            stored += 0.5 * np.sum(t * t, axis=1) / (self.contact.slip_share * k)
+        return stored
 
     def _dissipated(self) -> Array:
         """Work that friction takes at each place in this step (J), shape (m,)."""

@@ -18,8 +18,9 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.active import MARGIN, ActiveContact
+from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.candidates import MARGIN
 from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.terms import Contact

@@ -175,12 +175,12 @@ class Ledger:
         """
         first, kinetic = self._first, self.kinetic()
         if not first["started"]:
-            strain = self._strain()
+            strain, touching = self._strain(), self._touching()
             first |= {
                 "kinetic": kinetic, "strain": strain, "bodies": self._bodies.kinetic(),
-                "rubbed": self._bodies.rubbed, "started": 1.0,
+                "rubbed": touching[1], "started": 1.0,
             }  # fmt: skip
-            first["initial"] = kinetic + strain + first["bodies"]
+            first["initial"] = kinetic + strain + first["bodies"] + touching[0]
         elif kinetic != self._last:
             first["kinetic"] += kinetic - self._last
             first["initial"] += kinetic - self._last
@@ -201,8 +201,19 @@ class Ledger:
         return float(self._points.comm.allreduce(kinetic_energy(self._points), op=MPI.SUM))
 
     def moving(self) -> float:
-        """Kinetic energy with that of the inertia's factor, and of rigid bodies (J). Collective."""
-        return self.scaling * self.end() + self._bodies.kinetic()
+        """Kinetic energy with that of the inertia's factor and of rigid bodies (J). Collective.
+
+        What contact with these has stored since the first step is counted.
+        """
+        bodies = self._bodies
+        own = bodies.kinetic() + bodies.stored - (bodies.given or 0.0)
+        return self.scaling * self.end() + own
+
+    def _touching(self) -> tuple[float, float]:
+        """What bodies that face each other store, and all work of friction (J). Collective."""
+        between = self._form.parts.between
+        rubbed = self._bodies.rubbed + sum(one.dissipated for one in between)
+        return sum(one.stored for one in between), rubbed
 
     def _strain(self) -> float:
         """What the laws store (J). Collective."""
@@ -216,7 +227,8 @@ class Ledger:
         """The energies now. Collective."""
         first, work = self._first, self.work
         kinetic, strain = self.kinetic(), self._strain()
-        bodies, contact = self._bodies.kinetic(), self._bodies.stored
+        bodies, (contact, rubbed) = self._bodies.kinetic(), self._touching()
+        contact += self._bodies.stored
         if not first["started"]:
             whole = kinetic + strain + bodies + contact
             names = ("plastic", "projection", *LOSSES, "integrator")
@@ -226,7 +238,7 @@ class Ledger:
         laws = [d.law for d in self._form.parts.declarations]
         if any(getattr(law, "strengths", ()) != () for law in laws):
             losses["plastic"] = work.internal - (strain - first["strain"])
-        losses["friction"] += self._bodies.rubbed - first["rubbed"]
+        losses["friction"] += rubbed - first["rubbed"]
         gained = kinetic - first["kinetic"]
         losses["projection"] = work.grid - self.scaling * gained
         if self.scaling != 1.0:

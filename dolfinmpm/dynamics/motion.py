@@ -292,7 +292,7 @@ class Motion:
         assert means is not None
         out = [np.zeros_like(u) for u in operator.increments]
         operator.contact_forces(out)
-        return [-force / means.weight for force in out]
+        return [np.asarray(-force / means.weight) for force in out]
 
     def _from_nodes(
         self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float

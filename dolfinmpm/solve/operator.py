@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -255,9 +256,10 @@ class Operator:
         """
         if not self.touches:
             return
-        u, means = self._u.arrays, self.form.means
+        u: list[Any] = list(self._u.arrays)
+        means = self.form.means
         if means is not None and means.scale != self._scale:
-            u = [means.scale / self._scale * values for values in u]
+            u = [np.asarray(means.scale / self._scale * values) for values in u]
         for contact in self.contacts:
             contact.move(u[contact.field])
         for one in self.between:
