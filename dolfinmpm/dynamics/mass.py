@@ -23,6 +23,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import reduce_blocks
@@ -70,6 +71,8 @@ class MassTerms:
     ):
         self.points, self.kind, self.ghost, self.factorised = points, kind, ghost, factorised
         self._matrix: Matrix | None = None
+        #: How contacts act in the mean over a step, or None where they act at its start.
+        self.means: Means | None = None
         #: Whether it has been told that the mass is next to singular.
         self.warned = False
 

@@ -176,7 +176,7 @@ class TimeStepping(QuasiStatic):
         check_masses(self.bodies)
         self.form.inertia = terms
         weight = (1.0 - rule.alpha_m) / (2.0 * rule.beta)
-        self.form.means = Means(weight, 1.0 / (1.0 - rule.alpha_f))
+        terms.means = Means(weight, 1.0 / (1.0 - rule.alpha_f))
 
     @property
     def ledger(self) -> Ledger:

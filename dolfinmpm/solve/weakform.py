@@ -34,7 +34,13 @@ Array = npt.NDArray[np.float64]
 
 
 class Inertia(Protocol):
-    """What the mass of a problem is made of."""
+    """What the mass of a problem is made of.
+
+    Attributes:
+        means: How contacts act in the mean over a step, or None where they act at its start.
+    """
+
+    means: Means | None
 
     @property
     def moving(self) -> set[int]:
@@ -64,7 +70,6 @@ class WeakForm:
         moduli: What of it has moduli of the laws' tangents at facets.
         also: Subdomain ids that further forms need on the same activations.
         inertia: What the mass is made of, or None without inertial forces.
-        means: How contacts act in the mean over steps in time, or None.
         own: What terms in UFL say of the stress of points without a law.
         updates: Fields of each boundary's markers that a step sets.
         bodies: The rigid bodies that its contacts are with.
@@ -91,7 +96,6 @@ class WeakForm:
         self.laid = times_laid(points.grid)
         self.also: set[int] = set()
         self.inertia: Inertia | None = None
-        self.means: Means | None = None
         self.own: list[OwnStress] = []
         # none before the first step
         self._revision = -1
@@ -115,6 +119,11 @@ class WeakForm:
         if form is None:
             return None
         return GridAssembler(split(form, self.spaces, self.points).grid, self.spaces)
+
+    @property
+    def means(self) -> Means | None:
+        """How contacts act in the mean over steps in time, or None."""
+        return None if self.inertia is None else self.inertia.means
 
     @property
     def softening(self) -> GridAssembler | None:

@@ -1,0 +1,252 @@
+# %% [markdown]
+# # Energy that is kept: blocks, free bodies, impacts
+#
+# What a step in time adds to a body's energy, or takes from it, without a physical cause.
+# `energies` counts all of it, with losses by name.
+#
+# - `--scene block`: the weight of a cut elastic block is dropped on suddenly; what is lost of the
+#   peak energy in two periods.
+# - `--scene bodies`: discs and boxes in free motion, of random laws, bases, sizes, velocities and
+#   steps; what is kept of the first energy.
+# - `--scene impact`: a free rigid disc hits a free elastic block, with friction or without.
+# - `--scene impacts`: random rigid discs and boxes hit random elastic ones.
+# - `--scene discs`: two elastic discs with fields of their own meet, aside of each other by
+#   `--aside`.
+#
+# Contact acts by its mean force over a step, which gives back what it has stored.
+
+# %%
+import math
+
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from scene import finish, parser, say
+
+import dolfinmpm as mpm
+
+COMM = MPI.COMM_WORLD
+KINDS = {
+    "newmark": mpm.Newmark, "generalised-alpha": mpm.GeneralisedAlpha, "explicit": mpm.Explicit,
+}  # fmt: skip
+
+
+def arguments(words=None):
+    """The command line."""
+    options = parser("Energy that steps in time keep.")
+    scenes = tuple(SCENES)
+    options.add_argument("--scene", choices=scenes, default="impact")
+    options.add_argument("--integrator", choices=tuple(KINDS), default="newmark")
+    options.add_argument("--rho-inf", type=float, default=1.0, help="of generalised-alpha")
+    options.add_argument("--stabilisation", choices=("none", "ghost", "aggregation"))
+    options.add_argument("--dt", type=float, default=5e-4, help="step (s), where it is not random")
+    options.add_argument("--cells", type=int, default=8, help="cells in the height of the block")
+    options.add_argument("--friction", type=float, default=0.0, help="coefficient μ")
+    options.add_argument("--aside", type=float, default=0.0, help="(m), see above")
+    options.add_argument("--first", type=int, default=0, help="first seed of random scenes")
+    options.add_argument("--count", type=int, default=34, help="number of random scenes")
+    given = options.parse_args(words)
+    if given.stabilisation is None:
+        given.stabilisation = "none" if given.integrator == "explicit" else "ghost"
+    return given
+
+
+def squares(low, high, h=0.1):
+    """A grid of squares that covers a box."""
+    n = [round((b - a) / h) for a, b in zip(low, high)]
+    return mesh.create_rectangle(COMM, [low, high], n, mesh.CellType.quadrilateral)
+
+
+def problem_of(args, F, u, points, bcs=()):
+    """Steps in time as the command line has them."""
+    options = {} if args.integrator == "explicit" else {"stabilisation": args.stabilisation}
+    if args.integrator == "generalised-alpha":
+        options["rho_inf"] = args.rho_inf
+    return KINDS[args.integrator](F, u, points, bcs, **options)
+
+
+def followed(problem, times):
+    """Energy kept at the end and the most there was, by what there was and was done (%)."""
+    most = 0.0
+    for t in times:
+        problem.step(t)
+        e = problem.energies()
+        there = e.kinetic + e.strain + e.bodies + e.contact
+        most = max(most, there / (e.initial + e.external))
+    whole = e.initial + e.external
+    losses = {name: 100 * loss / whole for name, loss in e.losses.items()}
+    return {"kept": 100 * there / whole, "most": 100 * most, "losses": losses}
+
+
+# %%
+def block(args):
+    """Share of the peak energy that is lost in two periods (%)."""
+    n, offset = args.cells, 0.3
+    h = 1.0 / n
+    grid = mesh.create_rectangle(
+        COMM, [(0, 0), (2.0, 1.5)], (2 * n, 3 * n // 2), mesh.CellType.quadrilateral
+    )
+    body = mpm.Box((0.5 + offset * h, 0), (1.5 + offset * h, 1.0 - offset * h))
+    points = mpm.fill(grid, body, 2, 1000.0, aligned="body")
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    gravity = fem.Constant(grid, (0.0, -9.81))
+    F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, u, v)
+    F -= ufl.inner(points.density * gravity, v) * points.dX
+    problem, peak = problem_of(args, F, u, points, mpm.fixed(V, "bottom")), 0.0
+    for t in mpm.times(0.24, dt=args.dt):
+        problem.step(t)
+        e = problem.energies()
+        peak = max(peak, e.kinetic + e.strain)
+    return {"lost": 100 * (e.external - e.kinetic - e.strain) / peak}
+
+
+def impact(args):
+    """A free rigid disc on a free elastic block."""
+    R, m, speed = 0.15, 40.0, 0.6
+    grid = squares((0, 0), (2, 1.5))
+    points = mpm.fill(grid, mpm.Box((0.5, 0.4), (1.5, 0.9)), 2, 1000.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    across = 0.5 if args.friction else 0.0
+    ball = mpm.RigidBody(
+        mpm.Disc((1.0, 0.91 + R), R), mass=m, inertia=0.5 * m * R**2, velocity=(across, -speed)
+    )
+    F = mpm.momentum(mpm.materials.Hencky(E=2e6, nu=0.3), points, u, v)
+    F += mpm.contact(ball, points, u, v, friction=args.friction)
+    return followed(problem_of(args, F, u, points), mpm.times(0.1, dt=args.dt))
+
+
+def discs(args):
+    """Two elastic discs with fields of their own."""
+    R, centres = 0.4, [(1.05, 1.0), (1.95, 1.0 + args.aside)]
+    grid = squares((0, 0), (3, 2))
+    parts = [mpm.fill(grid, mpm.Disc(c, R), 3, 1000.0, tag=k + 1) for k, c in enumerate(centres)]
+    points = parts[0] + parts[1]
+    spaces = [mpm.Space(grid, "gimp", tag=k) for k in (1, 2)]
+    u, v = [V.increment for V in spaces], [V.test for V in spaces]
+    law = mpm.materials.Hencky(1e6, 0.3)
+    F = sum(mpm.momentum(law, points, u[k], v[k]) for k in (0, 1))
+    at = 2 * math.pi * np.arange(60) / 60
+    rims = [
+        mpm.Boundary.from_polygon(
+            points, [(x + R * math.cos(t), y + R * math.sin(t)) for t in at]
+        )
+        for x, y in centres
+    ]  # fmt: skip
+    F += mpm.contact_between(rims, u, v, friction=args.friction)
+    points.add_field("velocity", (2,), "m/s")
+    points["velocity"] = np.where((points["tag"] == 1)[:, None], 1.0, -1.0) * [1.0, 0.0]
+    return followed(problem_of(args, F, u, points), mpm.times(0.25, dt=args.dt))
+
+
+# %%
+def free_body(args, seed):
+    """A body in free motion, or None where the grid is left."""
+    rng = np.random.default_rng(seed)
+    h, E, nu, rho = 0.1, 1e6, rng.uniform(0.1, 0.4), 1000.0
+    c = math.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / rho)
+    R, centre = rng.uniform(0.3, 0.6), np.array([2.0, 2.0]) + rng.uniform(-0.05, 0.05, 2)
+    if rng.random() < 0.5:
+        body = mpm.Disc(tuple(centre), R)
+    else:
+        half = np.array([R, rng.uniform(0.3, 0.6)])
+        body = mpm.Box(tuple(centre - half), tuple(centre + half))
+    materials = mpm.materials
+    laws = materials.Hencky(E, nu), materials.VonMises(E, nu, 10 * E), materials.NeoHookean(E, nu)
+    law, basis = laws[rng.integers(3)], ["gimp", "bspline2"][rng.integers(2)]
+    grid = squares((0, 0), (4, 4))
+    points = mpm.fill(grid, body, int(rng.integers(2, 4)), rho)
+    V = mpm.Space(grid, basis)
+    A = rng.normal(size=(2, 2))
+    A *= rng.uniform(0.02, 0.15) * c / (np.linalg.norm(A) * R)
+    points.add_field("velocity", (2,), "m/s")
+    points["velocity"] = (points["x"] - centre) @ A.T
+    F = mpm.momentum(law, points, V.increment, V.test)
+    crossings, courant = rng.uniform(3, 8), rng.uniform(0.2, 1.0)
+    count = max(1, round(crossings * 2 * R / (courant * h)))
+    dt = courant * h / c
+    return followed(problem_of(args, F, V.increment, points), dt * np.arange(1, count + 1))
+
+
+def random_impact(args, seed):
+    """A rigid disc or box on an elastic disc or box, with steps up to a fifth of the contact's."""
+    rng = np.random.default_rng(seed)
+    E, nu, rho = 10 ** rng.uniform(5.5, 7), rng.uniform(0, 0.4), 1000.0
+    c = math.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / rho)
+    grid = squares((0, -1.5), (3, 2.4))
+    low = np.array([0.8, 0.5]) + rng.uniform(-0.05, 0.05, 2)
+    high = np.array([2.2, 1.1]) + rng.uniform(-0.05, 0.05, 2)
+    round_one = rng.random() < 0.3
+    body = mpm.Disc((1.5, 0.8), rng.uniform(0.3, 0.45)) if round_one else mpm.Box(low, high)
+    points = mpm.fill(grid, body, int(rng.integers(2, 4)), rho)
+    top = float((points["x"][:, 1] + points["l0"][:, 1]).max())
+    basis = ["gimp", "linear", "bspline2", "gimp"][rng.integers(4)]
+    growth = ["stretch", "volume", "fixed"][rng.integers(3)]
+    V = mpm.Space(grid, basis, **({"domains": growth} if basis == "gimp" else {}))
+    R, gap = rng.uniform(0.08, 0.25), rng.uniform(0.001, 0.02)
+    x, kind = 1.5 + rng.uniform(-0.2, 0.2), rng.integers(3)
+    y = top + gap + R * (1.45 if kind == 2 else 1.0)
+    ends = (x - R, y - R), (x + R, y + R)
+    angle = rng.uniform(0.1, 0.7)
+    shape = [mpm.Disc((x, y), R), mpm.Box(*ends), mpm.TurnedBox(*ends, angle)][kind]
+    m, speed = rng.uniform(0.3, 3) * rho * math.pi * R**2, rng.uniform(0.005, 0.05) * c
+    rigid = mpm.RigidBody(
+        shape, mass=m, inertia=0.5 * m * R**2,
+        velocity=(rng.uniform(-0.5, 0.5) * speed, -speed),
+        angular_velocity=rng.uniform(-0.3, 0.3) * speed / R,
+    )  # fmt: skip
+    corners, penalty = [None, "material"][rng.integers(2)], float(rng.choice([10.0, 50.0, 200.0]))
+    F = mpm.momentum(mpm.materials.Hencky(E, nu), points, V.increment, V.test)
+    F += mpm.contact(
+        rigid, points, V.increment, V.test, friction=args.friction, corners=corners, penalty=penalty
+    )
+    contact = math.pi * math.sqrt(m / (0.5 * E))
+    dt = contact * 10 ** rng.uniform(-2, -0.7)
+    duration = gap / speed + 3 * contact
+    if args.integrator == "explicit":
+        dt = duration / 60
+    count = max(3, round(duration / dt))
+    return followed(problem_of(args, F, V.increment, points), dt * np.arange(1, count + 1))
+
+
+def random_scenes(make):
+    """A study of many random scenes."""
+
+    def study(args):
+        found, failed = [], {}
+        for seed in range(args.first, args.first + args.count):
+            try:
+                found.append(make(args, seed))
+            except mpm.errors.DolfinMPMError as error:
+                failed[seed] = str(error)
+                say(f"{seed}: {error}")
+                continue
+            one = found[-1]
+            say(f"{seed}: {one['kept']:.3f} % kept, at most {one['most']:.3f} %")
+        kept = [one["kept"] for one in found]
+        return {
+            "median": float(np.median(kept)), "worst": min(kept),
+            "most": max(one["most"] for one in found), "failed": len(failed),
+        }  # fmt: skip
+
+    return study
+
+
+SCENES = {
+    "block": block, "bodies": random_scenes(free_body), "impact": impact,
+    "impacts": random_scenes(random_impact), "discs": discs,
+}  # fmt: skip
+
+
+def main(args):
+    """Run the scene and tell its figures."""
+    figures = SCENES[args.scene](args)
+    for name, value in figures.items():
+        say(f"{name}: {value}")
+    finish(args, figures)
+
+
+if __name__ == "__main__":
+    main(arguments())
