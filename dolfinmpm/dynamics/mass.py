@@ -301,8 +301,8 @@ class Mass:
             text = (
                 f"the consistent mass is next to singular: a node has the velocity {largest:.3g} "
                 f"m/s where points have at most {fastest:.3g} m/s, and {_PROPORTION:g} times that "
-                "is what a sound mass may give; give a ghost_mass above 0, which is the default, "
-                'or mass="lumped", or stabilisation="aggregation"'
+                "is what a sound mass may give; give a ghost_mass above 0, such as 0.25, or "
+                'mass="lumped", or stabilisation="aggregation"'
             )
             if not math.isfinite(largest):
                 raise ConvergenceError(text)
@@ -374,7 +374,7 @@ class Mass:
         if ksp.getConvergedReason() <= 0:
             error = ConvergenceError(
                 f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
-                'iterations; give ghost_mass, or mass="lumped"'
+                'iterations; give ghost_mass=0.25, or mass="lumped", or more points a cell'
             )
         raise_together(unknowns.comm, error)
         return np.array(x.getArray(readonly=True))

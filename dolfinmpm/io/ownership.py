@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import weakref
 from collections.abc import Iterable
@@ -17,6 +18,10 @@ _owners: weakref.WeakValueDictionary[str, Any] = weakref.WeakValueDictionary()
 
 def _key(path: Path) -> str:
     return os.path.abspath(path)
+
+
+def _other(owner: Any, path: Path) -> bool:
+    return _owners.get(_key(path), owner) is not owner
 
 
 def take_paths(owner: Any, paths: Iterable[Path]) -> None:
@@ -36,8 +41,10 @@ def refuse_other(owner: Any, path: Path, what: str) -> None:
     Raises:
         ParameterError: Another one does.
     """
-    other = _owners.get(_key(path))
-    if other is not None and other is not owner:
+    if _other(owner, path):
+        # a script that ended, as in a notebook, may have left one that nothing can reach any more
+        gc.collect()
+    if _other(owner, path):
         raise ParameterError(
             f"another {what} writes '{path}', and of both there would be a mixture: give each a "
             "path of its own"

@@ -197,6 +197,9 @@ class FromState:
         for kinematics in (LargeStrain, SmallStrain, Jaumann):
             if kinematics.state in problem.points.fields:
                 problem.points[kinematics.state] = kinematics.rest
+        # the elastic body begins without strain: a stress that was set or written gives it none
+        for declaration in problem.form.parts.declarations:
+            declaration.points["moved_under"][declaration.rows] = declaration.mark
         operator = problem.operator()
         here = operator.here
         operator.move(_moved_by(problem, operator))

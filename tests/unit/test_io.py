@@ -255,6 +255,19 @@ def test_two_histories_have_paths_of_their_own(folder):
     assert mpm.study.read_table(folder / "curve.csv") == [{"load": 2.0}]
 
 
+def test_a_history_that_nothing_reaches_any_more_holds_no_path(folder):
+    """The names of a script that ended refer to each other until Python collects them."""
+    script = "def run():\n    return history\n"
+    for load in (1.0, 2.0):
+        history = mpm.History()
+        history.record(load=load)
+        history.write(folder / "curve.csv")
+        names = {"history": history}
+        exec(script, names)
+        del names, history
+    assert mpm.study.read_table(folder / "curve.csv") == [{"load": 2.0}]
+
+
 def test_times_must_increase_and_files_be_writable(folder):
     points = quarter()
     out = ParaView(folder / "a.pvd", points)

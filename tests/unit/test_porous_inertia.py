@@ -105,7 +105,8 @@ def test_what_a_step_cannot_resolve_is_damped(rho_inf):
     points["velocity"][:, 1] = 1e-4 * np.sin(4 * np.pi * points["x"][:, 1] / 0.7)
     for k in range(7):
         problem.step(2.0 * (k + 1))
-        speed.append(np.abs(problem.motion.nodes[0].V).max())
+        # a node that is tied in one step and not in the next has no speed of its own
+        speed.append(np.sqrt(problem.energies().kinetic))
     share = 1.0 if rho_inf is None else rho_inf
     assert 0.97 * share < speed[-1] / speed[-2] < 1.17 * share
 
