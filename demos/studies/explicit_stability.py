@@ -187,7 +187,7 @@ def fly(args, method, law, uncut):
             reason = f"{type(error).__name__} at step {k} of {steps}: {str(error)[:120]}"
             break
         e = problem.energies()
-        total = e.kinetic - drift + e.strain + e.dissipated
+        total = e.kinetic - drift + e.strain + e["plastic"]
         energy.append(float(total / first))
         a, b = (p.gather("id", "stress") for p in (points, reference))
         if a is not None:

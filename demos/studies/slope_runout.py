@@ -115,7 +115,7 @@ def run(args, integrator, h):
             rows.append(
                 {
                     "t": float(t), "front": float(front - TOE), "kinetic": energies.kinetic,
-                    "strain": energies.strain, "dissipated": energies.dissipated,
+                    "strain": energies.strain, "dissipated": energies["plastic"],
                     "work": energies.external,
                 }
             )  # fmt: skip

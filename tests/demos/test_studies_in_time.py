@@ -64,7 +64,8 @@ def test_cantilever_swing(tmp_path):
     assert figures["time_of_it_conforming"] == pytest.approx(1.5027, abs=2e-3)
     assert figures["tip_deflection"] == pytest.approx(3.017, rel=0.02)
     assert figures["time_of_it"] == pytest.approx(1.505, rel=0.02)
-    assert figures["energy_gap"] < 0.06
+    # with the published penalty of the mass 0.038
+    assert 1e-3 < figures["energy_gap"] < 0.015
     assert (tmp_path / "cantilever_swing.png").stat().st_size > 0
 
 
@@ -74,7 +75,7 @@ def test_the_cantilever_swings_by_explicit_steps_of_a_length_of_their_own():
     assert figures["courant"] == 0.8
     right = figures["tip_deflection_conforming"]
     assert figures["tip_deflection"] == pytest.approx(right, rel=0.03)
-    assert figures["energy_gap"] < 0.01
+    assert 1e-6 < figures["energy_gap"] < 0.01
 
 
 @pytest.mark.long
@@ -212,6 +213,8 @@ def test_slope_runout(tmp_path):
     # both move alike: there is one peak of kinetic energy, when the toe lands
     assert runs[0]["peak_kinetic"] == pytest.approx(runs[1]["peak_kinetic"], rel=0.1)
     assert runs[0]["runout"] == pytest.approx(runs[1]["runout"], rel=0.1)
+    # plastic flow takes next to all that the motion loses, and not all by construction
+    assert all(1e-4 < abs(r["energy_gap"]) < 0.05 for r in runs)
     assert (tmp_path / "slope_runout.png").stat().st_size > 0
 
 
@@ -251,6 +254,7 @@ def test_explicit_stability(tmp_path):
     assert bare["step_sliver"] < 1e-4
     for row in (ghost, tied):
         assert row["elastic_completed"]
+        assert 0.5 < row["elastic_energy"] < 0.999
         assert row["step_worst"] > 0.5 * row["step_uncut"]
         assert row["long_bounded"]
         assert row["long_steps"] == 100
