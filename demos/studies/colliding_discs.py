@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import mesh
+from energybalance import EnergyBalance
 from motion import add_options, parse, problem_of, times_of
 from mpi4py import MPI
 from scene import draw_points, finish, parser, say, solver_figures
@@ -123,12 +124,15 @@ def state():
 
 
 rows, drift, pictures = [state()], 0.0, {}
+balance = EnergyBalance()
+balance.note(problem)
 start = rows[0]
 carried = 0.5 * comm.allreduce(float(points["density"] @ points["V0"])) * args.speed
 shown = [min(t, args.duration) for t in (touch, touch + 2 * R, args.duration)]
 for t in times_of(args, args.duration, wave, "collision"):
     problem.step(t)
     rows.append(state())
+    balance.note(problem)
     drift = max(drift, float(np.abs(problem.momentum()).max()) / carried)
     if not args.no_plot and len(pictures) < 3 and problem.time > shown[len(pictures)] - 1e-9:
         pictures[problem.time] = points.gather("x", "F", "l0", "stress")
@@ -184,8 +188,8 @@ say(
 
 # %% [markdown]
 # ## Picture
-# The discs when they should touch, pressed flat, and in the end; energies over time, in grey as
-# long as conforming discs touch.
+# The discs when they should touch, pressed flat, and in the end; all energy that came and what has
+# become of it, with lines where conforming discs touch and part.
 
 # %%
 if not args.no_plot and comm.rank == 0:
@@ -205,11 +209,11 @@ if not args.no_plot and comm.rank == 0:
         whole.colorbar(drawn, ax=axes[0], label="mean pressure (Pa)")
         known = 0.2, 1000.0, 0.3, 1000.0, 0.1 * np.sqrt(2)
         if (R, E, nu, args.density, args.speed) == known:
-            below.axvspan(touch, touch + 1.097, color="0.93", zorder=0)
-        below.plot(t, kinetic / kinetic[0], label="kinetic")
-        below.plot(t, strain / kinetic[0], label="stored")
-        below.plot(t, (kinetic + strain) / kinetic[0], "k--", lw=0.8, label="both")
-        below.set(xlabel="time (s)", ylabel="energy / that at first", xlim=(0, args.duration))
-        below.legend(loc="center left")
+            for when in (touch, touch + 1.097):
+                below.axvline(when, color="0.3", lw=0.8, ls=":")
+            below.text(touch + 0.02, 1.04, "conforming discs touch", fontsize="small", color="0.4")
+        balance.draw(below)
+        below.set(xlabel="time (s)")
+        below.legend(loc="lower left", frameon=True)
 
 finish(args, figures)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import mesh
+from energybalance import EnergyBalance
 from motion import add_options, parse, problem_of, times_of, total_energy
 from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
@@ -154,8 +155,11 @@ def period_of(found):
 
 momentum = problem.momentum()[0]
 rows = [(0.0, watched(), vibration())]
+balance = EnergyBalance()
+balance.note(problem)
 for t in times_of(args, duration, c, "vibration"):
     problem.step(t)
+    balance.note(problem)
     rows.append((problem.time, watched(), vibration()))
 t, p, energy = np.array(rows).T
 exact_t, exact_p = continuum()
@@ -194,16 +198,20 @@ if figures["period"] is not None and figures["period_exact"] is not None:
 
 # %%
 if not args.no_plot and comm.rank == 0:
-    with mpm.figure(args.output / "vibrating_bar.png", 7.0, 2.5, ncols=2) as (_, (left, right)):
+    with mpm.figure(args.output / "vibrating_bar.png", 7.6, 2.6, ncols=3) as (_, axes):
+        left, middle, right = axes
         left.plot(exact_t / period, exact_p / exact_p[0], color="0.6", lw=2.4, label="continuum")
         left.plot(t / period, p / p[0], color="C0", lw=0.9, label="material points")
-        left.set(ylabel="momentum / that at first", ylim=(-1.35, 1.35))
-        left.legend(loc="upper center", ncols=2)
+        left.set(ylabel="momentum / that at first", ylim=(-1.15, 1.85))
+        left.legend(loc="upper center")
         right.plot(t / period, 1 - energy / energy[0], color="C0")
         right.plot(np.arange(len(kept)), 1 - kept, "o", color="C0", clip_on=False)
         right.set(ylabel="energy lost / that at first")
         right.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
-        for ax in (left, right):
+        balance.draw(middle, period)
+        middle.set(ylim=(0.0, 1.45))
+        middle.legend(loc="upper center")
+        for ax in axes:
             ax.set(xlabel="$t / T$", xlim=(0, duration / period))
 
 finish(args, figures)
