@@ -395,8 +395,12 @@ class Explicit(Problem):
                 self.settings.clock.value = start + k * dt
             return Step(end, dt, dt / whole)
 
-        taken, migrated, reason = self._loop.run(count, dt, more, begin)
-        self.ledger.work.add(self._loop.work())
+        work = self.ledger.work
+        # velocities are half of the last step behind
+        kick = 0.5 * (work.length + dt) if work.length else dt
+        taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
+        work.add(self._loop.work())
+        work.length = dt
         record.parts, record.migrated = record.parts + taken, record.migrated + migrated
         self.time, record.dt = start + taken * dt, dt
         if reason is not None:

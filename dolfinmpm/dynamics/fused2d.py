@@ -103,7 +103,7 @@ def kernel(
         part, slope, S2 = np.empty(4), np.empty(4), np.empty(64)
         e, tau, tangent = np.empty(3), np.empty(3), np.empty(9)
         scratch = np.empty(max(internal.shape[1], 1))
-        work = outer = fastest = 0.0
+        work = outer = fastest = latest = 0.0
         row = STRIDE * shape[1]
         last0, last1 = line0.size - 2, line1.size - 2
         s0 = (last0 + 1) / (line0[last0 + 1] - line0[0])
@@ -341,7 +341,7 @@ def kernel(
                             ratio = J
                         if kind == JAUMANN or used:
                             t00, t11, t01, t22 = ratio * t00, ratio * t11, ratio * t01, ratio * t22
-                    if kind != SMALL and kind != NEO:
+                    if kind != SMALL and (kind != NEO or record):
                         # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
                         z = 0.5 * dt * (h00 * h11 - h01 * h10)
                         q = 1.0 / (1.0 + 0.5 * dt * (h00 + h11 + z))
@@ -351,6 +351,8 @@ def kernel(
                             (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
                             + (tau_old[p, 2] + t01) * (h01 + h10)
                         )  # fmt: skip
+                    if record:
+                        latest += vp * (t00 * h00 + t11 * h11 + t01 * (h01 + h10))
                     if kind != NEO or record:
                         tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
                     if record:
@@ -495,6 +497,7 @@ def kernel(
         done[0] += 0.5 * dt * work
         done[1] += dt * outer
         done[2] = max(done[2], fastest)
+        done[6] += dt * latest
         return -1, left, behind
 
     return run

@@ -24,6 +24,7 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import set_velocities
+from dolfinmpm.dynamics.halfstep import late_by_contact, lateness
 from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms
@@ -65,7 +66,7 @@ class General(OneByOne):
         return self._stiffness
 
     @stages.commit
-    def _take(self, step: Step) -> int | str:
+    def _take(self, step: Step, kick: float) -> int | str:
         """One step; how many points changed rank, or why there is no state. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
@@ -94,10 +95,11 @@ class General(OneByOne):
             return forces
         if held_by is not None:
             forces.arrays[0][:] -= held_by
-        problem.bodies.push(operator.contacts)
+        problem.bodies.push(operator.contacts, kick)
         self._resist(forces, mass, s, V)
+        net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end = self._end(V + dt * A, mass, here, held, dt)
+        V_end = self._end(V + kick * A, mass, here, held, kick)
         motion = NodalMotion(V, A, V_end, A)
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if settings.mapping.kind == "tpic":
@@ -116,7 +118,7 @@ class General(OneByOne):
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        external = self._external(operator, mass, forces, V, V_end, dt)
+        external = self._external(operator, mass, forces, V, V_end, step, kick)
         if held_by is not None:
             at = here.unknowns.fields[0].owned_nodes
             done = -dt * float(np.sum(held_by[at] * V_strain[at]))
@@ -129,6 +131,13 @@ class General(OneByOne):
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
+        work, late = self._work, settings.scheme == "usf"
+        work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
+        if operator.contacts:
+            more, work.late_bodies = late_by_contact(
+                problem.bodies, operator.contacts, points.comm
+            )
+            work.late += more
         self._work.external += problem.bodies.commit(operator.contacts)
         return commit(points, state)
 
@@ -257,14 +266,21 @@ class General(OneByOne):
         self._resisting.clear()
 
     def _external(
-        self, operator: Operator, mass: Mass, forces: Nodal, V: Array, V_end: Array, dt: float
+        self,
+        operator: Operator,
+        mass: Mass,
+        forces: Nodal,
+        V: Array,
+        V_end: Array,
+        step: Step,
+        kick: float,
     ) -> float:
         """Work of loads, and of what moves held nodes, in a step (J). Collective."""
-        external = operator.load_work([dt * V_end])
+        external = operator.load_work([step.dt * V_end])
         here = operator.here
         if here.driven:
             # what moves held nodes gives them momentum against their forces
-            impulse = mass.times(V_end - V).arrays[0] - dt * forces.arrays[0]
+            impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
             at = here.unknowns.fields[0].places[1]
             done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
             external += mass.comm.allreduce(done, op=MPI.SUM)

@@ -48,12 +48,25 @@ class Work:
         internal: Work of stresses on strains.
         grid: Change of the kinetic energy of the nodes within steps.
         losses: What is lost by the names of `LOSSES`.
+        length: Not a sum: length of the last step (s), 0 before the first.
+        late, late_bodies: Not sums: what the kinetic energy of the points' inertia, and of rigid
+            bodies, lacks of that at the time of positions, see `dolfinmpm.dynamics.halfstep`.
+        latest: Not a sum: work of the stresses at the end of the last step on its strains.
     """
 
     external: float = 0.0
     internal: float = 0.0
     grid: float = 0.0
     losses: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LOSSES, 0.0))
+    length: float = 0.0
+    late: float = 0.0
+    late_bodies: float = 0.0
+    latest: float = 0.0
+
+    @property
+    def net(self) -> float:
+        """External work less the losses."""
+        return self.external - sum(self.losses.values())
 
     def add(self, other: Work) -> None:
         """Add sums of further steps."""
@@ -62,6 +75,7 @@ class Work:
         self.grid += other.grid
         for name, loss in other.losses.items():
             self.losses[name] += loss
+        self.late, self.late_bodies = other.late, other.late_bodies
 
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
@@ -89,17 +103,21 @@ class Work:
         sigma = new["stress"] if "stress" in new else points["stress"]
         old = before[:, None, None] * points["stress"][:, :d, :d]
         later = after[:, None, None] * sigma[:, :d, :d]
-        internal = 0.5 * float(np.sum((old + later) * rate))
-        self.internal += points.comm.allreduce(internal, op=MPI.SUM)
+        both = np.array([np.sum(old * rate), np.sum(later * rate)])
+        points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
+        self.internal += 0.5 * float(both[0] + both[1])
+        self.latest = float(both[1])
 
     def values(self) -> Array:
         """The sums as a row of numbers."""
-        return np.array([self.external, self.internal, self.grid, *self.losses.values()])
+        sums = self.external, self.internal, self.grid, *self.losses.values()
+        return np.array([*sums, self.length, self.late, self.late_bodies])
 
     def take(self, values: Array) -> None:
         """Take what `values` returned."""
         self.external, self.internal, self.grid = (float(v) for v in values[:3])
         self.losses = dict(zip(LOSSES, map(float, values[3:])))
+        self.length, self.late, self.late_bodies = (float(v) for v in values[3 + len(LOSSES) :])
 
 
 @dataclass(frozen=True)
@@ -182,8 +200,10 @@ class Ledger:
             }  # fmt: skip
             first["initial"] = kinetic + strain + first["bodies"]
         elif kinetic != self._last:
+            # new velocities count as those of now
             first["kinetic"] += kinetic - self._last
-            first["initial"] += kinetic - self._last
+            first["initial"] += kinetic - self._last - self.work.late / self.scaling
+            self.work.late = 0.0
         self._last = kinetic
 
     @property
@@ -215,8 +235,11 @@ class Ledger:
     def energies(self) -> Energies:
         """The energies now. Collective."""
         first, work = self._first, self.work
-        kinetic, strain = self.kinetic(), self._strain()
-        bodies, contact = self._bodies.kinetic(), self._bodies.stored
+        own, strain = self.kinetic(), self._strain()
+        # velocities that the user has changed since are those of now
+        late = work.late / self.scaling if own == self._last else 0.0
+        kinetic = own + late
+        bodies, contact = self._bodies.kinetic() + work.late_bodies, self._bodies.stored
         if not first["started"]:
             whole = kinetic + strain + bodies + contact
             names = ("plastic", "projection", *LOSSES, "integrator")
@@ -227,11 +250,11 @@ class Ledger:
         if any(getattr(law, "strengths", ()) != () for law in laws):
             losses["plastic"] = work.internal - (strain - first["strain"])
         losses["friction"] += self._bodies.rubbed
-        gained = kinetic - first["kinetic"]
+        gained = own - first["kinetic"]
         losses["projection"] = work.grid - self.scaling * gained
         if self.scaling != 1.0:
             # inertia has more energy than mass
-            losses["mass scaling"] = (self.scaling - 1.0) * gained
+            losses["mass scaling"] = (self.scaling - 1.0) * (gained + late)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
         losses["integrator"] = initial + work.external - known
