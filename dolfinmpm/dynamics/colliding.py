@@ -138,6 +138,9 @@ class Colliding(OneByOne):
         self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
         got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
+        v, m = points["velocity"], settings.scaling * point_masses(points)
+        square = np.sum((v + kick * new["acceleration"]) ** 2 - new["velocity"] ** 2, axis=1)
+        self._work.projected += points.comm.allreduce(0.5 * float(m @ square), op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
         self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
         return commit(points, state)

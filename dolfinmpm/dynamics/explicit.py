@@ -171,7 +171,7 @@ class Explicit(Problem):
         check_masses(self.bodies)
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
-        ledger = Ledger(points, self.form, settings.scaling)
+        ledger = Ledger(points, self.form, settings.scaling, by_points=True)
         self.balance = Balance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = Between(Snapshot(points, self.bodies, markers))
@@ -247,7 +247,11 @@ class Explicit(Problem):
 
     @together
     def energies(self) -> Energies:
-        """Energies of the body now, and work done since the first step. Collective."""
+        """Energies of the body now, and work done since the first step. Collective.
+
+        The kinetic energy is that at the time of the positions, half a step after the velocities.
+        Bodies that meet in one field of velocities lose energy by the mapping, see `Energies`.
+        """
         return self.ledger.energies()
 
     @together

@@ -75,7 +75,7 @@ class Fused:
         done: Since last asked: work of the stresses, and of loads and prescribed motions (J); the
             cells that the fastest point has crossed in a step; what the nodes' kinetic energy has
             changed by, and what damping and friction at sides of the grid have taken (J); and what
-            velocities of the last step are late by, see `Work`.
+            velocities of the last step are late by, and what the mapping has taken, see `Work`.
         at_once: Steps that one call may take.
         instead: Why other steps are taken: they are not.
     """
@@ -100,7 +100,7 @@ class Fused:
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
-        self.done = np.zeros(7)
+        self.done = np.zeros(8)
         self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
@@ -115,11 +115,12 @@ class Fused:
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
         sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
-        internal, external, _, grid, damped, rubbed, late = (float(done) for done in sums)
+        internal, external, _, grid, damped, rubbed, late, mapped = map(float, sums)
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
-        found = Work(external, internal, grid, late=late)
+        projected = self._settings.scaling * mapped
+        found = Work(external, internal, grid, projected, late=late)
         if self._rigid is not None:
             found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
         found.losses["damping"], found.losses["friction"] = damped, rubbed
@@ -321,7 +322,7 @@ class Fused:
         before = self.done.copy()
         reason = self._passes(others, main, dt, kick, record, scatter)
         if record:
-            _, external, _, grid, damped, rubbed, internal = self.done - before
+            _, external, _, grid, damped, rubbed, internal, _ = self.done - before
             late = self._settings.scheme == "usf"
             self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
             if kick != dt:

@@ -51,7 +51,7 @@ def move_nodes(
     _, mass, force, _, velocity, strain = columns
     d = fixed.shape[1]
     marks, rubbing, dashpots = faces
-    ends, forces = np.empty(d), np.empty(d)
+    ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
     work = grid = damped = rubbed = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
@@ -62,10 +62,8 @@ def move_nodes(
                 y = out[k, i] * per_mass
                 f = out[k, force + i] + m * g[i]
                 if damping > 0.0:
-                    resisting = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
-                    f -= resisting
-                    if half > 0.0 and not fixed[k, i]:
-                        damped += dt * resisting * (y + kick * f * per_mass / scaling)
+                    resisting[i] = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
+                    f -= resisting[i]
                 forces[i] = f
                 ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / scaling
             if dashpots.shape[0] > 0 and m > 0.0:
@@ -96,6 +94,7 @@ def move_nodes(
                     pushed[k, i] = change
                 if own[k]:
                     work += dt * m * g[i] * end
+                    damped += dt * resisting[i] * end
             if last:
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
