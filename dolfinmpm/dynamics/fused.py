@@ -173,8 +173,7 @@ class Fused:
             dt: Their length (s).
             kick: For how long forces act in the first of them (s), see `Explicit`.
             more: Whether others follow without a new start.
-            begin: Tells form and conditions how many of the steps have been taken, and
-                returns the next.
+            begin: Tells form and conditions how many steps have been taken; returns the next.
 
         Returns:
             Steps taken, points that changed rank, and why it ended before the last, or None.
@@ -205,8 +204,8 @@ class Fused:
             # what scatters in the last step of all would only be scattered again
             ending = last and not more
             if reason is None:
-                reason = self._step(others, main, dt, kick, last, not ending)
-            kick = dt
+                now = kick if taken == 1 else dt
+                reason = self._step(others, main, dt, now, last, not ending)
             way = self._reach()
             self._worth.travelled += way
             if reason is None and self._rigid is not None:
@@ -355,8 +354,8 @@ class Fused:
             rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, kick, settings.scaling, settings.damping, usf, usf or usl,
-            self.done,
+            pushed, self._loads.gravity, dt, kick, settings.scaling, settings.damping, usf,
+            usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):

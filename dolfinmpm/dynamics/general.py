@@ -132,15 +132,24 @@ class General(OneByOne):
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
-        work, late = self._work, settings.scheme == "usf"
-        work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
-        if operator.contacts:
-            more, work.late_bodies = late_by_contact(
-                problem.bodies, operator.contacts, points.comm
-            )
-            work.late += more
+        self._find_lateness(operator, net, grid)
         self._work.external += problem.bodies.commit(operator.contacts)
         return commit(points, state)
+
+    def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
+        """Find what velocities at the end of a step are late by, see `Work`. Collective.
+
+        Args:
+            operator: The step's equations, at its end.
+            net, grid: These sums of the work before the step (J).
+        """
+        work, bodies = self._work, self._problem.bodies
+        late = self._settings.scheme == "usf"
+        work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
+        if operator.contacts:
+            comm = self._problem.comm
+            more, work.late_bodies = late_by_contact(bodies, operator.contacts, comm)
+            work.late += more
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
         """What the mapping has taken in a step (J), see `Work`. Collective.

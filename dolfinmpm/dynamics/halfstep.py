@@ -1,9 +1,9 @@
-"""Kinetic energy at the time of positions in explicit steps, whose velocities are half a step behind.
+"""Kinetic energy at the time of positions in explicit steps: velocities are half a step behind.
 
 A step takes velocities from t − ½ Δt to t + ½ Δt by the forces at t. So the energy that it keeps is
 ½ v(t − ½ Δt) · M v(t + ½ Δt) and what is stored at t: the kinetic energy of the points' velocities
-and ½ Δt f · v, half of what the forces at t would do in the last step. With ½ v · M v alone energies
-swing by a share of the step times the frequency. (Hairer, Lubich & Wanner 2003, "Geometric
+and ½ Δt f · v, half of what the forces at t would do in the last step. With ½ v · M v alone
+energies swing by a share of the step times the frequency. (Hairer, Lubich & Wanner 2003, "Geometric
 numerical integration illustrated by the Störmer–Verlet method", doi 10.1017/S0962492902000144.)
 """
 

@@ -94,7 +94,8 @@ def free(law, basis, courant, disc=True, centre=(0.98, 1.03), **options):
     centre, R = np.array(centre), 0.35
     shape = mpm.Disc(tuple(centre), R)
     if not disc:
-        shape = mpm.Box(tuple(centre - [R, 0.4]), tuple(centre + [R, 0.4]))
+        half = np.array([R, 0.4])
+        shape = mpm.Box(tuple(centre - half), tuple(centre + half))
     points = mpm.fill(grid, shape, 3 if disc else 2, RHO)
     V = mpm.Space(grid, basis)
     points.add_field("velocity", (2,), "m/s")
@@ -114,9 +115,7 @@ FREE = [
 
 @pytest.mark.parametrize("fused", [True, False])
 @pytest.mark.parametrize(("law", "basis", "courant", "disc"), FREE)
-def test_a_body_in_free_motion_keeps_its_energy_in_explicit_steps(
-    law, basis, courant, disc, fused
-):
+def test_a_body_in_free_motion_keeps_its_energy_in_explicit_steps(law, basis, courant, disc, fused):
     problem, crossing = free(law(E, NU), basis, courant, disc, fused=fused)
     assert bool(problem.unfused) != fused
     first, stored = problem.energies(), 0.0
