@@ -195,8 +195,13 @@ class Bodies:
                 count = min(count, body.ahead(dt, count, self._limit_of(body)))
         return count
 
-    def push(self, contacts: Sequence[ActiveContact]) -> None:
-        """Let forces at the start of an explicit step move the free bodies in it. Collective."""
+    def push(self, contacts: Sequence[ActiveContact], kick: float) -> None:
+        """Let forces at the start of an explicit step move the free bodies in it. Collective.
+
+        Args:
+            contacts: The contacts.
+            kick: For how long the forces act (s).
+        """
         # who put a body into the points has done work before the first step
         new = [active for active in contacts if active.contact.body.time == 0.0]
         self._before = sum(active.stored() for active in new)
@@ -205,7 +210,7 @@ class Bodies:
             for active in contacts:
                 if active.contact.body is body:
                     force += np.concatenate(active.totals())
-            body.push(force)
+            body.push(force, kick)
 
     def commit(self, contacts: Sequence[ActiveContact]) -> float:
         """Take where the bodies are, and what acts on them. Collective.

@@ -234,14 +234,19 @@ class RigidBody(ReadOnce):
             return pose
         return start.moved(shift, turn)
 
-    def push(self, force: Array) -> None:
-        """Take velocity and motion of an explicit step from the force on it (N, N m)."""
+    def push(self, force: Array, kick: float) -> None:
+        """Take velocity and motion of an explicit step from the force on it (N, N m).
+
+        Args:
+            force: Forces and moments.
+            kick: For how long they act (s).
+        """
         free = self.freedom
         assert free is not None
         free.begin(self.start, force, self.time, True)
         assert free.acceleration is not None
         own = free.free
-        free.velocity[own] += self.dt * free.acceleration[own]
+        free.velocity[own] += kick * free.acceleration[own]
         free.increment = np.zeros_like(free.velocity)
         free.increment[own] = self.dt * free.velocity[own]
 

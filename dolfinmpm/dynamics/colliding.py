@@ -22,6 +22,7 @@ from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, collide
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Loads
+from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.settings import Settings
@@ -103,7 +104,7 @@ class Colliding(OneByOne):
         self.force: Array = np.zeros(problem.points.gdim)
 
     @stages.commit
-    def _take(self, step: Step) -> int | str:
+    def _take(self, step: Step, kick: float) -> int | str:
         """One step; how many points changed rank, or why there is no state. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
@@ -118,12 +119,12 @@ class Colliding(OneByOne):
         bodies = [self._at_nodes(s, here) for s in stencils]
         room = self._room(here) if self._collision.gap_test else None
         before = self._velocities(stencils, bodies, here, held, points["velocity"])
-        after = [self._driven(s, b, V, here, dt) for s, b, V in zip(stencils, bodies, before)]
-        self._absorb(bodies, after, here, dt)
+        after = [self._driven(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)]
+        self._absorb(bodies, after, here, kick)
         external = self._hold(bodies, after, here, held)
         got = collide(bodies, after, room, self._collision.friction)
         external += self._hold(bodies, after, here, held)
-        new, moved = self._points(stencils, rows, before, after, dt)
+        new, moved = self._points(stencils, rows, before, after, dt, kick)
         strains = after
         if settings.scheme == "musl":
             strains = self._velocities(stencils, bodies, here, held, new["velocity"])
@@ -137,7 +138,11 @@ class Colliding(OneByOne):
         self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
         got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
-        self.force = points.comm.allreduce(got, op=MPI.SUM) / dt
+        v, m = points["velocity"], settings.scaling * point_masses(points)
+        square = np.sum((v + kick * new["acceleration"]) ** 2 - new["velocity"] ** 2, axis=1)
+        self._work.projected += points.comm.allreduce(0.5 * float(m @ square), op=MPI.SUM)
+        self._work.late = lateness(external, self._work.latest, 0.0, False)
+        self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
@@ -268,6 +273,7 @@ class Colliding(OneByOne):
         before: Sequence[Array],
         after: Sequence[Array],
         dt: float,
+        kick: float,
     ) -> tuple[dict[str, Array], Array]:
         """New velocities, accelerations and positions of the points."""
         points, mapping = self._problem.points, self._settings.mapping
@@ -276,7 +282,7 @@ class Colliding(OneByOne):
         for s, own, V, V_end in zip(stencils, rows, before, after):
             change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
             v[own] = share * (v[own] + change) + (1.0 - share) * there
-            a[own] = change / dt
+            a[own] = change / kick
             x[own] += dt * there
         return {"velocity": v, "acceleration": a}, x
 

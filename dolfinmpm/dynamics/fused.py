@@ -23,6 +23,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Laws, Loads
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
+from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
@@ -73,7 +74,8 @@ class Fused:
     Attributes:
         done: Since last asked: work of the stresses, and of loads and prescribed motions (J); the
             cells that the fastest point has crossed in a step; what the nodes' kinetic energy has
-            changed by, and what damping and friction at sides of the grid have taken (J).
+            changed by, and what damping and friction at sides of the grid have taken (J); and what
+            velocities of the last step are late by, and what the mapping has taken, see `Work`.
         at_once: Steps that one call may take.
         instead: Why other steps are taken: they are not.
     """
@@ -98,7 +100,7 @@ class Fused:
         self._points, self._basis, self._laws, self._loads = points, basis, laws, loads
         self._settings, self._sides = settings, sides
         self._prescribed = Prescribed(held)
-        self.done = np.zeros(6)
+        self.done = np.zeros(8)
         self._rate, self._worth = 0.0, Worth()
         self._growth = GROWTH[domains] if basis.averaged else 0
         self._window: Any = None
@@ -113,11 +115,14 @@ class Fused:
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
         sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
-        internal, external, _, grid, damped, rubbed = (float(done) for done in sums)
+        internal, external, _, grid, damped, rubbed, late, mapped = map(float, sums)
         self.done[:2] = self.done[3:] = 0.0
         if self._rigid is not None:
             external, self._rigid.work = external + self._rigid.work, 0.0
-        found = Work(external, internal, grid)
+        projected = self._settings.scaling * mapped
+        found = Work(external, internal, grid, projected, late=late)
+        if self._rigid is not None:
+            found.late, found.late_bodies = late + self._rigid.late[0], self._rigid.late[1]
         found.losses["damping"], found.losses["friction"] = damped, rubbed
         return found
 
@@ -157,7 +162,7 @@ class Fused:
 
     @stages.evaluate
     def run(
-        self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
+        self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
     ) -> tuple[int, int, str | None]:
         """Take equal steps. Collective.
 
@@ -166,9 +171,9 @@ class Fused:
         Args:
             count: How many.
             dt: Their length (s).
+            kick: For how long forces act in the first of them (s), see `Explicit`.
             more: Whether others follow without a new start.
-            begin: Tells form and conditions how many of the steps have been taken, and
-                returns the next.
+            begin: Tells form and conditions how many steps have been taken; returns the next.
 
         Returns:
             Steps taken, points that changed rank, and why it ended before the last, or None.
@@ -199,11 +204,12 @@ class Fused:
             # what scatters in the last step of all would only be scattered again
             ending = last and not more
             if reason is None:
-                reason = self._step(others, main, dt, last, not ending)
+                now = kick if taken == 1 else dt
+                reason = self._step(others, main, dt, now, last, not ending)
             way = self._reach()
             self._worth.travelled += way
             if reason is None and self._rigid is not None:
-                reason = self._rigid.end(way)
+                reason = self._rigid.end(way, last)
             if reason is None and last:
                 self._laws.scatter()
             if reason is None and (ending or self._worth.travelled > 0.5 * MARGIN):
@@ -308,8 +314,24 @@ class Fused:
         self._window.add_up()
         return reason
 
-    def _step(self, others, main: Pass, dt: float, record: bool, scatter: bool) -> str | None:
+    def _step(
+        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+    ) -> str | None:
         """One step from what has been scattered. Collective."""
+        before = self.done.copy()
+        reason = self._passes(others, main, dt, kick, record, scatter)
+        if record:
+            _, external, _, grid, damped, rubbed, internal, _ = self.done - before
+            late = self._settings.scheme == "usf"
+            self.done[6] = lateness(external - damped - rubbed, internal, grid, late)
+            if kick != dt:
+                self._points["acceleration"] *= dt / kick
+        return reason
+
+    def _passes(
+        self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
+    ) -> str | None:
+        """The passes of a step, and what nodes do between them. Collective."""
         switches = Switches(record, scatter=scatter)
         window, prescribed, settings = self._window, self._prescribed, self._settings
         d = self._points.gdim
@@ -318,7 +340,7 @@ class Fused:
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
         rigid = self._rigid
         if rigid is not None:
-            rigid.begin(dt, usf)
+            rigid.begin(dt, kick, usf)
         # forces alone make the points' acceleration, not what moves or stops nodes
         apart = record and (prescribed.driven or len(self._sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
@@ -332,8 +354,8 @@ class Fused:
             rigid.press(out, usf)
         move_nodes(
             box, columns, out, nodes, window.own, fixed, before, prescribed.after, window.sides,
-            pushed, self._loads.gravity, dt, settings.scaling, settings.damping, usf, usf or usl,
-            self.done,
+            pushed, self._loads.gravity, dt, kick, settings.scaling, settings.damping, usf,
+            usf or usl, self.done,
         )  # fmt: skip
         changes = window.at_points(pushed, self._points) if apart else None
         if not (usf or usl):

@@ -103,7 +103,7 @@ def kernel(
         part, slope, S2 = np.empty(4), np.empty(4), np.empty(64)
         e, tau, tangent = np.empty(3), np.empty(3), np.empty(9)
         scratch = np.empty(max(internal.shape[1], 1))
-        work = outer = fastest = 0.0
+        work = outer = fastest = latest = projected = 0.0
         row = STRIDE * shape[1]
         last0, last1 = line0.size - 2, line1.size - 2
         s0 = (last0 + 1) / (line0[last0 + 1] - line0[0])
@@ -216,6 +216,11 @@ def kernel(
                             here += L1[b] * number_at(cell + 16 * (a * shape[1] + b) + 8)
                         mean += L0[a] * here
                 if velocity:
+                    if affine or share < 1.0:
+                        # what forces make of the point's velocity, less what it gets
+                        q0, q1 = v[p, 0] + w0, v[p, 1] + w1
+                        r0, r1 = share * q0 + (1.0 - share) * v0, share * q1 + (1.0 - share) * v1
+                        projected += mp * (q0 * q0 + q1 * q1 - r0 * r0 - r1 * r1)
                     if affine:
                         v[p, 0], v[p, 1] = v0, v1
                         b00, b01, b10, b11 = h00, h01, h10, h11
@@ -341,7 +346,7 @@ def kernel(
                             ratio = J
                         if kind == JAUMANN or used:
                             t00, t11, t01, t22 = ratio * t00, ratio * t11, ratio * t01, ratio * t22
-                    if kind != SMALL and kind != NEO:
+                    if kind != SMALL and (kind != NEO or record):
                         # H (1 + H/2)⁻¹ = (H + ½ det H)/det(1 + H/2), the rate by the middle
                         z = 0.5 * dt * (h00 * h11 - h01 * h10)
                         q = 1.0 / (1.0 + 0.5 * dt * (h00 + h11 + z))
@@ -351,6 +356,8 @@ def kernel(
                             (tau_old[p, 0] + t00) * h00 + (tau_old[p, 1] + t11) * h11
                             + (tau_old[p, 2] + t01) * (h01 + h10)
                         )  # fmt: skip
+                    if record:
+                        latest += vp * (t00 * h00 + t11 * h11 + t01 * (h01 + h10))
                     if kind != NEO or record:
                         tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t01
                     if record:
@@ -495,6 +502,8 @@ def kernel(
         done[0] += 0.5 * dt * work
         done[1] += dt * outer
         done[2] = max(done[2], fastest)
+        done[6] += dt * latest
+        done[7] += 0.5 * projected
         return -1, left, behind
 
     return run

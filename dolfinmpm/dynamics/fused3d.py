@@ -76,7 +76,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
         part, slope = np.empty(4), np.empty(4)
         e, tau, tangent = np.empty(3), np.empty(3), np.empty(9)
         scratch = np.empty(max(internal.shape[1], 1))
-        work = outer = fastest = 0.0
+        work = outer = fastest = latest = projected = 0.0
         row = STRIDE * shape[2]
         layer = row * shape[1]
         last0, last1, last2 = line0.size - 2, line1.size - 2, line2.size - 2
@@ -177,6 +177,14 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                 h01, h11, h21, _ = lanes(H1)
                 h02, h12, h22, _ = lanes(H2)
                 if velocity:
+                    if affine or share < 1.0:
+                        # what forces make of the point's velocity, less what it gets
+                        q0, q1, q2 = v[p, 0] + w0, v[p, 1] + w1, v[p, 2] + w2
+                        r0, r1 = share * q0 + (1.0 - share) * v0, share * q1 + (1.0 - share) * v1
+                        r2 = share * q2 + (1.0 - share) * v2
+                        projected += mp * (
+                            q0 * q0 + q1 * q1 + q2 * q2 - r0 * r0 - r1 * r1 - r2 * r2
+                        )
                     if affine:
                         v[p, 0], v[p, 1], v[p, 2] = v0, v1, v2
                         if APIC:
@@ -232,7 +240,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                     )  # fmt: skip
                     if not (J > 0.0 and change > 0.0):
                         return np.intp(p), left, behind
-                    if kind != SMALL and kind != NEO:
+                    if kind != SMALL and (kind != NEO or record):
                         # the rate by the middle of the step
                         scale, h00, h01, h02, h10, h11, h12, h20, h21, h22 = carried(
                             0.5 * dt, h00, h01, h02, h10, h11, h12, h20, h21, h22
@@ -331,6 +339,11 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                         work += vp * (
                             k00 * h00 + k11 * h11 + k22 * h22
                             + k01 * (h01 + h10) + k12 * (h12 + h21) + k02 * (h02 + h20)
+                        )  # fmt: skip
+                    if record:
+                        latest += vp * (
+                            t00 * h00 + t11 * h11 + t22 * h22
+                            + t01 * (h01 + h10) + t12 * (h12 + h21) + t02 * (h02 + h20)
                         )  # fmt: skip
                     if kind != NEO or record:
                         tau_old[p, 0], tau_old[p, 1], tau_old[p, 2] = t00, t11, t22
@@ -516,6 +529,8 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
         done[0] += 0.5 * dt * work
         done[1] += dt * outer
         done[2] = max(done[2], fastest)
+        done[6] += dt * latest
+        done[7] += 0.5 * projected
         return -1, left, behind
 
     return run

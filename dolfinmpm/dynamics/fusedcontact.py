@@ -24,6 +24,7 @@ from dolfinmpm.contact.candidates import MARGIN
 from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
 from dolfinmpm.contact.terms import Contact
+from dolfinmpm.dynamics.halfstep import late_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.window import Exchange, Window
@@ -45,6 +46,7 @@ class RigidContacts:
 
     Attributes:
         work: Work that the bodies have done since it was last set (J), on all ranks.
+        late: What velocities of points and of bodies are late by for contact (J), see `Work`.
     """
 
     _sight: Sight
@@ -53,6 +55,7 @@ class RigidContacts:
 
     def __init__(self, contacts: Sequence[Contact], bodies: Bodies, points: MaterialPoints):
         self._bodies, self._points, self.work = bodies, points, 0.0
+        self.late = 0.0, 0.0
         self._near = [Nearby(contact) for contact in contacts]
         self._active: list[ActiveContact] = []
         # how far nodes went in the last step at most (m)
@@ -87,11 +90,12 @@ class RigidContacts:
         return found
 
     @stages.activate
-    def begin(self, dt: float, all_corners: bool) -> None:
+    def begin(self, dt: float, kick: float, all_corners: bool) -> None:
         """Begin a step of that length (s): find corners that may touch in it. Collective.
 
         Args:
             dt: The length.
+            kick: For how long forces act on the bodies (s).
             all_corners: Whether all corners of points near the bodies are to be looked at, since
                 the points' fields change before it is known how far they go.
 
@@ -99,7 +103,7 @@ class RigidContacts:
             ParameterError: Points are inside a body before the first step.
         """
         self._bodies.begin(dt)
-        self._dt = dt
+        self._dt, self._kick = dt, kick
         self._active = [self._made(near, all_corners) for near in self._near]
 
     def _made(self, near: Nearby, all_corners: bool = False) -> ActiveContact:
@@ -132,7 +136,7 @@ class RigidContacts:
                 active.add_forces(self._sums)
             self._exchange.add_up(self._sums)
             force += self._sums
-        self._bodies.push(self._active)
+        self._bodies.push(self._active, self._kick)
 
     def _way(self, active: ActiveContact) -> Array:
         """How far corners go in the step by the velocities that strain (m), shape (m, d)."""
@@ -155,11 +159,12 @@ class RigidContacts:
             self._active[k].shift(self._way(self._active[k]))
 
     @stages.commit
-    def end(self, way: float) -> str | None:
+    def end(self, way: float, record: bool) -> str | None:
         """Take where the bodies are, and what the points keep of the contacts. Collective.
 
         Args:
             way: Cells that the fastest point has crossed in the step, on any rank.
+            record: Whether to find what velocities are late by.
 
         Returns:
             What is wrong with where points have got to, or None.
@@ -186,5 +191,7 @@ class RigidContacts:
             return "material points got into a rigid body from further away than was looked at"
         for near, active in zip(self._near, self._active):
             near.keep(active)
+        if record:
+            self.late = late_by_contact(self._bodies, self._active, self._points.comm)
         self.work += self._bodies.commit(self._active)
         return None

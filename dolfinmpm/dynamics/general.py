@@ -24,9 +24,10 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import set_velocities
+from dolfinmpm.dynamics.halfstep import late_by_contact, lateness
 from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
 from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.traces import Stiffness, weighed
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
@@ -65,7 +66,7 @@ class General(OneByOne):
         return self._stiffness
 
     @stages.commit
-    def _take(self, step: Step) -> int | str:
+    def _take(self, step: Step, kick: float) -> int | str:
         """One step; how many points changed rank, or why there is no state. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
@@ -94,16 +95,18 @@ class General(OneByOne):
             return forces
         if held_by is not None:
             forces.arrays[0][:] -= held_by
-        problem.bodies.push(operator.contacts)
+        problem.bodies.push(operator.contacts, kick)
         self._resist(forces, mass, s, V)
+        net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
-        V_end = self._end(V + dt * A, mass, here, held, dt)
+        V_end = self._end(V + kick * A, mass, here, held, kick)
         motion = NodalMotion(V, A, V_end, A)
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if settings.mapping.kind == "tpic":
             operator.place([dt * V_end])
             gradient = operator.points.gradient[0] / dt
         new = settings.mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
+        self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         moved = points["x"] + dt * collect(s, V_end)
         V_strain = V if settings.scheme == "usf" else V_end
         if settings.scheme == "musl":
@@ -116,7 +119,7 @@ class General(OneByOne):
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        external = self._external(operator, mass, forces, V, V_end, dt)
+        external = self._external(operator, mass, forces, V, V_end, step, kick)
         if held_by is not None:
             at = here.unknowns.fields[0].owned_nodes
             done = -dt * float(np.sum(held_by[at] * V_strain[at]))
@@ -129,8 +132,37 @@ class General(OneByOne):
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
+        self._find_lateness(operator, net, grid)
         self._work.external += problem.bodies.commit(operator.contacts)
         return commit(points, state)
+
+    def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
+        """Find what velocities at the end of a step are late by, see `Work`. Collective.
+
+        Args:
+            operator: The step's equations, at its end.
+            net, grid: These sums of the work before the step (J).
+        """
+        work, bodies = self._work, self._problem.bodies
+        late = self._settings.scheme == "usf"
+        work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
+        if operator.contacts:
+            comm = self._problem.comm
+            more, work.late_bodies = late_by_contact(bodies, operator.contacts, comm)
+            work.late += more
+
+    def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
+        """What the mapping has taken in a step (J), see `Work`. Collective.
+
+        Args:
+            new: Fields of the points after it.
+            mass: Mass at the nodes.
+            change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
+        """
+        points, v = self._problem.points, new["velocity"]
+        square = np.sum((points["velocity"] + change) ** 2 - v**2, axis=1)
+        own = 0.5 * self._settings.scaling * float(point_masses(points) @ square)
+        return mass.comm.allreduce(own, op=MPI.SUM)
 
     @stages.assemble
     def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
@@ -245,11 +277,11 @@ class General(OneByOne):
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
         """Add what the nodes' kinetic energy changes by, and what forces take that resist.
 
-        Collective.
+        Collective. What they have by a ghost mass is theirs only within a step, and no loss: points
+        get the work of all forces.
         """
-        found = [mass.kinetic(v) for v in (V, V_end)]
-        self._work.grid += found[1][0] - found[0][0]
-        self._work.losses["ghost mass"] += found[1][1] - found[0][1]
+        found = [sum(mass.kinetic(v)) for v in (V, V_end)]
+        self._work.grid += found[1] - found[0]
         owned = mass.nodes.owned
         for name, force in self._resisting.items():
             done = dt * float(np.sum(force[:owned] * V_end[:owned]))
@@ -257,14 +289,21 @@ class General(OneByOne):
         self._resisting.clear()
 
     def _external(
-        self, operator: Operator, mass: Mass, forces: Nodal, V: Array, V_end: Array, dt: float
+        self,
+        operator: Operator,
+        mass: Mass,
+        forces: Nodal,
+        V: Array,
+        V_end: Array,
+        step: Step,
+        kick: float,
     ) -> float:
         """Work of loads, and of what moves held nodes, in a step (J). Collective."""
-        external = operator.load_work([dt * V_end])
+        external = operator.load_work([step.dt * V_end])
         here = operator.here
         if here.driven:
             # what moves held nodes gives them momentum against their forces
-            impulse = mass.times(V_end - V).arrays[0] - dt * forces.arrays[0]
+            impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
             at = here.unknowns.fields[0].places[1]
             done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])
             external += mass.comm.allreduce(done, op=MPI.SUM)

@@ -6,7 +6,8 @@ and so do the losses that are differences:
 
 - "plastic": work of the stresses less what laws that may yield store;
 - "projection": what the nodes' kinetic energy has changed by less what the points' has, which the
-  ways from the points to the nodes and back take;
+  ways from the points to the nodes and back take; in explicit steps what the points would have if
+  nodes had only changed their velocities, less what they have, which is nothing in "flip";
 - "integrator": all that is left, such as what a rule in time damps or quadrature errs.
 """
 
@@ -47,21 +48,39 @@ class Work:
         external: Work of loads, prescribed motions and what drives rigid bodies.
         internal: Work of stresses on strains.
         grid: Change of the kinetic energy of the nodes within steps.
+        projected: What forces would have made of the points' kinetic energy in explicit steps,
+            had they changed velocities alone, less what the mapping has made of it.
         losses: What is lost by the names of `LOSSES`.
+        length: Not a sum: length of the last step (s), 0 before the first.
+        late, late_bodies: Not sums: what the kinetic energy of the points' inertia, and of rigid
+            bodies, lacks of that at the time of positions, see `dolfinmpm.dynamics.halfstep`.
+        latest: Not a sum: work of the stresses at the end of the last step on its strains.
     """
 
     external: float = 0.0
     internal: float = 0.0
     grid: float = 0.0
+    projected: float = 0.0
     losses: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LOSSES, 0.0))
+    length: float = 0.0
+    late: float = 0.0
+    late_bodies: float = 0.0
+    latest: float = 0.0
+
+    @property
+    def net(self) -> float:
+        """External work less the losses."""
+        return self.external - sum(self.losses.values())
 
     def add(self, other: Work) -> None:
         """Add sums of further steps."""
         self.external += other.external
         self.internal += other.internal
         self.grid += other.grid
+        self.projected += other.projected
         for name, loss in other.losses.items():
             self.losses[name] += loss
+        self.late, self.late_bodies = other.late, other.late_bodies
 
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
@@ -89,17 +108,22 @@ class Work:
         sigma = new["stress"] if "stress" in new else points["stress"]
         old = before[:, None, None] * points["stress"][:, :d, :d]
         later = after[:, None, None] * sigma[:, :d, :d]
-        internal = 0.5 * float(np.sum((old + later) * rate))
-        self.internal += points.comm.allreduce(internal, op=MPI.SUM)
+        both = np.array([np.sum(old * rate), np.sum(later * rate)])
+        points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.SUM)
+        self.internal += 0.5 * float(both[0] + both[1])
+        self.latest = float(both[1])
 
     def values(self) -> Array:
         """The sums as a row of numbers."""
-        return np.array([self.external, self.internal, self.grid, *self.losses.values()])
+        sums = self.external, self.internal, self.grid, self.projected, *self.losses.values()
+        return np.array([*sums, self.length, self.late, self.late_bodies])
 
     def take(self, values: Array) -> None:
         """Take what `values` returned."""
-        self.external, self.internal, self.grid = (float(v) for v in values[:3])
-        self.losses = dict(zip(LOSSES, map(float, values[3:])))
+        sums, losses = map(float, values[:4]), map(float, values[4:-3])
+        self.external, self.internal, self.grid, self.projected = sums
+        self.losses = dict(zip(LOSSES, losses))
+        self.length, self.late, self.late_bodies = map(float, values[-3:])
 
 
 @dataclass(frozen=True)
@@ -108,8 +132,14 @@ class Energies:
 
     kinetic + bodies + strain + contact + dissipated − external = initial.
 
+    Bodies that meet in one field of velocities, without `mpm.contact` or `Collision`, have one
+    velocity at a node that they share: that impact is perfectly inelastic within a cell. What it
+    takes counts as "projection", or as "integrator" where points keep what nodes do not see.
+
     Attributes:
-        kinetic: ½ Σ m v² of the points.
+        kinetic: ½ Σ m v² of the points. Velocities of explicit steps are half a step behind
+            positions: here it is that at the time of the positions, see
+            `dolfinmpm.dynamics.halfstep`, and so is that of free rigid bodies.
         strain: Elastic energy that the laws store; not a number if one does not know its own.
         external: Work of loads and prescribed motions since the first step.
         bodies: Kinetic energy of free rigid bodies.
@@ -150,6 +180,7 @@ class Ledger:
         points: Material points.
         form: The weak form.
         scaling: Factor of the points' mass in the inertia.
+        by_points: Whether steps sum up what the mapping takes, see `Work`.
 
     Attributes:
         work: Sums over the steps.
@@ -160,10 +191,11 @@ class Ledger:
         points: MaterialPoints,
         form: WeakForm,
         scaling: float = 1.0,
+        by_points: bool = False,
     ):
         self.work = Work()
         self._points, self._form, self._bodies = points, form, form.bodies
-        self.scaling = scaling
+        self.scaling, self._by_points = scaling, by_points
         self._first = dict.fromkeys(_FIRST, 0.0)
         self._last = 0.0
 
@@ -182,8 +214,10 @@ class Ledger:
             }  # fmt: skip
             first["initial"] = kinetic + strain + first["bodies"] + touching[0]
         elif kinetic != self._last:
+            # new velocities count as those of now
             first["kinetic"] += kinetic - self._last
-            first["initial"] += kinetic - self._last
+            first["initial"] += kinetic - self._last - self.work.late / self.scaling
+            self.work.late = 0.0
         self._last = kinetic
 
     @property
@@ -226,8 +260,11 @@ class Ledger:
     def energies(self) -> Energies:
         """The energies now. Collective."""
         first, work = self._first, self.work
-        kinetic, strain = self.kinetic(), self._strain()
-        bodies, (contact, rubbed) = self._bodies.kinetic(), self._touching()
+        own, strain = self.kinetic(), self._strain()
+        # velocities that the user has changed since are those of now
+        late = work.late / self.scaling if own == self._last else 0.0
+        kinetic = own + late
+        bodies, (contact, rubbed) = self._bodies.kinetic() + work.late_bodies, self._touching()
         contact += self._bodies.stored
         if not first["started"]:
             whole = kinetic + strain + bodies + contact
@@ -239,11 +276,13 @@ class Ledger:
         if any(getattr(law, "strengths", ()) != () for law in laws):
             losses["plastic"] = work.internal - (strain - first["strain"])
         losses["friction"] += rubbed - first["rubbed"]
-        gained = kinetic - first["kinetic"]
-        losses["projection"] = work.grid - self.scaling * gained
+        gained = own - first["kinetic"]
+        losses["projection"] = work.projected
+        if not self._by_points:
+            losses["projection"] = work.grid - self.scaling * gained
         if self.scaling != 1.0:
             # inertia has more energy than mass
-            losses["mass scaling"] = (self.scaling - 1.0) * gained
+            losses["mass scaling"] = (self.scaling - 1.0) * (gained + late)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
         losses["integrator"] = initial + work.external - known

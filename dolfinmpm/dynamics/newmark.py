@@ -190,7 +190,10 @@ class TimeStepping(QuasiStatic):
 
     @together
     def energies(self) -> Energies:
-        """Energies of the body now, and work done since the first step. Collective."""
+        """Energies of the body now, and work done since the first step. Collective.
+
+        Bodies that meet in one field of velocities lose energy by the mapping, see `Energies`.
+        """
         return self.ledger.energies()
 
     @together

@@ -33,8 +33,8 @@ def _rub(mark, rubbing, velocity):
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
 def move_nodes(
-    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, scaling, damping,
-    known, last, done,
+    box, columns, out, nodes, own, fixed, before, held, faces, pushed, g, dt, kick, scaling,
+    damping, known, last, done,
 ):  # fmt: skip
     """Accelerate the nodes of a box.
 
@@ -43,6 +43,7 @@ def move_nodes(
         before, held: Velocities of fixed components at the start and the end of the step.
         faces: What acts at sides of the grid, see `Faces.by_nodes`.
         pushed: Written unless empty, changes of velocity by forces alone.
+        dt, kick: For how long nodes move, and for how long forces act on them (s).
         known: Whether velocities for the strain have been set before.
         last: Whether the sums are done with, and cleared.
         done: Added to, see `Fused.done`.
@@ -64,11 +65,11 @@ def move_nodes(
                     resisting[i] = damping * abs(f) * np.sign(before[k, i] if fixed[k, i] else y)
                     f -= resisting[i]
                 forces[i] = f
-                ends[i] = before[k, i] if fixed[k, i] else y + dt * f * per_mass / scaling
+                ends[i] = before[k, i] if fixed[k, i] else y + kick * f * per_mass / scaling
             if dashpots.shape[0] > 0 and m > 0.0:
                 for i in range(d):
                     damped += half * ends[i] ** 2
-                    ends[i] /= 1.0 + dt * dashpots[k, i] / (m * scaling)
+                    ends[i] /= 1.0 + kick * dashpots[k, i] / (m * scaling)
                     damped -= half * ends[i] ** 2
             if marks.shape[0] > 0 and marks[k] != 0:
                 for i in range(d):
@@ -78,12 +79,12 @@ def move_nodes(
                     rubbed -= half * ends[i] ** 2
             for i in range(d):
                 y, f, end = out[k, i] * per_mass, forces[i], ends[i]
-                change = dt * f * per_mass / scaling
+                change = kick * f * per_mass / scaling
                 if fixed[k, i]:
                     y, end, change = before[k, i], held[k, i], 0.0
                     if own[k]:
                         # what moves the node does work against its forces and its inertia
-                        work += (m * scaling * (end - y) - dt * f) * end
+                        work += (m * scaling * (end - y) - kick * f) * end
                 nodes[k, i] = end - y
                 grid += half * (end * end - y * y)
                 nodes[k, velocity + i] = end

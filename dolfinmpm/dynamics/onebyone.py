@@ -71,13 +71,14 @@ class OneByOne(ABC):
         """End a call; no arrays of the points are kept."""
 
     def run(
-        self, count: int, dt: float, more: bool, begin: Callable[[int], Step]
+        self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
     ) -> tuple[int, int, str | None]:
         """Take equal steps. Collective.
 
         Args:
             count: How many.
             dt: Their length (s).
+            kick: For how long forces act in the first of them (s), see `Explicit`.
             more: Whether others follow without a new start.
             begin: Gives form and conditions the time of a step by its number, and the step.
 
@@ -86,15 +87,20 @@ class OneByOne(ABC):
         """
         migrated = 0
         for k in range(count):
-            found = self._take(begin(k))
+            found = self._take(begin(k), dt if k else kick)
             if isinstance(found, str):
                 return k, migrated, found
             migrated += found
         return count, migrated, None
 
     @abstractmethod
-    def _take(self, step: Step) -> int | str:
-        """One step; how many points changed rank, or why there is no state. Collective."""
+    def _take(self, step: Step, kick: float) -> int | str:
+        """One step; how many points changed rank, or why there is no state. Collective.
+
+        Args:
+            step: The step.
+            kick: For how long forces act in it (s).
+        """
 
     def _advanced(self, operator: Operator, moves: bool, x: Array | None = None) -> NewState | str:
         """The state with the increments at the points, or why there is none; see `advance`."""

@@ -88,6 +88,86 @@ def test_a_body_in_free_motion_keeps_its_energy(basis, stabilisation):
     assert problem.angular_momentum() == pytest.approx(spin, rel=1e-4)
 
 
+def free(law, basis, courant, disc=True, centre=(0.98, 1.03), **options):
+    """A body that turns and stretches, and its crossing time (s); explicit steps."""
+    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (2, 2)], (20, 20), CELLS[2])
+    centre, R = np.array(centre), 0.35
+    shape = mpm.Disc(tuple(centre), R)
+    if not disc:
+        half = np.array([R, 0.4])
+        shape = mpm.Box(tuple(centre - half), tuple(centre + half))
+    points = mpm.fill(grid, shape, 3 if disc else 2, RHO)
+    V = mpm.Space(grid, basis)
+    points.add_field("velocity", (2,), "m/s")
+    rate = 0.1 * SPEED / R * np.array([[0.5, -0.6], [0.5, -0.4]])
+    points["velocity"] = (points["x"] - centre) @ rate.T
+    F = mpm.momentum(law, points, V.increment, V.test)
+    return mpm.Explicit(F, V.increment, points, courant=courant, **options), 2 * R / SPEED
+
+
+FREE = [
+    (mpm.materials.Hencky, "gimp", 0.8, True),
+    (mpm.materials.Hencky, "bspline2", 0.8, False),
+    (mpm.materials.NeoHookean, "bspline2", 0.4, True),
+    (mpm.materials.NeoHookean, "gimp", 0.2, False),
+]
+
+
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize(("law", "basis", "courant", "disc"), FREE)
+def test_a_body_in_free_motion_keeps_its_energy_in_explicit_steps(law, basis, courant, disc, fused):
+    problem, crossing = free(law(E, NU), basis, courant, disc, fused=fused)
+    assert bool(problem.unfused) != fused
+    first, stored = problem.energies(), 0.0
+    for t in mpm.times(4 * crossing, dt=0.1 * crossing):
+        problem.step(t)
+        now = problem.energies()
+        stored = max(stored, now.strain)
+        assert now.kinetic + now.strain == pytest.approx(first.kinetic, rel=2e-3)
+        assert now["projection"] == pytest.approx(0.0, abs=1e-12 * first.kinetic)
+    assert stored > 0.2 * first.kinetic
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_explicit_steps_may_change_their_length(fused):
+    """Forces act over halves of the steps before and after: else each change makes energy."""
+    problem, crossing = free(mpm.materials.Hencky(E, NU), "bspline2", np.inf, fused=fused)
+    first, longest = problem.energies().kinetic, 0.8 * problem.critical_step()
+    t = 0.0
+    for k in range(60):
+        t += (0.3 if k % 7 < 3 else 1.0) * longest
+        problem.step(t)
+        now = problem.energies()
+        assert now.kinetic + now.strain == pytest.approx(first, rel=0.01)
+    assert t > 4 * crossing
+
+
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("scheme", ["musl", "usl"])
+def test_a_body_falls_by_the_work_of_its_weight(scheme, fused):
+    problem, _ = free(mpm.materials.Hencky(E, NU), "gimp", 0.5, scheme=scheme, fused=fused)
+    points, V = problem.points, problem.fields[0].space
+    points["velocity"][:] = 0.0
+    g = fem.Constant(points.grid, (0.0, -9.81))
+    F = mpm.momentum(mpm.materials.Hencky(E, NU), points, V.increment, V.test)
+    F -= ufl.inner(points.density * g, V.test) * points.dX
+    problem = mpm.Explicit(F, V.increment, points, scheme=scheme, fused=fused)
+    for t in mpm.times(0.02, dt=1e-3):
+        problem.step(t)
+        now = problem.energies()
+        assert now.kinetic == pytest.approx(now.external, rel=1e-9)
+
+
+def test_velocities_that_the_user_sets_are_those_of_now():
+    problem, crossing = free(mpm.materials.Hencky(E, NU), "gimp", 0.8)
+    problem.step(0.3 * crossing)
+    strain = problem.energies().strain
+    problem.points["velocity"][:] = 0.0
+    assert problem.energies().kinetic == 0.0
+    problem.step(0.3 * crossing + 1e-3 * crossing)
+    assert problem.energies().initial == pytest.approx(strain, rel=0.02)
+
+
 NEWMARK = [
     {"stabilisation": "ghost"},
     {"stabilisation": "ghost", "ghost_mass": 0.25},
@@ -138,9 +218,12 @@ def test_energies_close_in_every_step(rule, options, yields):
     if options.get("mapping") == "pic" and options.get("mass") != "consistent":
         assert now["projection"] > 1e-2 * largest
     damps = rule is mpm.GeneralisedAlpha and options.get("rho_inf") == 0.0
-    late = options.get("scheme") == "usf"
-    cut = {"mass_cutoff", "redistribution", "mass_scaling"} & set(options)
-    assert abs(now["integrator"]) < (0.1 if damps or cut or late else 0.03) * largest
+    bound = 0.1 if damps else 0.03
+    if rule is mpm.Explicit:
+        # strains of these orders and mappings are not those that the points' velocities make
+        bound = 0.012 if "scheme" in options or options.get("mapping") == "tpic" else 2e-3
+        bound = 2.5e-3 if options.get("bulk_viscosity") else bound
+    assert abs(now["integrator"]) < bound * largest
 
 
 def test_what_the_user_gives_counts_as_there_from_the_start():
