@@ -94,6 +94,8 @@ def compare(times=(0.006, 0.02), tolerance=1e-11, **scene):
     mine, theirs = one.energies(), other.energies()
     work = max(abs(theirs.kinetic), abs(theirs.strain), abs(theirs.external))
     assert abs(mine.external - theirs.external) <= 1e-10 * work
+    for name in ("damping", "friction", "projection"):
+        assert abs(mine[name] - theirs[name]) <= 1e-10 * work, name
     if isinstance(one.form.parts.declarations[0].law, NeoHookean):
         # all is stored; the sums of the others err by the length of the steps
         assert abs(mine.dissipated) <= 1e-10 * work
