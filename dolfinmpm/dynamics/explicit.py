@@ -74,6 +74,10 @@ class Explicit(Problem):
     The form is that of the quasi-static problem, internal forces less loads; what it moves has
     mass, the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
 
+    Velocities are half a step behind positions, and forces at a time change them over half of the
+    step before and half of that after: steps may change their length. `energies()` has the kinetic
+    energy at the time of the positions.
+
     `step(t)` goes to a time in as many steps as stability asks for; in a loop over
     `times(end, dt="auto")` each call takes twenty fused ones, or one where they are not. A run
     that turns out unstable ends with an `InstabilityError` and goes back to the beginning of the
