@@ -77,7 +77,6 @@ INPUTS = {
     "scaled()": "its coordinates have been changed since",
     's.plot("a.png", dpi=30000)': "makes a picture of more than 32768 points a side",
     # -- stabilisation
-    'mpm.Stabilisation("ghost", threshold=0.5)': "stabilisation's threshold = 0.5 tells which",
     'mpm.Stabilisation("ghost", target=-1.0)': "stabilisation's target = -1 must be above 1",
     'mpm.Stabilisation("ghost", target=nan)': "stabilisation's target = nan must be above 1; nan",
     'mpm.Stabilisation("aggregation", target=10.0)': "stabilisation's target = 10 is of",

@@ -270,12 +270,6 @@ class Stabilisation:
             if not 0 < share <= 1:
                 raise ParameterError(f"stabilisation's threshold = {share:g} must be in (0, 1]")
         number("stabilisation's eta", self.eta, 0.0, 1.0)
-        filled = ("aggregation", "weak-aggregation", "extended")
-        if self.threshold is not None and self.kind not in filled:
-            raise ParameterError(
-                f"stabilisation's threshold = {self.threshold:g} tells which cells are well "
-                f'filled, and "{self.kind}" does not ask: it is of {", ".join(filled)}'
-            )
         if self.target is not None and self.gamma != ADAPTIVE:
             raise ParameterError(
                 f'stabilisation\'s target = {self.target:g} is of gamma="{ADAPTIVE}" alone'
