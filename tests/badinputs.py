@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from moreinputs import MORE
 from mpi4py import MPI
 from rawinputs import RAW
 
@@ -557,6 +558,7 @@ BAD = {
     "stabilisation: kind a list": (lambda s: mpm.Stabilisation(["ghost"]), "must be one of"),
     # -- what Python, NumPy or UFL would tell of
     **RAW,
+    **MORE,
     # -- ParaView
     "paraview: no path": (lambda s: mpm.ParaView(None, s.points), "path = None must be a path"),
     "paraview: a number": (lambda s: mpm.ParaView(3, s.points), "path = 3 must be a path"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 import numbers
 import operator
@@ -17,8 +18,8 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = [
-    "Tags", "as_tags", "check_kind", "choice", "coordinates", "file_path", "number", "shown",
-    "truth", "whole",
+    "Tags", "as_tags", "at_time", "check_function", "check_kind", "choice", "coordinates",
+    "file_path", "number", "shown", "truth", "whole",
 ]  # fmt: skip
 
 Tags = tuple[int, ...] | None
@@ -56,6 +57,43 @@ def check_kind(what: str, value: Any, kind: type, remedy: str) -> None:
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {remedy}")
+
+
+def check_function(what: str, value: Any, remedy: str = "") -> None:
+    """Raise ParameterError unless a value is a function.
+
+    Args:
+        what: Name of the argument.
+        value: What was given.
+        remedy: What the function takes and returns.
+    """
+    if not callable(value):
+        raise ParameterError(f"{what} = {shown(value)} must be a function{remedy and f' {remedy}'}")
+
+
+def at_time(what: str, given: Any, t: float) -> Any:
+    """What a function of time returns; what is given itself if it is none.
+
+    Raises:
+        ParameterError: It cannot be called with a time.
+    """
+    if not callable(given):
+        return given
+    try:
+        return given(t)
+    except TypeError:
+        # of its own, or because it takes something else?
+        try:
+            inspect.signature(given).bind(t)
+        except TypeError as error:
+            raise ParameterError(
+                f"{what} = {shown(given)} must be a function of the time (s) alone, such as "
+                f"lambda t: 0.1 * t; {error}"
+            ) from None
+        except ValueError:
+            # one of another language, which tells nothing of itself
+            pass
+        raise
 
 
 def number(

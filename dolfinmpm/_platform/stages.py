@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 
 from petsc4py import PETSc
 
+from dolfinmpm._platform.checks import truth
+
 __all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate",
            "measure_stages", "migrate", "output", "solve"]  # fmt: skip
 
@@ -198,11 +200,12 @@ def measure_stages(on: bool = True) -> None:
         on: Whether they are measured.
 
     Raises:
+        ParameterError: `on` is neither True nor False.
         RuntimeError: A step is being taken.
     """
     if _clock.front is not None:
         raise RuntimeError("stages are switched on or off between steps")
-    _clock.asked = bool(on)
+    _clock.asked = truth("on", on)
     _clock.begin()
 
 

@@ -334,17 +334,17 @@ def _pairs(bound: inspect.BoundArguments, plain: bool, own: frozenset[str]) -> T
     return [(name, told(value)) for name, value in named.items() if name not in own]
 
 
-def meet(comm: MPI.Intracomm, call: str, name: str) -> None:
+def meet(comm: MPI.Intracomm, call: str, **given: Any) -> None:
     """The door of a call that is collective in some of its uses only. Collective.
 
     Args:
         comm: Whose ranks meet.
         call: Name of the call.
-        name: What it is given.
+        given: What it is given, by name.
     """
     if MPI.COMM_WORLD.size == 1 or here.inside:
         return
     here.call = call
     ranks = ranks_of(comm)
     if ranks is not None:
-        ranks.meet([("name", name)])
+        ranks.meet([(name, told(value)) for name, value in given.items()])

@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.checks import at_time, choice, number, shown, truth, whole
 from dolfinmpm._platform.errors import (
     IdleConditionWarning,
     ParameterError,
@@ -194,6 +194,7 @@ def prescribed(
             may be, or no node is there.
     """
     _check_space(space)
+    truth("increment", increment), truth("follows", follows)
     if whole("component", component, 0) >= space.components:
         raise ParameterError(
             f"component = {component} must be in 0 ... {space.components - 1} of this field"
@@ -228,7 +229,7 @@ def moving(
     given = velocity if callable(velocity) else number("velocity", velocity, unit="m/s")
 
     def at(t: float) -> float:
-        return number("velocity", given(t) if callable(given) else given, unit="m/s")
+        return number("velocity", at_time("velocity", given, t), unit="m/s")
 
     at(0.0)
     (condition,) = prescribed(space, where, component, own_constant(space.grid, 0.0))

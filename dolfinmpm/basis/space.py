@@ -19,6 +19,7 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.lattice import first_parts
+from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_size,
@@ -271,6 +272,7 @@ class Space:
         self.increment = fem.Function(self.function_space, name="increment")
         self.increment._dolfinmpm_space = self
         self.test = ufl.TestFunction(self.function_space)
+        self.number = next_on(grid, "spaces")
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")

@@ -29,11 +29,13 @@ class Acting:
         name: What it is, for messages.
         integrand: Its integrand.
         added: Whether it is added to a weak form; else it is subtracted.
+        once: Whether a form may have it once only.
     """
 
     name: str
     integrand: Expr
     added: bool = False
+    once: bool = False
 
     def __repr__(self) -> str:
         return self.name
@@ -44,15 +46,16 @@ class Acting:
         return ""
 
 
-def acting(integrand: Expr, measure: ufl.Measure, name: str) -> ufl.Form:
+def acting(integrand: Expr, measure: ufl.Measure, name: str, once: bool = False) -> ufl.Form:
     """The integral of the virtual work of what acts on a body, with its mark.
 
     Args:
         integrand: Virtual work per volume or area.
         measure: The measure.
         name: What acts, for messages.
+        once: Whether a form may have it once only.
     """
-    return _marked(integrand, measure, Acting(name, integrand))
+    return _marked(integrand, measure, Acting(name, integrand, once=once))
 
 
 def resisting(integrand: Expr, measure: ufl.Measure, name: str) -> ufl.Form:

@@ -123,6 +123,8 @@ def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
         raise ParameterError(
             f"w = {shown(w)} must be a field of UFL, such as Space.increment or Space.test"
         )
+    if radius is not None and not isinstance(radius, Expr):
+        raise ParameterError(f"radius = {shown(radius)} must be r in UFL, such as points.x[0]")
     G = ufl.grad(w)
     if not points.axisymmetric or w.ufl_shape == ():
         return G

@@ -27,6 +27,7 @@ from dolfinmpm.body.acting import acting
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
+from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.markerplaces import (
     put_inside,
     revolved,
@@ -37,7 +38,6 @@ from dolfinmpm.body.markerplaces import (
 )
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
 from dolfinmpm.grid.positions import ask
 
@@ -106,6 +106,8 @@ class Boundary:
         activates: bool | None = None,
     ):
         check_points(points)
+        if name is not None and (not isinstance(name, str) or not name):
+            raise ParameterError(f"name = {shown(name)} must be a word, such as 'wall'")
         activates = (
             truth("follows", follows) if activates is None else truth("activates", activates)
         )
@@ -363,10 +365,12 @@ class Boundary:
         Args:
             t: Force per area (Pa), a vector of UFL.
             v: Test function, `Space.test`.
+
+        Raises:
+            ParameterError: t is no vector of the dimension of space, or v no test function.
         """
         check_displacement(self.points, v=v)
-        if not isinstance(t, Expr):
-            t = own_constant(self.points.grid, np.asarray(t, float))
+        t = vector_of(self.points, "traction", t)
         return acting(ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
@@ -378,10 +382,12 @@ class Boundary:
             p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar of UFL.
             u: Increment of the step, `Space.increment`.
             v: Test function, `Space.test`.
+
+        Raises:
+            ParameterError: p is no scalar, or u and v no increment and no test function.
         """
         check_displacement(self.points, u=u, v=v)
-        if not isinstance(p, Expr):
-            p = own_constant(self.points.grid, float(p))
+        p = pressure_of(self.points, p)
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
         work = -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.checks import check_kind, number, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm._platform.together import together
@@ -95,7 +95,8 @@ class RigidFooting(ReadOnce):
                     f"stiffness {_STIFFNESS:g} E/h by default, or stiffness = ... (Pa/m)"
                 )
             stiffness = _STIFFNESS * number("E", E, 0.0, unit="Pa") / _largest_cell(points)
-        self.surface, self.settlement, self.rough = surface, settlement, rough
+        self.surface, self.settlement = surface, settlement
+        self.rough = truth("rough", rough)
         self.stiffness = number("stiffness", stiffness, 0.0, unit="Pa/m")
         # constants of the form, for numbers would be compiled into it
         self._k = own_constant(points.grid, self.stiffness)
@@ -132,7 +133,7 @@ class RigidFooting(ReadOnce):
         if not self.rough:
             gap = ufl.dot(gap, n) * n
         name = f"the contact of a footing on '{surface.name}'"
-        return surface.virtual_work(-self._k * gap, v, name)
+        return surface.virtual_work(-self._k * gap, v, name, once=True)
 
     def gaps(self) -> Array:
         """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""

@@ -11,6 +11,7 @@ from dolfinx import graph
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import coordinates
 from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_together, warn
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.points import MaterialPoints
@@ -70,6 +71,14 @@ def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., A
     if not isinstance(shape, Shape):
         raise ParameterError(f"shape = {shape!r} must be a shape, such as mpm.Box or mpm.Polygon")
 
+    if not isinstance(vertices, Mesh):
+        x = coordinates("vertices", vertices)
+        d = x.shape[1] if x.ndim == 2 else 0
+        if not 1 <= d <= 3 or (len(x) and shape.low is not None and len(shape.low) != d):
+            raise ParameterError(
+                f"vertices have the shape {x.shape} and must be a mesh, or coordinates (m) in the "
+                "space of the shape, a row each"
+            )
     # DOLFINx asks for the partition of a box on the first rank alone, which has all its cells:
     # what others know of the mesh is gathered here
     known = _vertices_of(vertices) if isinstance(vertices, Mesh) else None
@@ -84,7 +93,9 @@ def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., A
         x, error = known, None
         if x is None:
             x = np.concatenate(comm.allgather(np.asarray(vertices, float)))
-        if whole.max(initial=-1) >= len(x):
+        if not np.isfinite(x).all():
+            error = ParameterError("partitioner was given vertices that are not finite (m)")
+        elif whole.max(initial=-1) >= len(x):
             error = ParameterError(
                 f"the mesh has a vertex {whole.max()}, and partitioner was given {len(x)} of them: "
                 "give it the coordinates that create_mesh gets, or a mesh of the same cells"

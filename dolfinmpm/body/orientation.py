@@ -37,7 +37,12 @@ def check_outward(points: MaterialPoints, x: Array, area: Array, name: str) -> N
         ParameterError: It is inside out.
     """
     amounts = np.zeros(2)
-    size = float(points.placement().volume.max(initial=0.0)) ** (1 / points.gdim)
+    placed = points.placement()
+    largest = points.comm.allreduce(float(placed.volume.max(initial=0.0)), op=MPI.MAX)
+    size = largest ** (1 / points.gdim)
+    # a marker between two cells may be on another rank than the points beside it
+    everywhere = points.comm.allgather((x, area))
+    x, area = (np.concatenate(rows) for rows in zip(*everywhere))
     if len(points) and len(x):
         from scipy.spatial import cKDTree
 
@@ -45,7 +50,7 @@ def check_outward(points: MaterialPoints, x: Array, area: Array, name: str) -> N
         of = np.repeat(np.arange(len(x)), [len(found) for found in near])
         rows = np.concatenate([np.asarray(found, np.intp) for found in near])
         ahead = np.sum((points["x"][rows] - x[of]) * area[of], axis=1)
-        volume = points.placement().volume[rows] * np.linalg.norm(area[of], axis=1)
+        volume = placed.volume[rows] * np.linalg.norm(area[of], axis=1)
         amounts[:] = volume[ahead > 0].sum(), volume[ahead < 0].sum()
     front, behind = points.comm.allreduce(amounts, op=MPI.SUM)
     if front > _MORE * behind:

@@ -14,7 +14,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.checks import shown, truth
 from dolfinmpm._platform.errors import (
     DolfinMPMError,
     FieldShapeError,
@@ -36,6 +36,7 @@ from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
 from dolfinmpm.body.missing import no_field
 from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["MOTION", "UNSET", "MaterialPoints", "PointChange", "PointField"]
@@ -165,7 +166,7 @@ class MaterialPoints:
             require_axis(grid)
         self.grid = grid
         self.comm: MPI.Intracomm = grid.comm
-        self.number = next(_numbers)
+        self.number, self._order = next(_numbers), next_on(grid, "points")
         self.gdim = grid.geometry.dim
         self.strain_dim = e = 3 if axisymmetric else self.gdim
         self.fields = FieldArrays()
@@ -386,12 +387,27 @@ class MaterialPoints:
             ParameterError: The name cannot be one of a field, or a function does not give
                 first values.
         """
+        if not isinstance(name, str):
+            raise ParameterError(f"name = {shown(name)} must be a word: it names a field")
+        if not isinstance(shape, (tuple, list)) or not all(isinstance(n, int) for n in shape):
+            raise ParameterError(
+                f"shape = {shown(shape)} of field '{name}' must be a tuple: () for a number, "
+                f"({self.gdim},) for a vector"
+            )
+        if not isinstance(unit, str):
+            raise ParameterError(f"unit = {shown(unit)} of field '{name}' must be a word")
         shape = tuple(shape)
         if name in self._ufl:
             if self._ufl[name].ufl_shape != shape:
                 raise FieldShapeError(
                     f"field '{name}' has shape {self._ufl[name].ufl_shape} at a point, "
                     f"asked for {shape}; choose another name"
+                )
+            given = callable(value) or bool(np.any(np.not_equal(value, 0.0)))
+            if name in _BUILT_IN and given:
+                raise ParameterError(
+                    f"all points have a field '{name}', and a first value would not be looked at: "
+                    f"set points['{name}'] = ..."
                 )
             return self._ufl[name]
         if not name.isidentifier() or name in self.__dict__ or hasattr(MaterialPoints, name):
@@ -402,7 +418,7 @@ class MaterialPoints:
             return field.first_values(self["x0"])
 
         if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name)
+            meet(self.comm, "MaterialPoints.add_field", name=name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -416,6 +432,10 @@ class MaterialPoints:
             raise UnknownNameError(no_field(name, self.__dict__.get("_ufl", {}))) from None
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if not isinstance(name, str):
+            raise UnknownNameError(
+                f"points[{shown(name)}]: fields go by their names, one at a time, as in points['x']"
+            )
         try:
             return self.fields[name]
         except KeyError:
@@ -432,6 +452,17 @@ class MaterialPoints:
             ParameterError: Values are no numbers, or not whole where they must be.
         """
         target = self[name]
+        if name == "cell":
+            raise ParameterError(
+                "'cell' is what the body itself keeps of its points; set their positions, "
+                "points['x'], and call points.locate()"
+            )
+        several = self.total if np.ndim(values) == 0 else len(self)
+        if name == "id" and np.unique(values).size < several:
+            raise ParameterError(
+                "'id' tells the points apart, and some would have the same; add a field of your "
+                "own, points.add_field"
+            )
         given = np.asarray(values)
         if not np.can_cast(given.dtype, target.dtype, "same_kind"):
             raise ParameterError(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import coordinates, number
+from dolfinmpm._platform.checks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import turn
 
@@ -46,17 +46,36 @@ class Shape:
         low: Array | None = None,
         high: Array | None = None,
     ):
+        check_function("contains", contains, "of positions that tells which are inside")
         self._contains = contains
         self.low = low
         self.high = high
 
     def contains(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Whether each position x (m), shape (n, gdim), is in the shape."""
+        """Whether each position x (m), shape (n, gdim), is in the shape.
+
+        Raises:
+            ParameterError: They are no positions of its space, or its function fails.
+        """
+        x = coordinates("x", x)
+        if x.ndim != 2:
+            raise ParameterError(
+                f"x has the shape {x.shape} and must be positions, a row each: [(0.5, 0.5)]"
+            )
         if self.low is not None and x.shape[1] != len(self.low):
             raise ParameterError(
                 f"{type(self).__name__} has {len(self.low)} coordinates, the grid has {x.shape[1]}"
             )
-        inside = np.asarray(self._contains(x))
+        try:
+            inside = np.asarray(self._contains(x))
+        except (IndexError, TypeError, ValueError) as error:
+            if isinstance(error, ParameterError):
+                raise
+            raise ParameterError(
+                f"{type(self).__name__} failed with {type(error).__name__}: {error}. Its function "
+                f"gets coordinates of all {len(x)} positions at once, in {x.shape[1]}D: join "
+                "conditions with & and |, each in brackets"
+            ) from error
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise ParameterError(
                 f"{type(self).__name__} should tell of {len(x)} positions whether they are inside, "
@@ -74,6 +93,9 @@ class Shape:
                 f"a shape of {sizes[0]} coordinates cannot be combined with one of {sizes[1]}"
             )
         return other
+
+    def __add__(self, other: object) -> Shape:
+        raise ParameterError("shapes join with |, overlap with & and are cut with -: write a | b")
 
     def __or__(self, other: Shape) -> Shape:
         other = self._joins(other)
@@ -286,4 +308,5 @@ class Where(Shape):
     """
 
     def __init__(self, condition: Callable[[Array], npt.NDArray[np.bool_]]):
+        check_function("condition", condition, "of positions that tells which are inside")
         super().__init__(lambda x: condition(np.ascontiguousarray(x.T)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.checks import shown, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -134,6 +136,10 @@ def _rows(
         if n and (not np.issubdtype(numbers.dtype, np.integer) or numbers.min() < 0):
             raise ParameterError("id should be whole numbers of at least 0")
         rows["id"] = numbers.astype(np.int64)
+    if not isinstance(fields, Mapping):
+        raise ParameterError(
+            f"fields = {shown(fields)} must be a dictionary, such as {{'velocity': v}}"
+        )
     for name, values in fields.items():
         if name in reserved:
             raise ParameterError(
@@ -144,6 +150,14 @@ def _rows(
         if given.shape[:1] != (n,):
             raise FieldShapeError(f"field '{name}' should have {n} rows, got {given.shape}")
         rows[f"field:{name}"] = checked(f"field '{name}'", given, given.shape)
+        finite = np.isfinite(rows[f"field:{name}"])
+        good = np.asarray(finite.all(axis=tuple(range(1, finite.ndim))))
+        if not good.all():
+            k = int(np.argmin(good))
+            raise ParameterError(
+                f"field '{name}' is {given[k]} in row {k}, at {at[k]} m, and must be finite "
+                f"({int((~good).sum())} such points on this rank)"
+            )
     _, first = np.unique(rows["x"], axis=0, return_index=True)
     if len(first) < n:
         again = np.setdiff1d(np.arange(n), first)

@@ -24,7 +24,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -37,6 +37,7 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.body.acting import acting
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
+from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
@@ -209,7 +210,15 @@ class Surface:
         return ufl.dot(in_section(self.points, self.points.F), self.offset)
 
     def at(self, w) -> Expr:
-        """An increment or a test function at the face: w + ∇w·F_n R."""
+        """An increment or a test function at the face: w + ∇w·F_n R.
+
+        Raises:
+            ParameterError: w is no field of UFL.
+        """
+        if not isinstance(w, Expr):
+            raise ParameterError(
+                f"w = {shown(w)} must be a field of UFL, such as Space.increment or Space.test"
+            )
         return w + ufl.dot(ufl.grad(w), self._reach)
 
     def position(self, u=None) -> Expr:
@@ -229,38 +238,20 @@ class Surface:
             ParameterError: The traction is no vector of the dimension of space, or v no
                 test function.
         """
-        return self.virtual_work(self._vector("traction", t), v, f"the traction on '{self.name}'")
+        t = vector_of(self.points, "traction", t)
+        return self.virtual_work(t, v, f"the traction on '{self.name}'")
 
-    def virtual_work(self, t: Expr, v, name: str) -> ufl.Form:
+    def virtual_work(self, t: Expr, v, name: str, once: bool = False) -> ufl.Form:
         """Virtual work of a traction under a name that messages use; see `traction`.
 
         Args:
             t: Force per area at first (Pa), a vector of UFL.
             v: Test function, `Space.test`.
             name: What acts.
+            once: Whether a form may have it once only.
         """
         check_displacement(self.points, v=v)
-        return acting(self.density * ufl.dot(t, self.at(v)), self.points.dX, name)
-
-    def _vector(self, what: str, t) -> Any:
-        """A vector for UFL, from one or from numbers."""
-        d = self.points.gdim
-        if isinstance(t, Expr):
-            if t.ufl_shape != (d,):
-                raise ParameterError(
-                    f"{what} '{str(t)[:100]}' has shape {t.ufl_shape} and must be a vector of {d} "
-                    "components; pressure acts along the normal"
-                )
-            return t
-        if not isinstance(t, (Sequence, np.ndarray)) or isinstance(t, str) or len(t) != d:
-            raise ParameterError(
-                f"{what} = {shown(t)} must be a vector of {d} components: numbers, a "
-                "dolfinx.fem.Constant or a UFL expression"
-            )
-        if any(isinstance(c, Expr) for c in t):
-            return ufl.as_vector(list(t))
-        components = [number(f"{what}[{k}]", c) for k, c in enumerate(t)]
-        return own_constant(self.points.grid, components)
+        return acting(self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
 
     def force(self, P, v) -> ufl.Form:
         """Virtual work of a dead force that is spread evenly, to be subtracted.
@@ -269,7 +260,7 @@ class Surface:
             P: Force (N; N/m in plane strain), a vector like that of `traction`.
             v: Test function, `Space.test`.
         """
-        t = self._vector("force", P) / self._total
+        t = vector_of(self.points, "force", P) / self._total
         return self.virtual_work(t, v, f"the force on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
@@ -285,13 +276,7 @@ class Surface:
             v: Test function, `Space.test`.
         """
         points = self.points
-        if not isinstance(p, Expr):
-            p = own_constant(points.grid, number("p", p, unit="Pa"))
-        elif p.ufl_shape != ():
-            raise ParameterError(
-                f"pressure '{str(p)[:100]}' has shape {p.ufl_shape} and must be a scalar; a vector "
-                "is a traction"
-            )
+        p = pressure_of(points, p)
         check_displacement(points, u=u, v=v)
         F = ufl.Identity(points.gdim) + in_section(points, gradient(points, u))
         F = ufl.dot(F, in_section(points, points.F))
@@ -310,7 +295,7 @@ class Surface:
             direction: A vector: numbers, or a UFL expression.
             w: Test function, `Space.test`.
         """
-        along = ufl.dot(self._vector("direction", direction), self.at(w))
+        along = ufl.dot(vector_of(self.points, "direction", direction), self.at(w))
         return self.density / self._total * along * self.points.dX
 
     def mean_normal(self, w) -> ufl.Form:

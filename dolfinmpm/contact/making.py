@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,11 @@ def surface_of(shape: Any, fillet: float) -> Surface:
         return _box(shape, fillet)
     if isinstance(shape, Cone):
         return Revolved(_polygon(shape.profile, fillet), shape.tip, shape.axis)
+    if isinstance(shape, str) and not os.path.splitext(shape)[1]:
+        raise ParameterError(
+            f"shape = {shown(shape)} is no shape, and no file of a mesh, whose name has an ending: "
+            "give one such as mpm.Disc((0, 1), 0.5)"
+        )
     if is_mesh(shape):
         surface = mesh_surface(shape)
         return filleted(surface, fillet) if fillet else surface

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import at_time, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm.contact.freedom import Freedom, vector
@@ -402,7 +402,8 @@ class _Course:
             )
 
     def value(self, function: Motion, t: float) -> Array:
-        return vector(f"{self._name}({t:g})", np.atleast_1d(np.asarray(function(t))), self.size)
+        answer = np.atleast_1d(np.asarray(at_time(self._name, function, t)))
+        return vector(f"{self._name}({t:g})", answer, self.size)
 
     def change(self, start: Array, t: float, dt: float) -> Array:
         """Change from the start of a step, at t, to dt later."""

@@ -89,7 +89,8 @@ class Cone(Shape):
         number("length", length, base, unit="m")
         self.tip, along = coordinates("tip", tip), coordinates("axis", axis)
         size = float(np.linalg.norm(along))
-        if self.tip.shape != (3,) or along.shape != (3,) or not 0.0 < size < np.inf:
+        finite = np.isfinite(self.tip).all() and 0.0 < size < np.inf
+        if self.tip.shape != (3,) or along.shape != (3,) or not finite:
             raise ParameterError(f"a cone needs a tip and an axis in 3D, got {tip} and {axis}")
         self.axis = np.asarray(along / size, np.float64)
         self.profile = np.array(

@@ -203,7 +203,7 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
     """
     check_points(points)
     check_displacement(points, u=u, v=v)
-    number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0)
+    number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0, 1.0)
     lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
     radius = ufl.SpatialCoordinate(points.grid)[0]
     strain = ufl.sym(gradient(points, u, radius))
@@ -269,7 +269,11 @@ class Stabilisation:
             share = number("stabilisation's threshold", self.threshold)
             if not 0 < share <= 1:
                 raise ParameterError(f"stabilisation's threshold = {share:g} must be in (0, 1]")
-        number("stabilisation's eta", self.eta, 0.0)
+        number("stabilisation's eta", self.eta, 0.0, 1.0)
+        if self.target is not None and self.gamma != ADAPTIVE:
+            raise ParameterError(
+                f'stabilisation\'s target = {self.target:g} is of gamma="{ADAPTIVE}" alone'
+            )
 
     @property
     def needs_modulus(self) -> bool:

@@ -100,7 +100,7 @@ class CellFinder:
         away = lost > 0 or bool(np.any(points["cell"] >= self._owned))
         if points.partition is not None:
             # these were numbers in the overlap of ranks
-            points["cell"] = -1
+            points["cell"][:] = -1
         if not points.comm.allreduce(away, op=MPI.LOR):
             points._located = points["x"].sum()
             return 0

@@ -6,15 +6,18 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from dolfinx import fem
+from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.checks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["MotionRecord", "Time", "end_of", "mean_increment", "times"]
+__all__ = ["MotionRecord", "Time", "check_clock", "end_of", "mean_increment", "times"]
 
 
 # Steps of a run that nobody would wait for
@@ -133,6 +136,22 @@ class MotionRecord(StepRecord):
 
     time: float = 0.0
     dt: float = 0.0
+
+
+def check_clock(time: Any, grid: Mesh) -> None:
+    """Raise ParameterError unless it is a constant that can hold the time, or None."""
+    if time is None:
+        return
+    if not isinstance(time, fem.Constant) or time.ufl_shape != ():
+        raise ParameterError(
+            f"time = {shown(time)} must be a scalar dolfinx.fem.Constant, which steps set to the "
+            "time that they go to: dolfinx.fem.Constant(grid, 0.0)"
+        )
+    if time.ufl_domain() != grid.ufl_domain():
+        raise ParameterError(
+            "time is a constant of another mesh than that of the points: make it with "
+            "dolfinx.fem.Constant(points.grid, 0.0)"
+        )
 
 
 def mean_increment(velocity: Callable[[float], float], step: Step) -> float:

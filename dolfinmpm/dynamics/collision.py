@@ -23,7 +23,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.checks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 
@@ -64,6 +64,7 @@ class Collision:
                 "or ((1, 3), 2), and no point is in two of them"
             )
         friction_coefficient(self.friction)
+        truth("gap_test", self.gap_test)
 
     def bodies(self, tags: npt.NDArray[np.integer]) -> list[npt.NDArray[np.bool_]]:
         """Which points belong to each body, by their tags."""

@@ -21,7 +21,7 @@ from mpi4py import MPI
 from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform import garbage, stages
-from dolfinmpm._platform.checks import check_kind, choice, number
+from dolfinmpm._platform.checks import check_kind, choice, truth
 from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
@@ -31,7 +31,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.balance import Balance
 from dolfinmpm.dynamics.between import Between
-from dolfinmpm.dynamics.clock import MotionRecord, Time
+from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
@@ -162,6 +162,7 @@ class Explicit(Problem):
                 "explicit steps move one field, a displacement of as many components as space has "
                 "dimensions; bodies collide in it with contact=mpm.Collision(tags)"
             )
+        check_clock(time, points.grid)
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, **options)
@@ -186,7 +187,7 @@ class Explicit(Problem):
             raise_together(points.comm, why_it_does_not_collide(self, mass, settings))
             self._loop = Colliding(self, self._held, self._updates, settings, sides, contact)
             return
-        found = self._fused(sides, options) if fused else "it was not to be"
+        found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
         if isinstance(found, str):
             self._loop = General(self, self._held, self._updates, settings, sides, found)
         else:
@@ -281,7 +282,7 @@ class Explicit(Problem):
                 2/√λ_max, for which the tangent is compiled; else it is by wave speed and grid.
         """
         scaling = self.settings.scaling
-        if exact:
+        if truth("exact", exact):
             here = self.activate()
             if self.form.boundaries:
                 here, _ = weighed(self.form, here)
@@ -301,7 +302,7 @@ class Explicit(Problem):
         self.form.set_penalties(replace(here, grid=[], soft=[], fields=fields), ghost=False)
 
     @together(given=of_step)
-    def step(self, t: float) -> MotionRecord:
+    def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 
         Args:
@@ -318,7 +319,7 @@ class Explicit(Problem):
         most = math.inf
         if isinstance(t, Time) and t.open:
             most = min(self._loop.at_once, t.at_once)
-        target = t.end if isinstance(t, Time) else number("t", t, unit="s")
+        target = t.end if isinstance(t, Time) else end_of(t, self.time, None)
         if not target > self.time:
             raise ParameterError(
                 f"t = {target:g} s must be later than the time of the state, {self.time:g} s"

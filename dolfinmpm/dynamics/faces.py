@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.checks import check_kind, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
@@ -82,6 +82,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     Raises:
         ParameterError: A side is not known, or μ is negative.
     """
+    _check_sides(space, sides)
     mu = friction_coefficient(friction)
     return [_face(space, side, mu, None) for side in sides]
 
@@ -106,6 +107,7 @@ def absorbing(
             faster ones.
         UnsupportedGridError: The grid is not rectangular.
     """
+    _check_sides(space, sides)
     require_lattice(space.grid, "absorbing")
     rho = number("density", density, 0.0)
     p = number("p_speed", p_speed, 0.0, closed=True)
@@ -115,7 +117,31 @@ def absorbing(
             f"s_speed = {s:g} m/s must be at most p_speed = {p:g} m/s: shear waves are slower than "
             "pressure waves; were they swapped?"
         )
+    if p == s == 0.0:
+        raise ParameterError(
+            "p_speed = 0 m/s and s_speed = 0 m/s: such sides let no wave out; give the speeds of "
+            "the ground, √(M/ρ) and √(G/ρ)"
+        )
     return [_face(space, side, None, (rho * p, rho * s)) for side in sides]
+
+
+def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
+    """Raise ParameterError unless it is the space of a displacement, and each side is there once.
+
+    Args:
+        space: The space.
+        sides: Names of sides; the names themselves are checked elsewhere.
+    """
+    check_kind("space", space, Space, "make it with mpm.Space(grid)")
+    gdim = space.grid.geometry.dim
+    if space.increment.ufl_shape != (gdim,):
+        raise ParameterError(
+            f"faces act on a displacement; the field has shape {space.increment.ufl_shape}, not "
+            f"{(gdim,)}"
+        )
+    again = [side for k, side in enumerate(sides) if side in sides[:k]]
+    if again:
+        raise ParameterError(f"the side {shown(again[0])} is given twice; it would act twice")
 
 
 def _face(space: Space, side: str, friction, impedance) -> Face:
@@ -240,6 +266,23 @@ def _refuse_held(face: Face, condition: Condition) -> None:
         )
 
 
+def _refuse_stuck(face: Face, conditions: Sequence[Condition]) -> None:
+    """Raise ParameterError if conditions hold all that could rub along a face. Collective."""
+    if not face.friction:
+        return
+    held = set()
+    for condition in conditions:
+        if condition.space is face.space:
+            free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
+            if not face.space.grid.comm.allreduce(free, op=MPI.LOR):
+                held.add(condition.component)
+    if held >= set(range(face.space.components)) - {face.axis}:
+        raise ParameterError(
+            f"the frictional face at '{face.where}' rubs against what slides along it, and "
+            "conditions hold the nodes there, so that it would do nothing: leave out one of both"
+        )
+
+
 class Sides:
     """Faces of the grid in any numbering of the nodes.
 
@@ -264,6 +307,7 @@ class Sides:
                 )
             for condition in conditions:
                 _refuse_held(face, condition)
+            _refuse_stuck(face, conditions)
         self._faces, self._d, self._rings = list(faces), points.gdim, points.axisymmetric
         # a basis goes with the partition of the lattice that it is for
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()

@@ -86,6 +86,13 @@ class Mapping:
         object.__setattr__(self, "kind", choice("mapping", self.kind, KINDS))
         number("share", self.share, 0.0, 1.0, closed=True)
         whole("order", self.order, 1)
+        for name, usual, kinds in (("share", 1.0, ("flip",)), ("order", 2, ("xpic", "fmpm"))):
+            given = getattr(self, name)
+            if given != usual and self.kind not in kinds:
+                raise ParameterError(
+                    f'{name} = {given:g} is of {" and ".join(kinds)}, and "{self.kind}" has none: '
+                    "leave it out"
+                )
 
     @property
     def affine(self) -> bool:

@@ -30,7 +30,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
+from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.ledger import Energies, Ledger
@@ -172,6 +172,7 @@ class TimeStepping(QuasiStatic):
         own = rule.alpha_m == rule.alpha_f == 0.0
         rule = replace(rule, by_forces=self._ties_movers and own)
         ledger = Ledger(points, self.form)
+        check_clock(time, points.grid)
         self.motion = Motion(points, rule, chosen, terms, error, time, sides, ledger)
         check_masses(self.bodies)
         self.form.inertia = terms
@@ -431,7 +432,12 @@ class Newmark(TimeStepping):
         gamma: float = 0.5,
         **options: Any,
     ):
-        rule = Rule(number("beta", beta, 0.0), number("gamma", gamma, 0.0))
+        if number("gamma", gamma) < 0.5:
+            raise ParameterError(
+                f"gamma = {gamma:g} must be at least 0.5: with less every vibration grows from "
+                "step to step, however short they are"
+            )
+        rule = Rule(number("beta", beta, 0.0), float(gamma))
         super().__init__(rule, form, increment, points, bcs, **options)
 
 

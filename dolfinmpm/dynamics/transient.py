@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of, mean_increment
+from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
 from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step
@@ -101,6 +101,7 @@ class Transient(QuasiStatic):
                 "hold the side with mpm.rollers or mpm.fixed, or take Newmark"
             )
         super().__init__(form, increment, points, conditions, **options)
+        check_clock(time, points.grid)
         self._error, self._constant = error, time
         self.clock = _Clock()
         if error is not None:

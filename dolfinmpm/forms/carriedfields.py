@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import ufl
-from ufl.algorithms import extract_coefficients
+from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import shown
@@ -28,6 +28,8 @@ __all__ = [
     "carried_in",
 ]
 
+# Fields that a step sets as it moves the points
+_MOVED = ("x", "x0", "V", "V0", "F", "l", "l0")
 # Metadata of a measure: fields that its terms carry without containing them
 CARRIED = "carried"
 
@@ -121,6 +123,18 @@ def carried(
         raise ParameterError(
             f"what '{name}' carries must be an expression of UFL, got {shown(expression)}"
         )
+    if name in _MOVED:
+        raise ParameterError(
+            f"name = '{name}' is a field that all points have, and steps set it otherwise; give "
+            "another name"
+        )
+    if extract_arguments(expression):
+        raise ParameterError(
+            f"what '{name}' carries has a test or trial function, and must have a value: give the "
+            "increment, Space.increment"
+        )
+    if not isinstance(unit, str):
+        raise ParameterError(f"unit = {shown(unit)} of '{name}' must be a word, such as 'Pa'")
     field = CarriedField(points, name, expression.ufl_shape, unit, first)
     field.update = expression
     field.of = expression if hasattr(expression, "_dolfinmpm_space") else None

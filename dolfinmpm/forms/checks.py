@@ -28,8 +28,9 @@ def check_form(form: Any) -> None:
     """Look for what is wrong with a weak form before it is split and compiled.
 
     Raises:
-        FormError: It is no form, has no terms, has a trial function or an unrestricted
-            term on inner facets, adds what acts on the body, or subtracts what resists it.
+        FormError: It is no form, has no terms, has a footing twice, has a trial function or an
+            unrestricted term on inner facets, adds what acts on the body, or subtracts what
+            resists it.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -104,10 +105,14 @@ def check_signs(form: ufl.Form) -> None:
     was put before it since is a factor of it. Terms that were rewritten in between, as
     by `ufl.replace`, cannot be told and pass.
     """
+    seen: set[str] = set()
     for integral in form.integrals():
         acting = (integral.metadata() or {}).get(MARK)
         if acting is None:
             continue
+        if acting.once and acting.name in seen:
+            raise FormError(f"the form has {acting.name} twice: leave one out")
+        seen.add(acting.name)
         sign = _factor(integral.integrand(), acting.integrand)
         if sign is None or (sign > 0) == acting.added:
             continue

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown, whole
+from dolfinmpm._platform.checks import check_kind, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm._platform.together import together
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
@@ -48,6 +48,11 @@ def zoned_line(
         ParameterError: The zone is not within the grid, there are cells on a side without room
             for them or room without cells, or neighbouring cells would differ too much.
     """
+    number("low", low, unit="m"), number("high", high, unit="m")
+    for what, given, n in (("zone", zone, 2), ("cells", cells, 3)):
+        if not isinstance(given, (tuple, list, np.ndarray)) or len(given) != n:
+            words = "first and last coordinate (m)" if n == 2 else "before, in and after the zone"
+            raise ParameterError(f"{what} = {shown(given)} must be {n} numbers, {words}")
     a, b = (number(f"zone[{k}]", value, unit="m") for k, value in enumerate(zone))
     before, within, after = (whole(f"cells[{k}]", c, 0) for k, c in enumerate(cells))
     if not low <= a < b <= high or within < 1:
@@ -101,6 +106,7 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
     Raises:
         ParameterError: The lines are not what they may be.
     """
+    check_kind("comm", comm, MPI.Comm, "give MPI.COMM_WORLD, and then the lines")
     made = _lines(lines)
     low, high = [line[0] for line in made], [line[-1] for line in made]
     count = [line.size - 1 for line in made]

@@ -16,6 +16,9 @@ from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["LOOK", "check_picture", "check_size", "figure", "save", "two_numbers"]
 
+# Points along a side of the largest picture
+_WIDEST = 2**15
+
 # Okabe & Ito's colours can be told apart by the colour-blind
 LOOK = {
     "font.size": 8,
@@ -90,6 +93,11 @@ def check_size(size: Any, dpi: Any) -> None:
     if min(two_numbers("size", size)) <= 0:
         raise ParameterError(f"size = {shown(size)} inch must be two positive numbers")
     number("dpi", dpi, 0.0)
+    if max(size) * dpi > _WIDEST:
+        raise ParameterError(
+            f"size = {shown(size)} inch with dpi = {dpi:g} makes a picture of more than {_WIDEST} "
+            "points a side, which takes minutes and gigabytes; give less of one"
+        )
 
 
 def two_numbers(what: str, values: Any) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_to
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.ownership import refuse_other, take_paths
-from dolfinmpm.io.tables import write_table
+from dolfinmpm.io.tables import check_suffix, write_table
 
 __all__ = ["History"]
 
@@ -41,13 +41,17 @@ class History:
         self._rows: list[dict[str, float]] = []
         self.names: tuple[str, ...] = ()
 
-    def record(self, **values: float | Probe) -> None:
+    def record(self, *unnamed: Any, **values: float | Probe) -> None:
         """Add one of each number, and the displacement of each probe, for which all ranks call it.
 
         Raises:
-            ParameterError: There is no number, the names are not those of the first record,
-                or a value is not a single number.
+            ParameterError: There is no number, or one without a name, the names are not those of
+                the first record, or a value is not a single number.
         """
+        if unnamed:
+            raise ParameterError(
+                f"record({shown(unnamed[0])}) has no name: write record(load=...) or another word"
+            )
         values = _with_components(values)
         if self._rows and set(values) != set(self.names):
             raise ParameterError(
@@ -77,7 +81,16 @@ class History:
             ParameterError: The path is none, or another `History` that still lives writes it.
         """
         at = file_path("path", path)
-        call_together(self._comm, lambda: refuse_other(self, at, "History"))
+        check_suffix(at)
+
+        def check() -> None:
+            if not self._rows:
+                raise ParameterError(
+                    "nothing has been recorded yet; call record(name=value) before, on all ranks"
+                )
+            refuse_other(self, at, "History")
+
+        call_together(self._comm, check)
         take_paths(self, [at])
         write_table(self._rows, path, self._comm)
 

@@ -297,7 +297,7 @@ def _words(what: str, given: Any) -> list[str] | None:
             f"{what} = {shown(given)} must be names of the points' fields, such as "
             '["displacement", "stress"]'
         )
-    return list(several)
+    return list(dict.fromkeys(several))
 
 
 def _functions(what: str, given: Any) -> list[fem.Function]:

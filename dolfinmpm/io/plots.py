@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown
+from dolfinmpm._platform.checks import check_kind, choice, number, shown, truth
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
 from dolfinmpm._platform.together import together
@@ -89,6 +89,7 @@ def plot(
     if draw is None:
         draw = "dots" if lattice_of(points.grid) is None else "deformed"
     draw = choice("draw", draw, _DRAW)
+    truth("grid", grid)
     derived = colour == "displacement" and colour not in points.fields
 
     def check() -> None:

@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
+from dolfinmpm._platform.checks import check_kind, file_path, number, shown
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.io.figures import figure
 
 __all__ = [
+    "check_suffix",
     "draw_convergence",
     "draw_reduction",
     "draw_sweep",
@@ -47,16 +49,19 @@ def write_table(rows: Iterable[Row], path: PathLike, comm: MPI.Comm = MPI.COMM_W
         comm: Ranks that make this call.
 
     Raises:
-        ParameterError: The path has another ending.
+        ParameterError: The path has another ending, or rows are no dictionaries.
         OSError: The file cannot be written; on all ranks.
     """
-    path, rows = Path(path), [dict(row) for row in rows]
-    _check_suffix(path)
+    check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")
+    path, rows = file_path("path", path), call_together(comm, lambda: _rows(rows))
+    check_suffix(path)
 
     def write() -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".json":
-            path.write_text(json.dumps(rows, indent=1, default=_plain) + "\n")
+            path.write_text(
+                json.dumps([dict(row) for row in rows], indent=1, default=_plain) + "\n"
+            )
             return
         names = list(dict.fromkeys(name for row in rows for name in row))
         with path.open("w", newline="", encoding="utf-8") as file:
@@ -78,26 +83,65 @@ def read_table(path: PathLike, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str
         comm: Ranks that make this call.
 
     Raises:
-        ParameterError: The path has another ending.
+        ParameterError: The path has another ending, or there is no table in the file.
         OSError: The file cannot be read; on all ranks.
     """
-    path = Path(path)
-    _check_suffix(path)
+    path = file_path("path", path)
+    check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")
+    check_suffix(path)
 
     def read() -> list[dict[str, Any]]:
         if path.suffix == ".json":
-            return json.loads(path.read_text())
+            try:
+                return [dict(row) for row in _rows(json.loads(path.read_text()))]
+            except (json.JSONDecodeError, UnicodeDecodeError) as error:
+                raise ParameterError(f"'{path}' is no table in JSON: {error}") from error
         with path.open(newline="", encoding="utf-8") as file:
             return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file)]
 
     return comm.bcast(call_together(comm, read if comm.rank == 0 else _nothing))
 
 
+def _rows(given: Any, *names: str) -> list[Row]:
+    """Rows of a table.
+
+    Args:
+        given: What was given for them.
+        names: Figures that one row has at least.
+
+    Raises:
+        ParameterError: They are no dictionaries, or none has one of the figures.
+    """
+    listed = [] if isinstance(given, (str, Mapping)) or not isinstance(given, Iterable) else given
+    rows = list(listed)
+    if (listed is not given) or not all(isinstance(row, Mapping) for row in rows):
+        raise ParameterError(
+            f"rows = {shown(given)} must be a list of dictionaries, a figure by each name"
+        )
+    for name in names:
+        if not any(name in row for row in rows):
+            there = list(dict.fromkeys(key for row in rows for key in row))
+            raise ParameterError(
+                f"no row has a figure '{name}'; there are {', '.join(map(str, there)) or 'no rows'}"
+            )
+    return rows
+
+
+def _check_axes(axes: Any) -> None:
+    """Raise ParameterError unless it can be drawn on."""
+    if not hasattr(axes, "semilogy"):
+        raise ParameterError(
+            f"axes = {shown(axes)} must be Matplotlib's axes, such as those of "
+            "with mpm.figure(path) as (picture, axes)"
+        )
+
+
 def _nothing() -> Any:
     return None
 
 
-def _check_suffix(path: Path) -> None:
+def check_suffix(path: Path) -> None:
+    """Raise ParameterError unless a table can be written to such a path."""
     if path.suffix not in (".csv", ".json"):
         raise ParameterError(f"a table is written to a path in .csv or .json, got '{path}'")
 
@@ -175,7 +219,12 @@ def draw_sweep(
         keys: Names of the figures, or name → words in the legend.
         style: Further arguments of Matplotlib's `plot`.
     """
+    _check_axes(axes)
+    if not isinstance(keys, (str, Mapping, list, tuple)):
+        raise ParameterError(f"keys = {shown(keys)} must be names of figures")
+    keys = (keys,) if isinstance(keys, str) else keys
     words = keys if isinstance(keys, Mapping) else {key: key.replace("_", " ") for key in keys}
+    rows = _rows(rows, *words, *([x] if isinstance(x, str) else []))
     at = np.array([row[x] if isinstance(x, str) else x(row) for row in rows], float)
     order = np.argsort(at, kind="stable")
     for k, (key, label) in enumerate(words.items()):
@@ -245,6 +294,17 @@ def draw_convergence(
     """
     from matplotlib.ticker import NullLocator
 
+    _check_axes(axes)
+    if not isinstance(curves, Mapping) or not curves:
+        raise ParameterError(
+            f"curves = {shown(curves)} must be a dictionary, such as "
+            '{"linear": study.convergence(...)}'
+        )
+    curves = {label: _rows(rows, "h", key) for label, rows in curves.items()}
+    if not isinstance(orders, (list, tuple)):
+        raise ParameterError(f"orders = {shown(orders)} must be slopes, such as (1, 2)")
+    for order in orders:
+        number("orders", order)
     axes.set(xscale="log", yscale="log")
     drawn = []
     for k, (label, rows) in enumerate(curves.items()):
@@ -303,8 +363,9 @@ def draw_reduction(axes: Any, rows: Sequence[Row], scale: float | None = None) -
         rows: The table of `factor_of_safety`.
         scale: Displacement that others are divided by (m), such as γH²/E.
     """
-    unit = 1.0 if scale is None else scale
-    rows = sorted(rows, key=lambda row: row["factor"])
+    _check_axes(axes)
+    unit = 1.0 if scale is None else number("scale", scale, 0.0, unit="m")
+    rows = sorted(_rows(rows, "factor", "stands", "displacement"), key=lambda row: row["factor"])
     stands = np.array([row["stands"] for row in rows], bool)
     factors, moved = _numbers(rows, "factor"), _numbers(rows, "displacement") / unit
     for chosen, marker, word in ((stands, "o", "stands"), (~stands, "x", "fails")):

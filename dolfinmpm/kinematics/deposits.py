@@ -21,7 +21,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number, shown
+from dolfinmpm._platform.checks import check_kind, coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_points
@@ -142,7 +142,7 @@ class Deposit:
 
     def vertical_stress(self, x: npt.ArrayLike) -> Array:
         """Effective vertical stress, positive in compression (Pa); 0 above the surface."""
-        at = np.asarray(x, float)
+        at = _places(x)
         z, total = at[-1], np.zeros(at.shape[1])
         table, above = self._table(at), self._height("surface", self.surface, at)
         for layer in self.layers:
@@ -163,13 +163,13 @@ class Deposit:
 
     def pore_pressure(self, x: npt.ArrayLike) -> Array:
         """Pressure of water at rest (Pa)."""
-        at = np.asarray(x, float)
+        at = _places(x)
         depth = np.where(np.isfinite(table := self._table(at)), table - at[-1], 0.0)
         return self.water_weight * np.maximum(depth, 0.0)
 
     def effective_weight(self, x: npt.ArrayLike) -> Array:
         """Weight that the effective stress carries (N/m³): γ, or γ_sat − γ_w under water."""
-        at = np.asarray(x, float)
+        at = _places(x)
         wet = at[-1] < self._table(at)
         dry = self._by_layer(at, [layer.unit_weight for layer in self.layers])
         full = self._by_layer(at, [_wet(layer) for layer in self.layers])
@@ -186,14 +186,14 @@ class Deposit:
             ParameterError: g is not positive.
         """
         number("gravity", gravity, 0.0, unit="m/s²")
-        at = np.asarray(x, float)
+        at = _places(x)
         wet = at[-1] < self._table(at)
         dry = self._by_layer(at, [layer.unit_weight for layer in self.layers])
         return np.where(wet, self._by_layer(at, [_wet(s) for s in self.layers]), dry) / gravity
 
     def stress(self, x: npt.ArrayLike) -> Array:
         """Effective Cauchy stress (Pa), shape (n, 3, 3), tension positive; for `set_stress`."""
-        at = np.asarray(x, float)
+        at = _places(x)
         vertical, horizontal = self.vertical_stress(at), self.horizontal_stress(at)
         result = np.zeros((at.shape[1], 3, 3))
         for i in range(3):
@@ -259,7 +259,7 @@ class Deposit:
 
     def _by_layer(self, x: npt.ArrayLike, values: Sequence[float]) -> Array:
         """Values of the layers that positions are in; the last goes on below its bottom."""
-        at = np.asarray(x, float)
+        at = _places(x)
         found = np.full(at.shape[1], values[-1])
         for layer, value in zip(self.layers[-2::-1], values[-2::-1]):
             found[at[-1] >= self._height("bottom", layer.bottom, at)] = value
@@ -270,3 +270,18 @@ def _wet(layer: Layer) -> float:
     """γ_sat of a layer (N/m³)."""
     given = layer.saturated_unit_weight
     return layer.unit_weight if given is None else given
+
+
+def _places(x: npt.ArrayLike) -> Array:
+    """Positions (m) as an array of shape (gdim, n).
+
+    Raises:
+        ParameterError: They are none.
+    """
+    at = coordinates("x", x)
+    if at.ndim != 2 or not 1 <= len(at) <= 3:
+        raise ParameterError(
+            f"x has the shape {at.shape} and must be positions (m), a row each coordinate, shape "
+            "(gdim, n): points['x'].T"
+        )
+    return at

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import coordinates, number, shown
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
@@ -102,7 +102,15 @@ def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
             f"({int((~good).sum())} such points on this rank). Give a stress within the law's "
             "strength, or other parameters"
         )
-    value = np.exp(2.0 * strain) if framework.multiplicative else strain
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = np.exp(2.0 * strain) if framework.multiplicative else strain
+    if not np.isfinite(value).all():
+        p = int(np.argmin(np.isfinite(value).all(axis=1)))
+        raise StateError(
+            f"{type(law).__name__}: the principal stresses {principal[p].tolist()} Pa of point "
+            f"{points['id'][rows[p]]} at {points['x'][rows[p]]} m need strains beyond all numbers; "
+            "check the unit, which is Pa"
+        )
     tensor = (Q * value[:, None, :]) @ np.swapaxes(Q, 1, 2)
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
@@ -213,6 +221,11 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
             checked(name, value, low)
 
     def stress(x: Array) -> Array:
+        x = coordinates("x", x)
+        if x.ndim != 2:
+            raise ParameterError(
+                f"x has the shape {x.shape} and must have (gdim, n): points['x'].T"
+            )
         top, heavy, ratio = (
             checked(name, ask(name, value, x.T) if callable(value) else value, low)
             for name, value, low in limits

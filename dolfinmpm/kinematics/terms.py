@@ -64,7 +64,7 @@ def framework(
     """
     check_points(points)
     strain = choice("strain", strain, _FRAMEWORKS)
-    if not isinstance(law, Law):
+    if not isinstance(law, Law) or not law.has_kernel:
         raise ParameterError(
             f"law = {shown(law)} has no kernel of principal strains; use a law such as "
             "mpm.materials.Hencky(E, nu)"

@@ -72,6 +72,7 @@ class WeakCondition:
         on: Name of that of whether the body is in front of a marker; None for boundaries of
             a body, where it always is.
         updates: The gap and the displacement reached, by name, as a step leaves them.
+        direction: The components that it holds, as `dirichlet` is given them.
     """
 
     boundary: Boundary
@@ -83,6 +84,7 @@ class WeakCondition:
     moduli: str | None
     on: str | None
     updates: dict[str, Expr]
+    direction: Any = None
 
     @property
     def local(self) -> bool:
@@ -213,7 +215,7 @@ def dirichlet(
     boundary.forces.append(total.name)
     condition = WeakCondition(
         boundary, declaration, method, beta, stiffness, k.name, moduli, on,
-        {gap.name: along, reached.name: wanted, total.name: force * markers.V},
+        {gap.name: along, reached.name: wanted, total.name: force * markers.V}, direction,
     )  # fmt: skip
     if condition.local:
         markers.add_field(TRACE, (), "Pa/m")
@@ -264,7 +266,7 @@ def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) ->
     if callable(value):
         return boundary.markers.add_field(name, shape, "m", value)
     try:
-        given = np.asarray(value, float)
+        given = np.full(99, np.nan) if isinstance(value, str) else np.asarray(value, float)
     except (TypeError, ValueError):
         given = np.full(99, np.nan)
     if given.shape == () and given == 0:

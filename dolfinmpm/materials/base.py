@@ -8,8 +8,9 @@ C function, so that one compiled loop serves all laws.
 from __future__ import annotations
 
 import functools
+import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -21,7 +22,7 @@ from numba import types
 from numba.extending import intrinsic
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.checks import check_function, coordinates, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.grid.positions import ask
 from dolfinmpm.materials.discarded import DISCARDED
@@ -84,7 +85,18 @@ def law_kernel(function: Callable) -> _Kernel:
     ones; the internal variables at the start of the step; those at its end
     (written); the three principal Kirchhoff stresses (Pa, written); and the nine
     derivatives of stress by trial strain, row by row (Pa, written).
+
+    Raises:
+        ParameterError: It is no function of six arrays.
     """
+    check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
+    try:
+        inspect.signature(function).bind(*range(6))
+    except TypeError as error:
+        raise ParameterError(
+            f"function = {shown(function)} must take six arrays, parameters, strain, old, new, "
+            f"stress and tangent: {error}"
+        ) from None
     return _Kernel(function)
 
 
@@ -121,12 +133,26 @@ def _respond(law, parameters, strain, old, new, stress, tangent):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a law: its unit and the open or closed interval that it may be in."""
+    """A parameter of a law: its unit and the open or closed interval that it may be in.
+
+    Raises:
+        ParameterError: The unit is no word, or the limits are no numbers that rise.
+    """
 
     unit: str
     low: float = -math.inf
     high: float = math.inf
     closed: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.unit, str):
+            raise ParameterError(f"unit = {shown(self.unit)} must be a word, such as 'Pa'")
+        for what in ("low", "high"):
+            value = getattr(self, what)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
+                raise ParameterError(f"{what} = {shown(value)} must be a number")
+        if not self.low < self.high:
+            raise ParameterError(f"low = {self.low:g} must be below high = {self.high:g}")
 
     def check(self, law: str, name: str, value: npt.ArrayLike) -> None:
         """Raise ParameterError unless the value, or every value of an array, is admissible."""
@@ -350,6 +376,36 @@ class Law(Parametrised):
                 f"must be less than {bound} Pa"
             )
 
+    def _check_rate(self, values: dict[str, Array], pairs: Sequence[tuple[str, str]]) -> None:
+        """Raise ParameterError where values are never come to, for want of a rate.
+
+        Args:
+            values: Name → values, `rate` among them.
+            pairs: Names of first and last values.
+        """
+        name, rate = type(self).__name__, values["rate"]
+        changes = np.zeros(rate.shape, bool)
+        for first, last in pairs:
+            changes |= values[first] != values[last]
+        lasts = " or ".join(last for _, last in pairs)
+        if (changes & (rate == 0.0)).any():
+            raise ParameterError(
+                f"{name}: rate = 0 never leads to {lasts}; such values need a positive rate"
+            )
+
+    def _refuse_rate(self, rate: Any, lasts: str, usual: float = 0.0) -> None:
+        """Raise ParameterError if a rate is given without the values that it leads to."""
+        if isinstance(rate, (int, float)) and rate != usual:
+            raise ParameterError(
+                f"{type(self).__name__}: rate = {rate:g} leads nowhere: give {lasts}, or leave "
+                "rate out"
+            )
+
+    @property
+    def has_kernel(self) -> bool:
+        """Whether it is more than the base of laws."""
+        return type(self).address is not Law.address or hasattr(self, "kernel")
+
     @property
     def address(self) -> int:
         """Address of the compiled kernel."""
@@ -488,6 +544,10 @@ class Law(Parametrised):
         """
         elastic = _principal(strain)
         n = len(elastic)
+        if x is not None and (x := coordinates("x", x)).shape[:-1] != (n,):
+            raise ParameterError(
+                f"x has the shape {x.shape} and must have a position for each strain, ({n}, gdim)"
+            )
         parameters = self.parameter_array(x)
         old = self.first_internal(parameters) if internal is None else np.asarray(internal, float)
         if old.shape[-1:] != (len(self.internal),) or old.shape[:-1] not in ((), (1,), (n,)):
@@ -499,6 +559,9 @@ class Law(Parametrised):
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.empty((n, 3, 3))
         trial = elastic.copy()
         bad = _respond(self.address, parameters, elastic, old, new, stress, tangent)
+        if bad < 0 and not np.isfinite(stress).all():
+            # of elastic laws, which ask nothing
+            bad = int(np.argmin(np.isfinite(stress).all(axis=1)))
         if bad >= 0:
             raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
         return Response(elastic, new, stress, tangent)

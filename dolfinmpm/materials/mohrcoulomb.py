@@ -281,6 +281,8 @@ class MohrCoulomb(Law):
         residual_friction_angle: Value | None = None,
         rate: Value = 0.0,
     ):
+        if residual_cohesion is None and residual_friction_angle is None:
+            self._refuse_rate(rate, "residual_cohesion or residual_friction_angle")
         super().__init__(
             E=E,
             nu=nu,
@@ -309,8 +311,8 @@ class MohrCoulomb(Law):
             )
         if (((c == 0.0) & (phi == 0.0)) | ((last_c == 0.0) & (last_phi == 0.0))).any():
             raise ParameterError(f"{name}: without friction the cohesion must be positive")
-        if (((c != last_c) | (phi != last_phi)) & (values["rate"] == 0.0)).any():
-            raise ParameterError(f"{name}: residual values need a positive rate")
+        pairs = (("cohesion", "residual_cohesion"), ("friction_angle", "residual_friction_angle"))
+        self._check_rate(values, pairs)
         nu = values["nu"]
         mu = 0.5 * values["E"] / (1.0 + nu)
         lmbda = 2.0 * mu * nu / (1.0 - 2.0 * nu)

@@ -7,6 +7,8 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Parametrised, Value, lame
 
 __all__ = ["NeoHookean"]
@@ -40,6 +42,7 @@ class NeoHookean(Parametrised):
             E: Young's modulus in UFL (Pa), such as a constant; the law's number by default.
             nu: Poisson's ratio, likewise.
         """
+        _check_tensor(F)
         lmbda, mu = self._lame(E, nu)
         log_J = ufl.ln(ufl.det(F))
         stretch = ufl.inner(F, F) - F.ufl_shape[0]
@@ -51,6 +54,7 @@ class NeoHookean(Parametrised):
         Args:
             F, E, nu: See `energy`.
         """
+        _check_tensor(F)
         lmbda, mu = self._lame(E, nu)
         d = F.ufl_shape[0]
         J = ufl.det(F)
@@ -65,3 +69,13 @@ class NeoHookean(Parametrised):
 
     def _lame(self, E: Any, nu: Any) -> tuple[Any, Any]:
         return lame(self.E if E is None else E, self.nu if nu is None else nu)
+
+
+def _check_tensor(F: Any) -> None:
+    """Raise ParameterError unless it is a tensor of UFL."""
+    shape: tuple[int, ...] = getattr(F, "ufl_shape", ())
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise ParameterError(
+            f"F = {shown(F)} must be a deformation gradient in UFL, of shape (d, d), such as "
+            "points.F"
+        )

@@ -20,6 +20,10 @@ def _tresca(parameters, strain, old, new, stress, tangent):
     )  # fmt: skip
 
 
+# Rate at which cohesion comes to its last value, by plastic strain
+_RATE = 5.0
+
+
 class Tresca(Law):
     """Tresca's law: f = τ₁ − τ₃ − 2c(α), associated, on Hencky's elasticity.
 
@@ -59,8 +63,10 @@ class Tresca(Law):
         nu: Value,
         cohesion: Value,
         ultimate_cohesion: Value | None = None,
-        rate: Value = 5.0,
+        rate: Value = _RATE,
     ):
+        if ultimate_cohesion is None:
+            self._refuse_rate(rate, "ultimate_cohesion", _RATE)
         super().__init__(
             E=E,
             nu=nu,
@@ -71,6 +77,8 @@ class Tresca(Law):
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where softening leaves a strain with more than one stress."""
+        if (values["cohesion"] != values["ultimate_cohesion"]).any():
+            self._check_rate(values, (("cohesion", "ultimate_cohesion"),))
         fall = values["rate"] * (values["cohesion"] - values["ultimate_cohesion"])
         limit = 0.75 * values["E"] / (1.0 + values["nu"])
         self._bound_softening("the cohesion", fall, limit, "3/2 μ")

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from ufl.algorithms.ad import expand_derivatives
 from ufl.core.expr import Expr
 
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError, ParameterError, StateError
 from dolfinmpm.forms.pointwise import compile_here
@@ -86,6 +87,10 @@ class EnergyWithYield(Law):
         if HARDENING in _names(energy):
             raise ParameterError(f"EnergyWithYield: an energy must not depend on {HARDENING}")
         names.pop(HARDENING, None)
+        if ranges is not None and not isinstance(ranges, Mapping):
+            raise ParameterError(
+                f"EnergyWithYield: ranges = {shown(ranges)} must be a dictionary, name → Parameter"
+            )
         self.parameters = {name: (ranges or {}).get(name, Parameter("")) for name in names}
         unknown = set(ranges or {}) - set(names)
         if unknown:
@@ -128,7 +133,18 @@ class EnergyWithYield(Law):
         state = [ufl.variable(z[i]) for i in range(4)]
         named = {name: z[4 + k] for k, name in enumerate(self.parameters)}
         named[HARDENING] = state[3]
-        result = function(ufl.as_vector(state[:3]), **{n: named[n] for n in _names(function)})
+        given = {n: named[n] for n in _names(function)}
+        try:
+            result = function(ufl.as_vector(state[:3]), **given)
+        except Exception as error:
+            raise FormError(
+                f"EnergyWithYield: the {what} failed with {type(error).__name__}: {error}. It gets "
+                "a vector of three principal values and its parameters, all in UFL"
+            ) from error
+        if what == "energy" and isinstance(result, (int, float)):
+            raise FormError(
+                f"EnergyWithYield: the energy is {result:g}, whatever the strain, and has no stress"
+            )
         if not isinstance(result, (Expr, int, float)) or (
             isinstance(result, Expr) and result.ufl_shape != ()
         ):

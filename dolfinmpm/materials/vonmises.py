@@ -147,6 +147,8 @@ class VonMises(Law):
         saturation: Value | None = None,
         rate: Value = 0.0,
     ):
+        if saturation is None:
+            self._refuse_rate(rate, "saturation")
         super().__init__(
             E=E,
             nu=nu,
@@ -158,6 +160,7 @@ class VonMises(Law):
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where softening leaves a strain with more than one stress."""
+        self._check_rate(values, (("yield_stress", "saturation"),))
         rise = values["rate"] * (values["saturation"] - values["yield_stress"])
         steepest = values["hardening"] + np.minimum(rise, 0.0)
         limit = math.sqrt(1.5) * values["E"] / (1.0 + values["nu"])

@@ -105,6 +105,7 @@ def _space(space: Space) -> Any:
         "basis": type(basis).__name__, "degree": basis.degree, "averaged": basis.averaged,
         "shape": space.increment.ufl_shape, "configuration": space.configuration,
         "domains": space.domains, "coarsen": space.coarsen, "tag": space.tags,
+        "order among the spaces of its grid": space.number,
     }  # fmt: skip
     return told(parts)
 
@@ -112,7 +113,12 @@ def _space(space: Space) -> Any:
 @told.register(MaterialPoints)
 def _points(points: MaterialPoints) -> Any:
     # sets of points have laws in the order in which forms are made
-    parts = {"number": points.total, "fields": list(points._ufl), "rings": points.axisymmetric}
+    parts = {
+        "number": points.total,
+        "fields": list(points._ufl),
+        "rings": points.axisymmetric,
+        "order among the points of its grid": points._order,
+    }
     return told(parts)
 
 

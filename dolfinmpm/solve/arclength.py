@@ -33,6 +33,7 @@ from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.path import PathBorder
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.step import Failed, Step, StepRecord
+from dolfinmpm.solve.timeless import refuse_time
 
 __all__ = ["ArcLength", "ArcRecord"]
 
@@ -202,15 +203,20 @@ class ArcLength(QuasiStatic):
         return self.path.factor
 
     @together(given=of_step)
-    def step(self) -> ArcRecord:
+    def step(self, t: float | None = None) -> ArcRecord:
         """Take one step along the path. Collective.
 
+        Args:
+            t: None; time is of other problems.
+
         Raises:
+            ParameterError: A time is given.
             ConvergenceError: It did not converge, however short it was made.
             PointsOutsideGridError: Points would leave the grid.
 
         After an error state and load are those of the last step.
         """
+        refuse_time(t, type(self).__name__)
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = ArcRecord()
         path = self.path

@@ -19,11 +19,12 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown, whole
+from dolfinmpm._platform.checks import check_function, check_kind, choice, number, shown, whole
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
 from dolfinmpm.basis.conditions import Condition, free_motions
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.remedies import KINDS, Stabilisation
 
@@ -32,6 +33,7 @@ __all__ = [
     "advice",
     "check_callable",
     "check_conditions",
+    "check_grid",
     "check_limits",
     "check_path",
     "check_petsc_options",
@@ -177,10 +179,28 @@ def check_spaces(spaces: Sequence[Space]) -> None:
         )
 
 
+def check_grid(points: MaterialPoints) -> None:
+    """Raise ParameterError if the grid has been moved or scaled since the points were put on it.
+
+    Sizes of cells and places of its lines are read once. Collective.
+    """
+    d = points.gdim
+    x = np.asarray(points.grid.geometry.x[:, :d], float)
+    low, high = bounds(points.grid)
+    now = np.concatenate([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
+    points.comm.Allreduce(MPI.IN_PLACE, now, op=MPI.MIN)
+    if np.abs(now - np.concatenate([low, -high])).max() > 1e-6 * float(np.max(high - low)):
+        raise ParameterError(
+            f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
+            "it was first used: its coordinates have been changed since, which points and spaces "
+            "on it do not follow. Change them before, or lay lines anew by mpm.regrade"
+        )
+
+
 def check_callable(name: str, value: Any) -> None:
     """Raise ParameterError unless it is a function or None."""
-    if value is not None and not callable(value):
-        raise ParameterError(f"{name} = {shown(value)} must be a function")
+    if value is not None:
+        check_function(name, value)
 
 
 def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:

@@ -42,6 +42,10 @@ class LoadFactor:
             raise ParameterError(
                 f"load = {constants!r} must be one or several dolfinx.fem.Constant of the form"
             )
+        if len({id(c) for c in constants}) < len(constants):
+            raise ParameterError(
+                "load has a constant twice, whose load would count twice; give each once"
+            )
         if not math.isfinite(factor):
             raise ParameterError(f"factor = {factor} must be finite")
         _check_load(form, constants)

@@ -21,7 +21,7 @@ __all__ = ["refuse_idle", "refuse_increments", "refuse_undetermined"]
 _NOTHING = 1e-12
 
 
-def refuse_idle(conditions: list[Condition], here: Activation) -> None:
+def refuse_idle(conditions: Sequence[Condition], here: Activation) -> None:
     """Raise where conditions on scalar fields hold no node that the body moves. Collective.
 
     A displacement may be held where the body comes later; a boundary that drains and is away from

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import ufl
@@ -16,13 +16,14 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.checks import file_path
 from dolfinmpm._platform.errors import (
     CheckpointError,
     FormError,
     ParameterError,
     raise_together,
 )
-from dolfinmpm._platform.given import ReadOnce
+from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
@@ -44,6 +45,7 @@ from dolfinmpm.solve.arguments import (
     ELSEWHERE,
     check_callable,
     check_conditions,
+    check_grid,
     check_spaces,
     check_updates,
     increments_of,
@@ -52,6 +54,7 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodies import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
+from dolfinmpm.solve.conflicts import check_boundaries_of
 from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
@@ -94,6 +97,10 @@ class Problem(ReadOnce):
     # whether nodes that move points are tied where the points hardly support them
     _ties_movers = False
     _attributes = frozenset({"points", "form"})
+    _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("energies", "momentum", "angular_momentum", "time"),
+        "it is of steps in time, mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",
+    )
 
     def __init__(
         self,
@@ -117,6 +124,7 @@ class Problem(ReadOnce):
                 "inertial forces at the end of a step that would tell it: take Newmark or "
                 "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
             )
+        check_grid(points)
         bcs = check_conditions(bcs, spaces)
         for condition in bcs:
             if condition.velocity is not None and not self._in_time:
@@ -140,6 +148,7 @@ class Problem(ReadOnce):
         self.form = WeakForm(whole, spaces, points, softening, changes)
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
+        check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
         refuse_increments(bcs, self.form.parts.carried)
         if not self._has_inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
@@ -194,9 +203,9 @@ class Problem(ReadOnce):
         return self.form.bodies
 
     @property
-    def bcs(self) -> list[Condition]:
-        """The essential conditions."""
-        return self._held.conditions
+    def bcs(self) -> Sequence[Condition]:
+        """The essential conditions, which stay as they are."""
+        return ReadList(self._held.conditions)
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
@@ -229,8 +238,10 @@ class Problem(ReadOnce):
             path: File to write, in a folder that is there.
 
         Raises:
+            ParameterError: It is no path.
             CheckpointError: The file cannot be written, or h5py is missing.
         """
+        path = file_path("path", path)
         state, local, cells = self._memory()
         history = [dataclasses.asdict(record) for record in self.history]
         state["description"] = [list(pair) for pair in self._description().items()]
@@ -260,10 +271,12 @@ class Problem(ReadOnce):
             path: The file.
 
         Raises:
+            ParameterError: It is no path.
             CheckpointError: The file is missing, cut short, damaged, of a newer version, of
                 another grid or of another problem, or h5py is missing. The state is then
                 what it was.
         """
+        path = file_path("path", path)
         found = checkpoint.read(path, self.points, self._laws)
         raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
         before = dict(found.state.get("description", ()))

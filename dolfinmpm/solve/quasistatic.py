@@ -46,6 +46,7 @@ from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.setup import Remedies
 from dolfinmpm.solve.step import Failed, Step, StepRecord
+from dolfinmpm.solve.timeless import refuse_time
 from dolfinmpm.solve.unsupported import unsupported
 
 __all__ = ["QuasiStatic"]
@@ -193,10 +194,14 @@ class QuasiStatic(Problem):
         return self.newton.linear.in_blocks(count)
 
     @together(given=of_step)
-    def step(self) -> StepRecord:
+    def step(self, t: float | None = None) -> StepRecord:
         """Take one step to the load that the form's constants and functions now hold. Collective.
 
+        Args:
+            t: None; time is of other problems.
+
         Raises:
+            ParameterError: A time is given.
             ConvergenceError: The step did not converge, however small it was made.
             PointsOutsideGridError: Points would leave the grid; if they would leave it by
                 more than a cell, the step is halved first.
@@ -204,6 +209,7 @@ class QuasiStatic(Problem):
         After an error the state, and the load, are those of the last converged
         part of the step.
         """
+        refuse_time(t, type(self).__name__)
         started, watch = time.perf_counter(), stages.Watch()
         self._record = record = self._of_step()
         check_loads(self._loads.items, self.form.given, self.bcs, self.comm)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.checks import check_kind, coordinates
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
@@ -65,6 +67,37 @@ def _dense(matrix: PETSc.Mat) -> Array:
     return np.concatenate(matrix.comm.tompi4py().allgather(rows))
 
 
+def _check_matrix(what: str, given: Any) -> None:
+    """Raise ParameterError unless it is a square matrix of PETSc."""
+    check_kind(what, given, PETSc.Mat, "give problem.stiffness(), or another matrix of PETSc")
+    if given.getSize()[0] != given.getSize()[1]:
+        raise ParameterError(f"{what} is of {given.getSize()} rows and columns and must be square")
+
+
+def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
+    """Vectors to be left out, checked. Collective."""
+    comm, rows = matrix.comm.tompi4py(), matrix.getLocalSize()[0]
+
+    def checked() -> Array | None:
+        if kernel is None:
+            return None
+        given = coordinates("kernel", kernel)
+        if given.ndim != 2 or len(given) != rows:
+            raise ParameterError(
+                f"kernel has the shape {given.shape} and must have the rows of this rank, "
+                f"({rows}, n): give what study.rigid_modes returns"
+            )
+        return given
+
+    found = call_together(comm, checked)
+    counts = comm.allgather(0 if found is None else found.shape[1])
+    if len(set(counts)) > 1:
+        raise ParameterError(
+            f"kernel has {counts} vectors on the ranks, and must have as many on all of them"
+        )
+    return found
+
+
 @together(own=("kernel",))
 def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
@@ -75,9 +108,14 @@ def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
 
     Returns:
         The ratio, or inf where the smallest eigenvalue is zero or negative.
+
+    Raises:
+        ParameterError: It is no matrix, has no rows, or the kernel has others.
     """
     from scipy import linalg
 
+    _check_matrix("matrix", matrix)
+    kernel = _kernel_of(matrix, kernel)
     n = matrix.getSize()[0]
     if n == 0:
         raise ParameterError("a matrix without rows has no condition number; activate points first")
@@ -141,9 +179,19 @@ def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool = False) -
 
     Returns:
         The step, or 0 where M is singular.
+
+    Raises:
+        ParameterError: They are no matrices of the same size.
     """
     from scipy import linalg
 
+    _check_matrix("stiffness", stiffness)
+    _check_matrix("mass", mass)
+    if stiffness.getSize() != mass.getSize():
+        raise ParameterError(
+            f"stiffness is of {stiffness.getSize()[0]} unknowns and mass of {mass.getSize()[0]}: "
+            "give matrices of one problem"
+        )
     n = stiffness.getSize()[0]
     if n > DENSE_LIMIT:
         return _critical_step_of_many(stiffness, mass, lumped)
@@ -259,7 +307,11 @@ def rigid_modes(here: Activation) -> Array:
 
     Orthonormal, and exact for every basis that reproduces linear functions. There are none
     if conditions hold the body anywhere. Collective.
+
+    Raises:
+        ParameterError: It is not what takes part in a step.
     """
+    check_kind("here", here, Activation, "give problem.activate()")
     unknowns, basis = here.unknowns, here.fields[0].basis
     field, d = unknowns.fields[0], basis.grid.geometry.dim
     nodes = field.owned_nodes

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import ufl
 from ufl.algorithms.analysis import extract_constants
 from ufl.constantvalue import zero
 
-from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.body.points import UNSET, MaterialPoints
 from dolfinmpm.grid.constants import is_own
 
-__all__ = ["check_timeless"]
+__all__ = ["check_timeless", "refuse_time"]
 
 
 def check_timeless(form: ufl.Form, points: MaterialPoints, problem: str) -> None:
@@ -35,4 +38,19 @@ def check_timeless(form: ufl.Form, points: MaterialPoints, problem: str) -> None
             "the form has rates over points.dt, the length of a step, as mpm.poromechanics has, "
             f"and {problem} knows no time: take Transient, Newmark or GeneralisedAlpha, or set "
             "points.dt.value (s) before the step"
+        )
+
+
+def refuse_time(t: Any, problem: str) -> None:
+    """Raise ParameterError if a step is given a time that its problem does not know.
+
+    Args:
+        t: What a step was given.
+        problem: The problem's name.
+    """
+    if t is not None:
+        raise ParameterError(
+            f"step({shown(t)}): {problem} knows no time, and a step goes to the load that the "
+            "form's constants hold: set their values and call step(); steps in time are those of "
+            "mpm.Transient, mpm.Newmark and mpm.Explicit"
         )

@@ -9,7 +9,14 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number, shown
-from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
+from dolfinmpm._platform.errors import (
+    ConvergenceError,
+    DegreesWarning,
+    ParameterError,
+    PointsOutsideGridError,
+    warn,
+)
+from dolfinmpm._platform.together import meet
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
@@ -32,12 +39,22 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
 
     Raises:
         ParameterError: A number is outside what it may be.
+
+    Warns:
+        DegreesWarning: The angle looks like one in radians.
     """
     number("factor", factor, 0.0)
     number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
     if not 0 <= number("friction_angle", friction_angle, unit="degrees") < 90:
         raise ParameterError(
             f"friction_angle = {friction_angle} degrees must be from 0 to below 90"
+        )
+    if math.radians(1.0) <= friction_angle < 1.0:
+        warn(
+            MPI.COMM_WORLD,
+            f"friction_angle = {friction_angle:g} degrees is below 1 degree; if radians were meant "
+            f"give {math.degrees(friction_angle):.4g}",
+            DegreesWarning,
         )
     return cohesion / factor, float(reduced_angle(friction_angle, factor))
 
@@ -104,6 +121,8 @@ def factor_of_safety(
     if not number("growth", growth, high=math.inf, closed=True) > 1:
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):
+        limits = {"low": low, "high": high, "tolerance": tolerance, "growth": growth}
+        meet(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
         with FromState(loading, growth, steps, over) as attempt:
             found = _search(attempt, low, high, tolerance, label)
         failure = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.checks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 
@@ -113,6 +113,7 @@ def convergence(
     if errors is None:
         floats = (float, np.floating)
         errors = [k for k in rows[0] if k != "h" and any(isinstance(r[k], floats) for r in rows)]
+    errors = [errors] if isinstance(errors, str) else errors
     missing = [name for name in errors if any(name not in row for row in rows)]
     if missing:
         raise ParameterError(
@@ -145,6 +146,8 @@ def observed_orders(
     [2.0, 1.0]
     """
     h, e = _of_equal_lengths(sizes, errors)
+    if not np.all(np.diff(h)):
+        raise ParameterError(f"sizes = {shown(sizes)} has one twice in a row, and no order there")
     with np.errstate(divide="ignore", invalid="ignore"):
         return [float(order) for order in np.diff(np.log(e)) / np.diff(np.log(h))]
 
@@ -197,10 +200,12 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
 
 
 def _of_equal_lengths(sizes, errors) -> tuple[npt.NDArray, npt.NDArray]:
-    h, e = np.asarray(sizes, float), np.asarray(errors, float)
+    h, e = coordinates("sizes", sizes), coordinates("errors", errors)
     if h.ndim != 1 or h.shape != e.shape:
         raise ParameterError(
             f"sizes have the shape {h.shape} and errors {e.shape}; give one error for each size, "
             "None where a run did not finish"
         )
+    if not np.all(np.isfinite(h) & (h > 0)):
+        raise ParameterError(f"sizes = {shown(sizes)} must be positive")
     return h, e
