@@ -80,9 +80,10 @@ def bodies_that_collide():
     problem = mpm.Newmark(F, u, points, stabilisation="ghost", tolerance=1e-12)
     before = problem.momentum()
     spin = problem.angular_momentum()
+    carried = 0.3 * COMM.allreduce(float(points["density"] @ points["V0"]))
     for k in range(6):
         problem.step(0.1 * (k + 1))
-    carried = 0.3 * COMM.allreduce(float(points["density"] @ points["V0"]))
-    np.testing.assert_allclose(problem.momentum(), before, atol=1e-11 * carried)
-    np.testing.assert_allclose(problem.angular_momentum(), spin, atol=1e-4 * carried)
+        np.testing.assert_allclose(problem.momentum(), before, atol=1e-11 * carried)
+        # friction acts at both ends of a gap, which is an arm
+        np.testing.assert_allclose(problem.angular_momentum(), spin, atol=4e-4 * carried)
     return {**figures(problem), **sums(points, "velocity")}
