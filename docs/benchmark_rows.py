@@ -123,6 +123,16 @@ def local_constants(answer: Answer) -> list[float]:
     ]
 
 
+def of_impacts(*answers: Answer) -> list[float]:
+    """Of every impact: energy kept at its end, the most there was (%)."""
+    return [answer[key] for answer in answers for key in ("kept", "most")]
+
+
+def of_friction(*answers: Answer) -> list[float]:
+    """Of every impact: what friction took, what the integrator lost (%)."""
+    return [answer["losses"][name] for answer in answers for name in ("friction", "integrator")]
+
+
 def linear_iterations(*answers: Answer) -> list[float]:
     """Most iterations of a solution where a cut makes them most, and where least, each answer."""
     figures = []
@@ -134,7 +144,7 @@ def linear_iterations(*answers: Answer) -> list[float]:
 
 COLUMN, BEAM, ORDER = "The compacting column", "Elasticity", "A manufactured solution"
 CUTS, PLASTIC, FOOTING = "Small cuts", "Plasticity", "Footings"
-MOTION = "Motion"
+MOTION, ENERGY = "Motion", "Energy that is kept"
 SIZES = tuple(f"--elements {n}" for n in (4, 16, 64, 256))
 TWO_D = "--dimension 2 --offsets 200"
 ALONE = "--scenes= --growth="
@@ -296,4 +306,39 @@ ROWS = (
         each("colliding_discs", "--integrator explicit --contact gap --h 0.025"),
         keys("kinetic_below_99_percent", "min_kinetic", "rebound"), "{:.3f}, {:.3f}, {:.3f}",
         "conforming elements: 1.586, 0.053, 0.908"),
+    Row("energy-block", ENERGY, "a cut block 4, 8, 16 cells high under its weight, Newmark with "
+        "ghost penalty, c Δt/h = 1/4: share of the peak energy lost in two periods (%); a quarter "
+        "of the step", each("energies", *(
+            f"--scene block --cells {n} --dt {dt}"
+            for n, dt in ((4, 1.7e-3), (8, 8.5e-4), (16, 4.25e-4), (4, 4.25e-4), (8, 2.125e-4)))),
+        keys("lost"), "{:.2f}, {:.2f}, {:.2f}; {:.2f}, {:.2f}", "at most 1, .2, .1"),
+    Row("energy-bodies", ENERGY, "34 random bodies in free motion, c Δt/h = .2 to 1: energy kept "
+        "in the median, at worst, and the most there was (%): Newmark, generalised-α, explicit",
+        each("energies", *(f"--scene bodies{o}" for o in (
+            "", " --integrator generalised-alpha", " --integrator explicit"))),
+        keys("median", "worst", "most"), "; ".join(["{:.2f}, {:.2f}, {:.2f}"] * 3),
+        "median at least 99.9, worst 99 (explicit 99.5), most 100.2"),
+    Row("energy-impact", ENERGY, "a free rigid disc hits a free elastic block: energy kept, the "
+        "most there was (%): Newmark with ghost penalty, 1 and .5 ms, with aggregation, .5 ms; "
+        "generalised-α, ρ∞ = 1, 1 ms; explicit, .5 ms", each("energies", *(
+            f"--scene impact {o}" for o in (
+                "--dt 1e-3", "--dt 5e-4", "--stabilisation aggregation",
+                "--integrator generalised-alpha --dt 1e-3", "--integrator explicit"))),
+        of_impacts, "; ".join(["{:.2f}, {:.2f}"] * 5), "100; at most 100.1"),
+    Row("energy-friction", ENERGY, "the same with friction, μ = .3, and half a metre a second "
+        "across: what friction took, what the integrator lost (%): 1 and .5 ms",
+        each("energies", *(f"--scene impact --friction 0.3 --dt {dt}" for dt in (1e-3, 5e-4))),
+        of_friction, "{:.2f}, {:.3f}; {:.2f}, {:.3f}", "the second 1 % of the first"),
+    Row("energy-impacts", ENERGY, "100 random rigid discs and boxes hit random elastic ones, "
+        "Newmark: energy kept in the median, at worst, the most there was (%), how many did not "
+        "arrive; 50 explicit ones",
+        each("energies", "--scene impacts --count 100",
+             "--scene impacts --count 50 --integrator explicit"),
+        keys("median", "worst", "most", "failed"),
+        "; ".join(["{:.2f}, {:.2f}, {:.2f}, {:.0f}"] * 2), "at most 100.1; none"),
+    Row("energy-discs", ENERGY, "two elastic discs with fields of their own meet: energy kept, the "
+        "most there was (%): head-on; aside by .3 m; the same with friction, μ = .3",
+        each("energies", *(
+            f"--scene discs {o}" for o in ("", "--aside 0.3", "--aside 0.3 --friction 0.3"))),
+        of_impacts, "{:.2f}, {:.2f}; {:.2f}, {:.2f}; {:.2f}, {:.2f}", "at most 100.1"),
 )  # fmt: skip

@@ -68,7 +68,8 @@ def problem_of(
 ) -> Any:
     """The problem that the command line asks for, with further options of explicit steps."""
     usual = {"lumped": "none", "consistent": "ghost", "aggregated": "aggregation"}
-    mapping = None if args.mapping is None else mpm.Mapping(args.mapping, order=args.order)
+    stages = {"order": args.order} if args.mapping in ("xpic", "fmpm") else {}
+    mapping = None if args.mapping is None else mpm.Mapping(args.mapping, **stages)
     options: dict[str, Any] = {
         "mass": "consistent" if args.mass == "consistent" else "lumped",
         "mapping": mapping,

@@ -205,6 +205,9 @@ class Bodies:
         # who put a body into the points has done work before the first step
         new = [active for active in contacts if active.contact.body.time == 0.0]
         self._before = sum(active.stored() for active in new)
+        if self.given is None:
+            # another problem's steps may have had another stiffness, and other corners
+            self.given = sum(active.stored() for active in contacts if active not in new)
         for body in self.free:
             force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])
             for active in contacts:
