@@ -159,8 +159,9 @@ def step_of(args, method, offset):
 
 # %% [markdown]
 # ## Flight
-# Velocities belong to the middle of steps, positions and stresses to their ends: the sum of the
-# energies swings by about $\omega\Delta t/2$ of it, 13 % here. What counts is whether it drifts.
+# Velocities belong to the middle of steps, positions and stresses to their ends. `energies` counts
+# kinetic energy at the time of the positions, so that the sum does not swing. What counts is whether
+# it drifts.
 
 
 # %%
