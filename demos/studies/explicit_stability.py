@@ -160,8 +160,8 @@ def step_of(args, method, offset):
 # %% [markdown]
 # ## Flight
 # Velocities belong to the middle of steps, positions and stresses to their ends. `energies` counts
-# kinetic energy at the time of the positions, so that the sum does not swing. What counts is whether
-# it drifts.
+# kinetic energy at the time of the positions, so that the sum does not swing. What counts is
+# whether it drifts.
 
 
 # %%
