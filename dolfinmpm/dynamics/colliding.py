@@ -124,12 +124,13 @@ class Colliding(OneByOne):
         external = self._hold(bodies, after, here, held)
         got = collide(bodies, after, room, self._collision.friction)
         external += self._hold(bodies, after, here, held)
-        new, moved = self._points(stencils, rows, before, after, dt, kick)
+        new = self._points(stencils, rows, before, after, kick)
         strains = after
         if settings.scheme == "musl":
             strains = self._velocities(stencils, bodies, here, held, new["velocity"])
         operator = Operator(problem.form, here)
         self._place(operator, rows, [dt * V for V in strains])
+        moved = points["x"] + operator.points.value[0]
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
@@ -272,19 +273,17 @@ class Colliding(OneByOne):
         rows: Sequence[Rows],
         before: Sequence[Array],
         after: Sequence[Array],
-        dt: float,
         kick: float,
-    ) -> tuple[dict[str, Array], Array]:
-        """New velocities, accelerations and positions of the points."""
+    ) -> dict[str, Array]:
+        """New velocities and accelerations of the points."""
         points, mapping = self._problem.points, self._settings.mapping
         share = mapping.share if mapping.kind == "flip" else 0.0
-        v, a, x = points["velocity"].copy(), np.zeros_like(points["x"]), points["x"].copy()
+        v, a = points["velocity"].copy(), np.zeros_like(points["x"])
         for s, own, V, V_end in zip(stencils, rows, before, after):
             change, there = (collect(s, values, len(points))[own] for values in (V_end - V, V_end))
             v[own] = share * (v[own] + change) + (1.0 - share) * there
             a[own] = change / kick
-            x[own] += dt * there
-        return {"velocity": v, "acceleration": a}, x
+        return {"velocity": v, "acceleration": a}
 
     @staticmethod
     def _place(operator: Operator, rows: Sequence[Rows], increments: Sequence[Array]) -> None:

@@ -338,6 +338,7 @@ class Fused:
         columns, box = COLUMNS[d], window.rows()
         out, nodes, fixed, before = window.out, window.nodes, prescribed.fixed, prescribed.before
         usf, usl = settings.scheme == "usf", settings.scheme == "usl"
+        weight = window.own, self._loads.gravity, dt, self.done
         rigid = self._rigid
         if rigid is not None:
             rigid.begin(dt, kick, usf)
@@ -345,7 +346,7 @@ class Fused:
         apart = record and (prescribed.driven or len(self._sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:
-            divide(box, columns, out, 0, nodes, fixed, before, False)
+            divide(box, columns, out, 0, nodes, fixed, before, *weight, False)
             reason = self._pass(others[0], dt, switches)
             window.add_up(columns.force, columns.force + d)
             if reason is not None:
@@ -363,7 +364,7 @@ class Fused:
             window.add_up(columns.second, columns.second + d)
             if reason is not None:
                 return reason
-            divide(box, columns, out, columns.second, nodes, fixed, prescribed.after, True)
+            divide(box, columns, out, columns.second, nodes, fixed, prescribed.after, *weight, True)
         if rigid is not None:
             rigid.follow()
         reason = self._pass(main, dt, switches)

@@ -171,6 +171,9 @@ def kernel(
                 v0, v1, w0, w1 = lanes(Y)
                 if velocity:
                     w0, w1, v0, v1 = v0, v1, w0, w1
+                elif strain:
+                    # points move by the velocities that strain
+                    v0, v1 = w0, w1
                 _, _, h00, h10 = lanes(H0)
                 _, _, h01, h11 = lanes(H1)
                 if centres:

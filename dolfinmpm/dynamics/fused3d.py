@@ -54,8 +54,10 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
     STRIDE, SECOND, FORCE = (8 * k for k in (COLUMNS[3].width, COLUMNS[3].second, COLUMNS[3].force))
     VELOCITY = 8 * COLUMNS[3].velocity
     STRAIN = 8 * COLUMNS[3].strain
-    # points that take velocities are strained by the same, others by those that nodes have for it
-    values, apart = velocity or move, gradient and not velocity
+    # points that take velocities are strained by the same, others by those that nodes have for it,
+    # and move by what strains them
+    apart = gradient and not velocity
+    values = velocity or (move and not apart)
 
     # compiled functions among the closed-over values would keep the loop out of Numba's cache
     usual = middle_count(degree, averaged)
@@ -163,6 +165,8 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                             ZA = axpy(S1[b], ZB, ZA)
                     if values:
                         Y = axpy(S0[a], YA, Y)
+                    elif move:
+                        Y = axpy(S0[a], KA, Y)
                     if velocity:
                         W = axpy(S0[a], WA, W)
                     if APIC and velocity:

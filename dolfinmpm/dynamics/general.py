@@ -2,7 +2,10 @@
 
 Orders of the stress update (Bardenhagen 2002, doi 10.1006/jcph.2002.7103): "usl" takes the
 velocity gradient from the new nodal velocities, "usf" from those before the forces, "musl"
-(Sulsky, Zhou & Schreyer 1995) from the points' new velocities mapped to the nodes again.
+(Sulsky, Zhou & Schreyer 1995) from the points' new velocities mapped to the nodes again. In "musl"
+points move by these, too, so that places and strains follow one motion. With FLIP forces change the
+kinetic energy by their power on the same velocities, to second order: what moves otherwise, such as
+a corner that touches, makes energy or loses it.
 """
 
 from __future__ import annotations
@@ -107,10 +110,10 @@ class General(OneByOne):
             gradient = operator.points.gradient[0] / dt
         new = settings.mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
-        moved = points["x"] + dt * collect(s, V_end)
-        V_strain = V if settings.scheme == "usf" else V_end
+        V_strain, V_way = V if settings.scheme == "usf" else V_end, V_end
         if settings.scheme == "musl":
-            V_strain = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
+            V_strain = V_way = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
+        moved = points["x"] + dt * collect(s, V_way)
         operator.place([dt * V_strain])
         if held_by is not None and settings.clock is not None:
             # what is left of a prescribed displacement is that of the end
@@ -119,7 +122,7 @@ class General(OneByOne):
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        external = self._external(operator, mass, forces, V, V_end, step, kick)
+        external = self._external(operator, mass, forces, V, V_end, V_way, step, kick)
         if held_by is not None:
             at = here.unknowns.fields[0].owned_nodes
             done = -dt * float(np.sum(held_by[at] * V_strain[at]))
@@ -295,11 +298,12 @@ class General(OneByOne):
         forces: Nodal,
         V: Array,
         V_end: Array,
+        V_way: Array,
         step: Step,
         kick: float,
     ) -> float:
         """Work of loads, and of what moves held nodes, in a step (J). Collective."""
-        external = operator.load_work([step.dt * V_end])
+        external = operator.load_work([step.dt * V_way])
         here = operator.here
         if here.driven:
             # what moves held nodes gives them momentum against their forces

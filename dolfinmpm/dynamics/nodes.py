@@ -45,7 +45,7 @@ def move_nodes(
         pushed: Written unless empty, changes of velocity by forces alone.
         dt, kick: For how long nodes move, and for how long forces act on them (s).
         known: Whether velocities for the strain have been set before.
-        last: Whether the sums are done with, and cleared.
+        last: Whether the points move by these velocities; then the sums are done with, and cleared.
         done: Added to, see `Fused.done`.
     """
     _, mass, force, _, velocity, strain = columns
@@ -93,7 +93,8 @@ def move_nodes(
                 if pushed.shape[0] > 0:
                     pushed[k, i] = change
                 if own[k]:
-                    work += dt * m * g[i] * end
+                    if last:
+                        work += dt * m * g[i] * end
                     # what moves a node works against its damping too
                     damped += dt * resisting[i] * end
             if last:
@@ -106,18 +107,27 @@ def move_nodes(
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-def divide(box, columns, out, momentum, nodes, fixed, held, last):
-    """Velocities for the strain from momenta; the sums are cleared if they are done with."""
+def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, last):
+    """Velocities for the strain from momenta.
+
+    If they move the points, too, weight works on them, and the sums are done with and cleared; see
+    `move_nodes` for the arguments.
+    """
+    work = 0.0
     for block in range(box[0], box[1]):
         for k in range(block * box[4] + box[2], block * box[4] + box[3]):
             m = out[k, columns[1]]
             per_mass = 1.0 / m if m > 0.0 else 0.0
             for i in range(fixed.shape[1]):
                 y = out[k, momentum + i] * per_mass
-                nodes[k, columns[5] + i] = held[k, i] if fixed[k, i] else y
+                y = held[k, i] if fixed[k, i] else y
+                nodes[k, columns[5] + i] = y
+                if last and own[k]:
+                    work += dt * m * g[i] * y
             if last:
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
+    done[1] += work
 
 
 @numba.njit(cache=True, error_model="numpy")
