@@ -17,7 +17,7 @@ NUMBERS = {
     "cone": ("found", 10.314),
     "consolidation": ("degree", 0.7680),
     "coupled_slope": ("limit", 5.231),
-    "column_collapse": ("error", 2.589e-3),
+    "column_collapse": ("error", 2.609e-3),
     "column_compaction": ("error", 5.56e-4),
     "footing": ("factor", 5.242),
     "incline": ("way", 2.4285),
