@@ -140,7 +140,9 @@ class Colliding(OneByOne):
         state.fields.update(new)
         got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         v, m = points["velocity"], settings.scaling * point_masses(points)
-        square = np.sum((v + kick * new["acceleration"]) ** 2 - new["velocity"] ** 2, axis=1)
+        change = kick * new["acceleration"]
+        lost, twice = v + change - new["velocity"], v + change + new["velocity"]
+        square = np.sum(lost * (twice - change if settings.scheme == "musl" else twice), axis=1)
         self._work.projected += points.comm.allreduce(0.5 * float(m @ square), op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
         self.force = points.comm.allreduce(got, op=MPI.SUM) / kick

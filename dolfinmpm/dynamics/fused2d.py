@@ -223,7 +223,11 @@ def kernel(
                         # what forces make of the point's velocity, less what it gets
                         q0, q1 = v[p, 0] + w0, v[p, 1] + w1
                         r0, r1 = share * q0 + (1.0 - share) * v0, share * q1 + (1.0 - share) * v1
-                        projected += mp * (q0 * q0 + q1 * q1 - r0 * r0 - r1 * r1)
+                        z0, z1 = q0 + r0, q1 + r1
+                        if not strain:
+                            # strains follow what is left, see `General._projected`
+                            z0, z1 = z0 - w0, z1 - w1
+                        projected += mp * ((q0 - r0) * z0 + (q1 - r1) * z1)
                     if affine:
                         v[p, 0], v[p, 1] = v0, v1
                         b00, b01, b10, b11 = h00, h01, h10, h11

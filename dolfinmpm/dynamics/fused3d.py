@@ -186,9 +186,11 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                         q0, q1, q2 = v[p, 0] + w0, v[p, 1] + w1, v[p, 2] + w2
                         r0, r1 = share * q0 + (1.0 - share) * v0, share * q1 + (1.0 - share) * v1
                         r2 = share * q2 + (1.0 - share) * v2
-                        projected += mp * (
-                            q0 * q0 + q1 * q1 + q2 * q2 - r0 * r0 - r1 * r1 - r2 * r2
-                        )
+                        z0, z1, z2 = q0 + r0, q1 + r1, q2 + r2
+                        if not strain:
+                            # strains follow what is left, see `General._projected`
+                            z0, z1, z2 = z0 - w0, z1 - w1, z2 - w2
+                        projected += mp * ((q0 - r0) * z0 + (q1 - r1) * z1 + (q2 - r2) * z2)
                     if affine:
                         v[p, 0], v[p, 1], v[p, 2] = v0, v1, v2
                         if APIC:

@@ -163,7 +163,12 @@ class General(OneByOne):
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
         points, v = self._problem.points, new["velocity"]
-        square = np.sum((points["velocity"] + change) ** 2 - v**2, axis=1)
+        lost = points["velocity"] + change - v
+        twice = points["velocity"] + change + v
+        if self._settings.scheme != "usl":
+            # strains follow what is left, half a step's forces less of which is at their time
+            twice -= change
+        square = np.sum(lost * twice, axis=1)
         own = 0.5 * self._settings.scaling * float(point_masses(points) @ square)
         return mass.comm.allreduce(own, op=MPI.SUM)
 
@@ -287,7 +292,7 @@ class General(OneByOne):
         self._work.grid += found[1] - found[0]
         owned = mass.nodes.owned
         for name, force in self._resisting.items():
-            done = dt * float(np.sum(force[:owned] * V_end[:owned]))
+            done = 0.5 * dt * float(np.sum(force[:owned] * (V + V_end)[:owned]))
             self._work.losses[name] += mass.comm.allreduce(done, op=MPI.SUM)
         self._resisting.clear()
 

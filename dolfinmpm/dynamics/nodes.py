@@ -96,7 +96,7 @@ def move_nodes(
                     if last:
                         work += dt * m * g[i] * end
                     # what moves a node works against its damping too
-                    damped += dt * resisting[i] * end
+                    damped += 0.5 * dt * resisting[i] * (y + end)
             if last:
                 for i in range(out.shape[1]):
                     out[k, i] = 0.0
