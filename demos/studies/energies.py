@@ -13,7 +13,8 @@
 # - `--scene discs`: two elastic discs with fields of their own meet, aside of each other by
 #   `--aside`.
 #
-# Contact acts by its mean force over a step, which gives back what it has stored.
+# In implicit steps contact acts by its mean force over a step, which gives back what it has stored.
+# In explicit ones it acts at their start, and the points move by the velocities that strain them.
 
 # %%
 import math

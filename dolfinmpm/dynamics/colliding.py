@@ -22,7 +22,7 @@ from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, collide
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import Loads
-from dolfinmpm.dynamics.halfstep import lateness
+from dolfinmpm.dynamics.halfstep import lateness, taken
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.settings import Settings
@@ -139,11 +139,10 @@ class Colliding(OneByOne):
         self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
         got = got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
-        v, m = points["velocity"], settings.scaling * point_masses(points)
-        change = kick * new["acceleration"]
-        lost, twice = v + change - new["velocity"], v + change + new["velocity"]
-        square = np.sum(lost * (twice - change if settings.scheme == "musl" else twice), axis=1)
-        self._work.projected += points.comm.allreduce(0.5 * float(m @ square), op=MPI.SUM)
+        change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
+        filtered = settings.scheme == "musl"
+        own = taken(points["velocity"], change, new["velocity"], m, filtered)
+        self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
         self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
         return commit(points, state)

@@ -225,7 +225,7 @@ def kernel(
                         r0, r1 = share * q0 + (1.0 - share) * v0, share * q1 + (1.0 - share) * v1
                         z0, z1 = q0 + r0, q1 + r1
                         if not strain:
-                            # strains follow what is left, see `General._projected`
+                            # strains follow the new velocities, see `halfstep.taken`
                             z0, z1 = z0 - w0, z1 - w1
                         projected += mp * ((q0 - r0) * z0 + (q1 - r1) * z1)
                     if affine:

@@ -188,7 +188,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
                         r2 = share * q2 + (1.0 - share) * v2
                         z0, z1, z2 = q0 + r0, q1 + r1, q2 + r2
                         if not strain:
-                            # strains follow what is left, see `General._projected`
+                            # strains follow the new velocities, see `halfstep.taken`
                             z0, z1, z2 = z0 - w0, z1 - w1, z2 - w2
                         projected += mp * ((q0 - r0) * z0 + (q1 - r1) * z1 + (q2 - r2) * z2)
                     if affine:

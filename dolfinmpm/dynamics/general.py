@@ -27,7 +27,7 @@ from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.faces import set_velocities
-from dolfinmpm.dynamics.halfstep import late_by_contact, lateness
+from dolfinmpm.dynamics.halfstep import late_by_contact, lateness, taken
 from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
@@ -110,10 +110,10 @@ class General(OneByOne):
             gradient = operator.points.gradient[0] / dt
         new = settings.mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
-        V_strain, V_way = V if settings.scheme == "usf" else V_end, V_end
+        V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
         if settings.scheme == "musl":
-            V_strain = V_way = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
-        moved = points["x"] + dt * collect(s, V_way)
+            V_strain = V_move = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
+        moved = points["x"] + dt * collect(s, V_move)
         operator.place([dt * V_strain])
         if held_by is not None and settings.clock is not None:
             # what is left of a prescribed displacement is that of the end
@@ -122,7 +122,7 @@ class General(OneByOne):
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        external = self._external(operator, mass, forces, V, V_end, V_way, step, kick)
+        external = self._external(operator, mass, forces, V, V_end, V_move, step, kick)
         if held_by is not None:
             at = here.unknowns.fields[0].owned_nodes
             done = -dt * float(np.sum(held_by[at] * V_strain[at]))
@@ -162,14 +162,10 @@ class General(OneByOne):
             mass: Mass at the nodes.
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
-        points, v = self._problem.points, new["velocity"]
-        lost = points["velocity"] + change - v
-        twice = points["velocity"] + change + v
-        if self._settings.scheme != "usl":
-            # strains follow what is left, half a step's forces less of which is at their time
-            twice -= change
-        square = np.sum(lost * twice, axis=1)
-        own = 0.5 * self._settings.scaling * float(point_masses(points) @ square)
+        points, settings = self._problem.points, self._settings
+        m = settings.scaling * point_masses(points)
+        filtered = settings.scheme != "usl"
+        own = taken(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
 
     @stages.assemble
@@ -303,12 +299,12 @@ class General(OneByOne):
         forces: Nodal,
         V: Array,
         V_end: Array,
-        V_way: Array,
+        V_move: Array,
         step: Step,
         kick: float,
     ) -> float:
         """Work of loads, and of what moves held nodes, in a step (J). Collective."""
-        external = operator.load_work([step.dt * V_way])
+        external = operator.load_work([step.dt * V_move])
         here = operator.here
         if here.driven:
             # what moves held nodes gives them momentum against their forces

@@ -12,12 +12,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.contact.active import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
 
-__all__ = ["late_by_contact", "lateness"]
+__all__ = ["late_by_contact", "lateness", "taken"]
+
+Array = npt.NDArray[np.float64]
 
 
 def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> float:
@@ -33,6 +36,24 @@ def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> 
     if stress_is_late:
         return 1.5 * net - grid - 0.5 * internal
     return 0.5 * (net - internal)
+
+
+def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) -> float:
+    """Kinetic energy that a mapping takes from the points of this rank in a step (J).
+
+    Where strains follow the new velocities, a mapping that slows the points takes half a step's
+    work of the forces from the strains, too: energies at the time of the positions lose by the mean
+    of new and old velocities, not of new ones and those that forces alone would make.
+
+    Args:
+        old, new: Velocities before and after (m/s), shape (points, d).
+        change: What forces make of them (m/s), likewise.
+        mass: Masses of the points (kg), shape (points,).
+        filtered: Whether strains follow the new velocities, as in "musl" and "usf".
+    """
+    lost = old + change - new
+    mean = old + new if filtered else old + change + new
+    return 0.5 * float(mass @ np.sum(lost * mean, axis=1))
 
 
 def late_by_contact(

@@ -223,6 +223,9 @@ def test_energies_close_in_every_step(rule, options, yields):
         # strains of these orders and mappings are not those that the points' velocities make
         bound = 0.012 if "scheme" in options or options.get("mapping") == "tpic" else 2e-3
         bound = 2.5e-3 if options.get("bulk_viscosity") else bound
+        # strains and motion by one field of velocities leave next to nothing
+        if bound == 2e-3 and not {"damping", "redistribution"} & options.keys():
+            bound = 1e-4
     assert abs(now["integrator"]) < bound * largest
 
 

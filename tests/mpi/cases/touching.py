@@ -84,6 +84,6 @@ def bodies_that_collide():
     for k in range(6):
         problem.step(0.1 * (k + 1))
         np.testing.assert_allclose(problem.momentum(), before, atol=1e-11 * carried)
-        # friction acts at both ends of a gap, which is an arm
+        # forces on both bodies act at both ends of a gap, and by their functions at the start
         np.testing.assert_allclose(problem.angular_momentum(), spin, atol=4e-4 * carried)
     return {**figures(problem), **sums(points, "velocity")}
