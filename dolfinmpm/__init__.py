@@ -20,7 +20,8 @@ with _idle_collector():
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
-    from dolfinmpm.cut.remedies import Stabilisation, ghost, soft
+    from dolfinmpm.cut.penalties import ghost, soft
+    from dolfinmpm.cut.remedies import Stabilisation
     from dolfinmpm.dynamics import (
         Collision,
         Explicit,

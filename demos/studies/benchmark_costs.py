@@ -20,7 +20,7 @@ import dolfinmpm as mpm
 
 REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of their own work is done
-MODULES = {"remedies.py", "aggregation.py", "fractions.py", "prolongation.py"}
+MODULES = {"remedies.py", "penalties.py", "aggregation.py", "fractions.py", "prolongation.py"}
 
 
 def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profile=None):

@@ -30,7 +30,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from scene import finish, parser, say, solver_figures, stabilisation
 from scipy.special import lambertw
 
 import dolfinmpm as mpm
@@ -167,7 +167,7 @@ u, v = V.increment, V.test
 soil = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
 gravity = fem.Constant(grid, (0.0,) * d)
 F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
-remedy = mpm.Stabilisation(
+remedy = stabilisation(
     args.stabilisation, E=args.modulus, gamma=args.gamma, scaling=args.ghost or "scaled"
 )
 

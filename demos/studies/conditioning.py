@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from scene import finish, parser, say, stabilisation
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -53,7 +53,7 @@ def block(args, dimension, offset, angle=0.0):
         body = mpm.TurnedBox(corner, corner + length, angle)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
-    remedy = mpm.Stabilisation(
+    remedy = stabilisation(
         args.stabilisation, E=E, nu=NU, gamma=args.gamma_k, threshold=args.threshold,
         scaling=args.scaling, eta=args.eta,
     )  # fmt: skip

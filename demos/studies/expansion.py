@@ -28,7 +28,7 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import DolfinMPMError
-from dolfinmpm.cut.remedies import GHOST_FACTORS
+from dolfinmpm.cut.penalties import GHOST_FACTORS
 
 
 def numbers(text):

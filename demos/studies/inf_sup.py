@@ -29,7 +29,7 @@ import numpy as np
 import ufl
 from dolfinx import mesh
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from scene import finish, numbers, parser, say, stabilisation
 from scipy import linalg
 
 import dolfinmpm as mpm
@@ -132,7 +132,7 @@ def matrices(pair, remedy, cells, ends, around):
         F -= projected(points, factor, ufl.grad(p), p, q, one, none, 1.0) * points.dX
     sides = ("left", "right", "bottom", "top") if around else ("left", "bottom")
     tied = of_p if of_p == "aggregation" else "none"
-    u_remedy = mpm.Stabilisation(of_u, E=1.0, nu=0.0, gamma=args.gamma_u)
+    u_remedy = stabilisation(of_u, E=1.0, nu=0.0, gamma=args.gamma_u)
     K = mpm.QuasiStatic(F, [u, p], points, mpm.fixed(V, *sides), stabilisation=[u_remedy, tied])
     M = mpm.QuasiStatic(mass, p, points, stabilisation=tied)
     whole, of_pressure = dense(K.stiffness()), dense(M.stiffness())

@@ -34,6 +34,12 @@ def numbers(kind: type) -> Any:
     return lambda text: [kind(item) for item in text.split(",")]
 
 
+def stabilisation(kind: str, **options: Any) -> mpm.Stabilisation:
+    """A stabilisation from the command line, with those of the options that it makes use of."""
+    taken = ("E", "nu", *mpm.Stabilisation.takes(kind))
+    return mpm.Stabilisation(kind, **{k: v for k, v in options.items() if k in taken})
+
+
 def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
     """Write the inputs and the figures where `--json` asks for them; on rank 0."""
     if arguments.json is None or MPI.COMM_WORLD.rank != 0:

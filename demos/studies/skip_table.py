@@ -215,7 +215,8 @@ def yielding() -> Any:
 
 FEATURES = (
     Feature("ghost penalty", lambda n: block(n, remedy="ghost"),
-            own=("remedies.py", "active.py:select", "facettensors.py", "splinefacets.py")),
+            own=("remedies.py", "penalties.py", "active.py:select", "facettensors.py",
+                 "splinefacets.py")),
     Feature("aggregation", lambda n: block(n, remedy="aggregation"), without_ties,
             ("aggregation.py", "fractions.py", "prolongation.py")),
     Feature("F-bar", lambda n: block(n, fbar=True), without_means, ("fbar.py", "cellmeans.py")),

@@ -30,7 +30,7 @@ started = time.perf_counter()
 import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from scene import finish, parser, say, solver_figures, stabilisation
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -215,7 +215,7 @@ problem = mpm.ArcLength(
     length=length,
     max_length=length,
     target_iterations=50,
-    stabilisation=mpm.Stabilisation(
+    stabilisation=stabilisation(
         args.stabilisation, gamma=args.gamma, threshold=args.threshold, E=args.modulus
     ),
 )

@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.body.balance import beside
 from dolfinmpm.body.room import check_room_of_both
+from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.grid.positions import choose
 
 if TYPE_CHECKING:
@@ -92,6 +93,8 @@ def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
 def remove(points: MaterialPoints, where: Any, tag: int | None) -> PointChange:
     """Take points away; see `MaterialPoints.remove`. Collective."""
     going = call_together(points.comm, lambda: _chosen(points, where, tag))
+    if tag is not None:
+        check_in_use("tag", points, (tag,))
     change = _change(points, going)
     if change.count == points.total:
         raise ParameterError(

@@ -540,14 +540,14 @@ class MaterialPoints:
         Args:
             where: Which: a function of present positions (m) in DOLFINx's layout, shape
                 (gdim, n), that returns n booleans, or n booleans for the points of this rank.
-            tag: Which, instead: those of this tag.
+            tag: Which, instead: those of this tag, which some point must have.
 
         Returns:
             How many points went, and their mass, over all ranks.
 
         Raises:
-            ParameterError: Neither or both are given, `where` does not give booleans, or no
-                point would be left.
+            ParameterError: Neither or both are given, `where` does not give booleans, no
+                point has the tag, or none would be left.
             FieldShapeError: Their number is not that of the points.
         """
         return joining.remove(self, where, tag)

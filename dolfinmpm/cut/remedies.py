@@ -1,215 +1,54 @@
-"""Stabilisation against small cuts: terms of a few lines of UFL, and the choice of a remedy."""
+"""Stabilisation against small cuts: the choice of a remedy and its parameters."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem
-from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
-from ufl.domain import extract_unique_domain
 
-from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.checks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import (
-    check_displacement,
-    check_increment,
-    check_points,
-    check_test,
-)
-from dolfinmpm.body.axisymmetry import gradient, ring
+from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.aggregation import MeshRoots, ties
-from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.cut.fractions import fill_fractions, support_shares
-from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.lattice import cell_size, mean_size
-from dolfinmpm.materials.base import lame
+from dolfinmpm.cut.penalties import (
+    ADAPTIVE,
+    GHOST_FACTORS,
+    SCALINGS,
+    check_word,
+    ghost,
+    penalty_factor,
+    soft,
+)
+from dolfinmpm.grid.lattice import mean_size
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["Stabilisation", "ghost", "soft"]
+__all__ = ["Stabilisation"]
 
-_SCALINGS = ("scaled", "literal", "tangent")
-ADAPTIVE = "adaptive"
-# Local constant aimed at: from 20 to 50 neither conditioning nor locking is worth a word
-TARGET = 30.0
 KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
-# Factors of the penalties for linear functions, quadratic and cubic splines
-GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
+# Arguments that a kind makes use of, beside the moduli
+_OWN = {
+    "ghost": ("gamma", "scaling", "target"),
+    "aggregation": ("threshold",),
+    "weak-aggregation": ("gamma", "threshold"),
+    "extended": ("threshold",),
+    "soft": ("eta",),
+}
+
+# Factors of the penalty of weak aggregation for linear functions, quadratic and cubic splines
 WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
 # Fill fractions below which they are tied to others
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
-
-
-def _penalty_factor(what: str, value: Any) -> float:
-    """A penalty's factor, finite and not negative.
-
-    Raises:
-        ParameterError: It is anything else.
-    """
-    if number(what, value) < 0:
-        raise ParameterError(f"{what} = {value:g} must be finite and not negative")
-    return float(value)
-
-
-def _check_word(what: str, value: str) -> None:
-    """Raise ParameterError unless a factor given as a word is "adaptive"."""
-    if value != ADAPTIVE:
-        raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
-
-
-def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
-    """k-th derivative of w on one side of a facet, along the normal of its first side."""
-    derivative = w
-    for _ in range(k):
-        derivative = ufl.grad(derivative)
-    derivative = derivative(side)
-    n = ufl.FacetNormal(ufl.domain.extract_unique_domain(w))("+")
-    for _ in range(k):
-        derivative = ufl.dot(derivative, n)
-    return derivative
-
-
-def ghost(
-    points: MaterialPoints,
-    u: Expr,
-    v: Expr,
-    gamma: float | Expr | str,
-    order: int | None = None,
-    scaling: str = "scaled",
-    target: float | None = None,
-) -> ufl.Form:
-    """Ghost penalty: jumps of the increment's normal derivatives across ghost facets.
-
-    Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
-    (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
-    increment, so that nothing accumulates. On splines of degree q, which are smooth
-    up to the derivative q − 1, only the term k = q is there. Of points that are rings facets
-    are rings too, with areas of 2π r times their lengths.
-
-    Args:
-        points: Material points; the facets are those of their boundary cells.
-        u: Increment of the step.
-        v: Test function.
-        gamma: γ. For a stiffness E/30 (Pa) works well, or 1/30 with `scaling="tangent"`; for a
-            mass ρ/4 with `scaling="literal"`. "adaptive" is, facet by facet, the least by
-            which the local constant of its two cells is no more than `target`, under
-            the tangent of the laws there; see `dolfinmpm.assembly.facetpairs`.
-        order: q, the degree of the basis by default.
-        scaling: "scaled" divides γ by h², so that the term scales with h as a
-            stiffness does and conditioning does not depend on units; "literal" is
-            the published form, with γ in Pa/m² (or kg/m³ for a mass). "tangent" is "scaled"
-            with γ in units of the P-wave modulus of the laws' tangent at the facet, a mean
-            over the points of its two cells (see `dolfinmpm.cut.facetmoduli`): a penalty in
-            units of E loses its hold near incompressibility, where the local constant
-            rises from 414 to 7340 (ν = 0, 0.49), against 441 with this one.
-        target: Local constant that "adaptive" aims at, 30 by default; no less than twice the
-            constant of functions without jumps, which no γ can lower: 10 to 14 of linear
-            functions on squares and cubes, 180 to 250 of quadratic and thousands of cubic
-            splines.
-
-    Raises:
-        ParameterError: γ is negative or no number, the order, the scaling or the target is not
-            what it may be, or u and v are no increment and no test function of one field.
-    """
-    check_points(points)
-    check_increment(points, u)
-    check_test(points, u, v)
-    adaptive = isinstance(gamma, str)
-    scaling = choice("scaling", scaling, _SCALINGS)
-    if isinstance(gamma, str):
-        _check_word("gamma", gamma)
-        target = TARGET if target is None else number("target", target, 1.0)
-    elif target is not None:
-        raise ParameterError(f'target = {shown(target)} is of gamma="adaptive" alone')
-    elif not isinstance(gamma, Expr):
-        gamma = _penalty_factor("gamma", gamma)
-    elif gamma.ufl_shape != () or extract_arguments(gamma):
-        raise ParameterError(f"gamma = {shown(gamma)} must be a number or a scalar of UFL")
-    elif extract_unique_domain(gamma) not in (None, points.grid.ufl_domain()):
-        raise ParameterError("gamma lives on another grid than the points; make it on points.grid")
-    order = None if order is None else whole("order", order, 1)
-    # before γ, always: FFCx tells forms apart by the order in which their constants were made
-    space = getattr(u, "_dolfinmpm_space", None)
-    size = cell_size(points.grid) if space is None else space.cell_size
-    factor: Expr
-    if adaptive or scaling == "tangent":
-        check_displacement(points, u=u, v=v)
-        factor = FacetModulus(points, u, target, scaling)("+")
-        if not adaptive:
-            factor *= gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-    else:
-        factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-        if points.axisymmetric:
-            factor *= FacetRing(points, u)("+")
-    smooth = space.basis.continuity if space is not None else 0
-    if order is None:
-        order = space.basis.degree if space is not None else 1
-    h = ufl.avg(size) if isinstance(size, fem.Function) else size
-    if scaling != "literal":
-        factor = factor / h**2
-
-    def jump(w: Expr, k: int) -> Expr:
-        return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
-
-    terms = [
-        factor
-        * h ** (2 * k + 1)
-        / ((2 * k + 1) * math.factorial(k) ** 2)
-        * ufl.inner(jump(u, k), jump(v, k))
-        for k in range(min(smooth, order - 1) + 1, order + 1)
-    ]
-    facets = points.dS
-    if smooth:
-        # exact on the rectangular grids of splines, where UFL would reckon with any shape
-        metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
-        facets = facets.reconstruct(metadata=metadata)
-    jumps = sum(terms[1:], start=terms[0])
-    if u.ufl_shape != (points.gdim,):
-        # the sign of a scalar's equation is the user's
-        return jumps * facets
-    return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
-
-
-def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:
-    """Soft stiffness: η times the linear elastic stiffness of the whole of all active cells.
-
-    It belongs into the tangent alone, not among the forces (Wang, Vardon, Hicks &
-    Chen 2016, doi 10.1016/j.compgeo.2016.05.003): Newton's method ends in the same
-    state, more slowly.
-
-    Args:
-        points: Material points, whose cells are meant.
-        u: Increment of the step.
-        v: Test function.
-        E: Young's modulus (Pa).
-        nu: Poisson's ratio.
-        eta: η, the share, about 1e-5 ... 1e-2.
-
-    Raises:
-        ParameterError: A number is not what it may be, or u and v are no increment and no test
-            function of a displacement.
-    """
-    check_points(points)
-    check_displacement(points, u=u, v=v)
-    number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0, 1.0)
-    lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
-    radius = ufl.SpatialCoordinate(points.grid)[0]
-    strain = ufl.sym(gradient(points, u, radius))
-    stress = lmbda * ufl.tr(strain) * ufl.Identity(points.strain_dim) + 2 * mu * strain
-    energy = ufl.inner(stress, gradient(points, v, radius))
-    return (ring(radius, energy) if points.axisymmetric else energy) * points.dC
 
 
 @dataclass(frozen=True)
@@ -234,10 +73,14 @@ class Stabilisation:
         threshold: Share to which a cell must be filled to need no help; 0.5 by default,
             0.7 and 0.9 for quadratic and cubic splines. See `ties` in
             `dolfinmpm.cut.aggregation` for what this means for splines.
-        eta: Share of the elastic stiffness of "soft".
+        eta: Share of the elastic stiffness of "soft", 1e-3 by default.
+
+    E and nu are those of the soil, and any kind takes them; the others are of the kinds that they
+    are told of, see `takes`.
 
     Raises:
-        ParameterError: A parameter is not what it may be; the message names it.
+        ParameterError: A parameter is not what it may be, or the kind has none of that name; the
+            message names it.
     """
 
     kind: str = "none"
@@ -246,30 +89,51 @@ class Stabilisation:
     gamma: float | str | None = None
     scaling: str | None = None
     threshold: float | None = None
-    eta: float = 1e-3
+    eta: float | None = None
     target: float | None = None
+
+    @staticmethod
+    def takes(kind: str) -> tuple[str, ...]:
+        """Names of the arguments that a kind makes use of, beside E and nu.
+
+        Args:
+            kind: The remedy's kind.
+
+        Raises:
+            ParameterError: There is none of that name.
+        """
+        return _OWN.get(choice("stabilisation", kind, KINDS), ())
 
     def __post_init__(self):
         # frozen: the words are kept as they are spelt here
         object.__setattr__(self, "kind", choice("stabilisation", self.kind, KINDS))
         if self.scaling is not None:
-            scaling = choice("stabilisation's scaling", self.scaling, _SCALINGS)
+            scaling = choice("stabilisation's scaling", self.scaling, SCALINGS)
             object.__setattr__(self, "scaling", scaling)
         if self.E is not None:
             number("stabilisation's E", self.E, 0.0, unit="Pa")
         if self.nu is not None:
             number("stabilisation's nu", self.nu, -1.0, 0.5)
         if isinstance(self.gamma, str) and self.kind == "ghost":
-            _check_word("stabilisation's gamma", self.gamma)
+            check_word("stabilisation's gamma", self.gamma)
         elif self.gamma is not None:
-            _penalty_factor("stabilisation's gamma", self.gamma)
+            penalty_factor("stabilisation's gamma", self.gamma)
         if self.target is not None:
             number("stabilisation's target", self.target, 1.0)
         if self.threshold is not None:
             share = number("stabilisation's threshold", self.threshold)
             if not 0 < share <= 1:
                 raise ParameterError(f"stabilisation's threshold = {share:g} must be in (0, 1]")
-        number("stabilisation's eta", self.eta, 0.0, 1.0)
+        if self.eta is not None:
+            number("stabilisation's eta", self.eta, 0.0, 1.0)
+        for name in ("gamma", "scaling", "threshold", "eta", "target"):
+            value = getattr(self, name)
+            if value is not None and name not in _OWN.get(self.kind, ()):
+                having = [f'"{kind}"' for kind, own in _OWN.items() if name in own]
+                raise ParameterError(
+                    f"{name} = {shown(value)} would do nothing: it is of the stabilisation "
+                    f'{" and ".join(having)}, and this is "{self.kind}"; leave it out'
+                )
         if self.target is not None and self.gamma != ADAPTIVE:
             raise ParameterError(
                 f'stabilisation\'s target = {self.target:g} is of gamma="{ADAPTIVE}" alone'
@@ -324,7 +188,7 @@ class Stabilisation:
         if self.kind != "soft":
             return None
         assert self.E is not None
-        return soft(points, u, v, self.E, self.nu or 0.0, self.eta)
+        return soft(points, u, v, self.E, self.nu or 0.0, 1e-3 if self.eta is None else self.eta)
 
     @property
     def ties_nodes(self) -> bool:

@@ -26,8 +26,8 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
+from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.prolongation import reduce_blocks
-from dolfinmpm.cut.remedies import GHOST_FACTORS, ghost
 from dolfinmpm.cut.unknowns import FieldUnknowns, Nodal, Unknowns
 from dolfinmpm.dynamics.transfer import mass_entries, scatter
 from dolfinmpm.forms.declarations import rows_within

@@ -23,6 +23,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.body.tags import tags_in_use
 
 __all__ = [
     "Declaration",
@@ -32,7 +33,6 @@ __all__ = [
     "declared",
     "in_words",
     "rows_within",
-    "tags_in_use",
 ]
 
 
@@ -41,11 +41,6 @@ def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:
     if tags is None:
         return np.arange(len(points), dtype=np.int32)
     return np.flatnonzero(np.isin(points["tag"], tags)).astype(np.int32)
-
-
-def tags_in_use(points: MaterialPoints) -> set[int]:
-    """Tags that points of any rank carry. Collective."""
-    return set().union(*points.comm.allgather(set(np.unique(points["tag"]).tolist())))
 
 
 @dataclass(frozen=True, eq=False)

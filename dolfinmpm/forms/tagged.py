@@ -12,14 +12,15 @@ from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import Tags
-from dolfinmpm._platform.errors import FormError, ParameterError
+from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.acting import MARK
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.declarations import Declaration, in_words, tags_in_use
+from dolfinmpm.body.tags import in_order, tags_in_use
+from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.forms.terms import brief, depends_on, operators_in, summands, tags_of
 
-__all__ = ["Tagged", "check_in_use", "tags_by_term"]
+__all__ = ["Tagged", "tags_by_term"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Tagged:
             if tags is not None and not set(tags) & (in_use | waiting):
                 raise FormError(
                     f"{name} is for points with {in_words(tags)}, and no point has it: the points "
-                    f"have the tags {_listed(in_use)}. Give one of them; for points that come "
+                    f"have the tags {in_order(in_use)}. Give one of them; for points that come "
                     "later give the form their law too, mpm.momentum(law, points, u, v, tag=...)"
                 )
         if self.alone and self.declarations and not any(
@@ -71,7 +72,7 @@ class Tagged:
         ):  # fmt: skip
             raise FormError(
                 f"no point has a law: those of the form are for {_all_of(self.declarations)}, and "
-                f"the points have the tags {_listed(in_use)}"
+                f"the points have the tags {in_order(in_use)}"
             )
         for tag in sorted(in_use):
             for space in self.spaces:
@@ -116,30 +117,8 @@ def tags_by_term(integrals: Iterable[Any]) -> Iterator[tuple[Expr, Tags]]:
         yield term, None if None in several else tuple(t for tags in several for t in tags or ())
 
 
-def check_in_use(what: str, points: MaterialPoints, tags: Tags) -> None:
-    """Raise ParameterError if no point has one of some tags. Collective.
-
-    Args:
-        what: Name of the argument.
-        points: Material points.
-        tags: The tags, or None for all points.
-    """
-    if tags is None:
-        return
-    in_use = tags_in_use(points)
-    if not set(tags) & in_use:
-        raise ParameterError(
-            f"{what} = {tags[0] if len(tags) == 1 else tags}: no point has it; the points have the "
-            f"tags {_listed(in_use)}"
-        )
-
-
 def _has(tags: Tags, tag: int) -> bool:
     return tags is None or tag in tags
-
-
-def _listed(tags: Iterable[int]) -> str:
-    return ", ".join(str(tag) for tag in sorted(tags))
 
 
 def _all_of(declarations: Sequence[Declaration]) -> str:

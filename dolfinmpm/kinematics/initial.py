@@ -29,6 +29,8 @@ OfPosition = float | Callable[[Array], npt.ArrayLike]
 _ROUNDING = 1e-12
 # Share of a stress by which that of a law may differ from one that was set for it
 _ANOTHER = 1e-6
+# Ratio of stresses that no ground has; what is above is a weight
+_MOST_K0 = 100.0
 
 
 def _array(stress: npt.ArrayLike, n: int) -> Array:
@@ -200,8 +202,8 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
         A function of positions, shape (gdim, n), to Cauchy stresses (Pa), shape (n, 3, 3).
 
     Raises:
-        ParameterError: A number is not finite, or weight or K0 is negative; from the
-            function, where a value at a point is.
+        ParameterError: A number is not finite, weight or K0 is negative, K0 is above 100, or
+            surface and weight look swapped; from the function, where a value at a point is.
     """
 
     def checked(name: str, value: npt.ArrayLike, low: float) -> Array:
@@ -212,6 +214,11 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
                 f"{name} = {values[bad].flat[0]} must be finite"
                 + (f" and at least {low:g}" if math.isfinite(low) else "")
             )
+        if name == "K0" and (values > _MOST_K0).any():
+            raise ParameterError(
+                f"K0 = {values.max():g} must be a ratio of stresses, and at most {_MOST_K0:g}: the "
+                "order is surface, weight, K0"
+            )
         return values
 
     limits = (("surface", surface, -math.inf), ("weight", weight, 0.0), ("K0", K0, 0.0))
@@ -219,6 +226,12 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
         if not callable(value):
             number(name, value)
             checked(name, value, low)
+    both = not (callable(surface) or callable(weight))
+    if both and float(surface) > 100 * max(float(weight), 10.0):  # type: ignore[arg-type]
+        raise ParameterError(
+            f"surface = {surface:g} m with weight = {weight:g} N/m³ look swapped: the order is "
+            "surface, weight, K0"
+        )
 
     def stress(x: Array) -> Array:
         x = coordinates("x", x)

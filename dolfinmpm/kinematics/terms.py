@@ -18,11 +18,11 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import (
     Declaration,
 )
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
-from dolfinmpm.forms.tagged import check_in_use
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.history import MARKS, check_history

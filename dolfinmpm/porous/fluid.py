@@ -66,9 +66,15 @@ def kozeny_carman(k: float, porosity: float) -> Permeability:
         porosity: That porosity, in (0, 1).
 
     Raises:
-        ParameterError: A number is outside its range.
+        ParameterError: A number is outside its range, or both look swapped: a porosity below 0.02
+            and more metres a second than that.
     """
     k, n0 = number("k", k, 0.0, unit="m/s"), number("porosity", porosity, 0.0, 1.0)
+    if n0 < min(k, 0.02):
+        raise ParameterError(
+            f"k = {k:g} m/s with porosity = {n0:g}: no soil is as dense and lets as much through. "
+            "They look swapped: give mpm.kozeny_carman(k, porosity)"
+        )
 
     def permeability(J: Any, n: Any) -> Expr:
         return k * (1 - n0) ** 2 / n0**3 * n**3 / (1 - n) ** 2

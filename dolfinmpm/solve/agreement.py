@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
-from ufl.classes import ScalarValue
+from ufl.classes import FixedIndex, MultiIndex, ScalarValue
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
@@ -24,6 +24,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.materials.base import Parametrised
 
 if TYPE_CHECKING:
@@ -181,6 +182,8 @@ def _form(form: ufl.Form) -> Any:
     parts: list[tuple[str, Any]] = [("number of terms", len(form.integrals()))]
     for k, integral in enumerate(form.integrals()):
         marks = integral.metadata() or {}
+        for field in marks.get(CARRIED, ()):
+            parts += _carried(field)
         for mark in ("contact", "condition"):
             if mark in marks:
                 parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
@@ -189,6 +192,13 @@ def _form(form: ufl.Form) -> Any:
         parts.append((f"measure of term {k + 1}", integral.integral_type()))
         parts += [(f"{name} of term {k + 1}", value) for name, value in told(integral.integrand())]
     return tuple(parts)
+
+
+def _carried(field: Any) -> list[tuple[str, Any]]:
+    """What a field that a term carries is set to."""
+    if not isinstance(field, CarriedField):
+        return []
+    return [(f"{name} of what '{field.name}' carries", what) for name, what in told(field.update)]
 
 
 @told.register(Expr)
@@ -208,10 +218,16 @@ def _expression(expression: Expr) -> Any:
     numbers_of = [c for c in numbers_of if getattr(c, "declaration", None) is None]
     parts += [(_name_of(c, k), told(c)) for k, c in enumerate(numbers_of)]
     fields = sorted(c.name for c in coefficients if isinstance(c, PointField))
-    numbers, operations = [], Counter[str]()
+    numbers, places, operations = [], [], Counter[str]()
     for node in unique_pre_traversal(expression):
         if isinstance(node, ScalarValue):
             numbers.append(float(node))
+        elif isinstance(node, MultiIndex):
+            # free ones have numbers of each rank
+            places += [int(index) for index in node if isinstance(index, FixedIndex)]
         operations[type(node).__name__] += 1
+    for field in (c for c in coefficients if isinstance(c, CarriedField)):
+        parts += _carried(field)
     parts += [("fields", told(fields)), ("numbers", told(sorted(numbers)))]
+    parts.append(("indices", told(sorted(places))))
     return (*parts, ("operations", told(sorted(operations.items()))))

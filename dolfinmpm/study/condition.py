@@ -11,7 +11,8 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation, Inertia
-from dolfinmpm.cut.remedies import GHOST_FACTORS, Stabilisation, ghost
+from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
+from dolfinmpm.cut.remedies import Stabilisation
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.solve.quasistatic import QuasiStatic

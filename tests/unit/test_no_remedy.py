@@ -16,7 +16,7 @@ import dolfinmpm as mpm
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 REMEDIES = ("ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of the remedies' own work is done
-MODULES = ("remedies", "aggregation", "fractions", "prolongation")
+MODULES = ("remedies", "penalties", "aggregation", "fractions", "prolongation")
 
 
 def column(basis, remedy="none"):
@@ -82,7 +82,7 @@ def test_without_a_remedy_nothing_of_it_is_needed(basis, monkeypatch):
 
     for name in (
         "cut.remedies.ties", "cut.remedies.fill_fractions", "cut.remedies.support_shares",
-        "cut.remedies.ghost", "cut.remedies.soft", "cut.remedies.Stabilisation.penalty",
+        "cut.penalties.ghost", "cut.penalties.soft", "cut.remedies.Stabilisation.penalty",
         "cut.fractions.domain_shares", "cut.active.GhostFacets.__init__",
         "cut.active.GhostFacets.select", "cut.activation.ghost_facets",
         "cut.activation.Prolongation", "cut.activation.mesh_roots",

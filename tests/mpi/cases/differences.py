@@ -69,12 +69,15 @@ def _of_problems(s):
         s.tool, s.points, s.u, s.v, penetration=_last(1e-3, 2e-3)
     )
     hold = lambda: mpm.dirichlet(s.law, side, s.u, s.v, (_last(0.0, 1e-3), 0.0))  # noqa: E731
+    before = lambda e: mpm.carried(s.points, "before", e)  # noqa: E731
+    rate = lambda e: (s.u[0] - before(e)) * s.v[0] * s.points.dX  # noqa: E731
     return [
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
         (lambda: s.solver(form=s.F + hold()), "constant"),
         (lambda: s.solver(form=s.F - side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
         (lambda: s.solver(form=_last(s.F, s.F + s.ghost())), "form differs"),
+        (lambda: s.solver(form=s.F + rate(s.u[_last(0, 1)])), "indices of"),
         (lambda: explicit(mapping=_last("flip", "pic")), "mapping differs"),
         (lambda: explicit(fused=_last(True, False)), "fused differs"),
         (lambda: explicit(contact=mpm.Collision((0, _last(1, 2)))), "tags of contact differs"),

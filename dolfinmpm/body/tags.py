@@ -1,0 +1,44 @@
+"""Tags that the points have, and arguments that name others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dolfinmpm._platform.errors import ParameterError
+
+if TYPE_CHECKING:
+    from dolfinmpm._platform.checks import Tags
+    from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["check_in_use", "in_order", "tags_in_use"]
+
+
+def tags_in_use(points: MaterialPoints) -> set[int]:
+    """Tags that points of any rank carry. Collective."""
+    return set().union(*points.comm.allgather(set(np.unique(points["tag"]).tolist())))
+
+
+def in_order(tags: Iterable[int]) -> str:
+    """Tags in a message."""
+    return ", ".join(str(tag) for tag in sorted(tags))
+
+
+def check_in_use(what: str, points: MaterialPoints, tags: Tags) -> None:
+    """Raise ParameterError if no point has one of some tags. Collective.
+
+    Args:
+        what: Name of the argument.
+        points: Material points.
+        tags: The tags, or None for all points.
+    """
+    if tags is None:
+        return
+    in_use = tags_in_use(points)
+    if not set(tags) & in_use:
+        raise ParameterError(
+            f"{what} = {tags[0] if len(tags) == 1 else tags}: no point has it; the points have the "
+            f"tags {in_order(in_use)}"
+        )

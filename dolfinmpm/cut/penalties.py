@@ -1,0 +1,197 @@
+"""Terms against small cuts that act in the weak form: the ghost penalty and the soft stiffness."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms import extract_arguments
+from ufl.core.expr import Expr
+from ufl.domain import extract_unique_domain
+
+from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.arguments import (
+    check_displacement,
+    check_increment,
+    check_points,
+    check_test,
+)
+from dolfinmpm.body.axisymmetry import gradient, ring
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
+from dolfinmpm.grid.constants import own_constant
+from dolfinmpm.grid.lattice import cell_size
+from dolfinmpm.materials.base import lame
+
+__all__ = ["ghost", "soft"]
+
+SCALINGS = ("scaled", "literal", "tangent")
+ADAPTIVE = "adaptive"
+# Local constant aimed at: from 20 to 50 neither conditioning nor locking is worth a word
+TARGET = 30.0
+# Factors of the ghost penalty for linear functions, quadratic and cubic splines
+GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
+
+
+def penalty_factor(what: str, value: Any) -> float:
+    """A penalty's factor, finite and not negative.
+
+    Raises:
+        ParameterError: It is anything else.
+    """
+    if number(what, value) < 0:
+        raise ParameterError(f"{what} = {value:g} must be finite and not negative")
+    return float(value)
+
+
+def check_word(what: str, value: str) -> None:
+    """Raise ParameterError unless a factor given as a word is "adaptive"."""
+    if value != ADAPTIVE:
+        raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
+
+
+def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
+    """k-th derivative of w on one side of a facet, along the normal of its first side."""
+    derivative = w
+    for _ in range(k):
+        derivative = ufl.grad(derivative)
+    derivative = derivative(side)
+    n = ufl.FacetNormal(ufl.domain.extract_unique_domain(w))("+")
+    for _ in range(k):
+        derivative = ufl.dot(derivative, n)
+    return derivative
+
+
+def ghost(
+    points: MaterialPoints,
+    u: Expr,
+    v: Expr,
+    gamma: float | Expr | str,
+    order: int | None = None,
+    scaling: str = "scaled",
+    target: float | None = None,
+) -> ufl.Form:
+    """Ghost penalty: jumps of the increment's normal derivatives across ghost facets.
+
+    Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
+    (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
+    increment, so that nothing accumulates. On splines of degree q, which are smooth
+    up to the derivative q − 1, only the term k = q is there. Of points that are rings facets
+    are rings too, with areas of 2π r times their lengths.
+
+    Args:
+        points: Material points; the facets are those of their boundary cells.
+        u: Increment of the step.
+        v: Test function.
+        gamma: γ. For a stiffness E/30 (Pa) works well, or 1/30 with `scaling="tangent"`; for a
+            mass ρ/4 with `scaling="literal"`. "adaptive" is, facet by facet, the least by
+            which the local constant of its two cells is no more than `target`, under
+            the tangent of the laws there; see `dolfinmpm.assembly.facetpairs`.
+        order: q, the degree of the basis by default.
+        scaling: "scaled" divides γ by h², so that the term scales with h as a
+            stiffness does and conditioning does not depend on units; "literal" is
+            the published form, with γ in Pa/m² (or kg/m³ for a mass). "tangent" is "scaled"
+            with γ in units of the P-wave modulus of the laws' tangent at the facet, a mean
+            over the points of its two cells (see `dolfinmpm.cut.facetmoduli`): a penalty in
+            units of E loses its hold near incompressibility, where the local constant
+            rises from 414 to 7340 (ν = 0, 0.49), against 441 with this one.
+        target: Local constant that "adaptive" aims at, 30 by default; no less than twice the
+            constant of functions without jumps, which no γ can lower: 10 to 14 of linear
+            functions on squares and cubes, 180 to 250 of quadratic and thousands of cubic
+            splines.
+
+    Raises:
+        ParameterError: γ is negative or no number, the order, the scaling or the target is not
+            what it may be, or u and v are no increment and no test function of one field.
+    """
+    check_points(points)
+    check_increment(points, u)
+    check_test(points, u, v)
+    adaptive = isinstance(gamma, str)
+    scaling = choice("scaling", scaling, SCALINGS)
+    if isinstance(gamma, str):
+        check_word("gamma", gamma)
+        target = TARGET if target is None else number("target", target, 1.0)
+    elif target is not None:
+        raise ParameterError(f'target = {shown(target)} is of gamma="adaptive" alone')
+    elif not isinstance(gamma, Expr):
+        gamma = penalty_factor("gamma", gamma)
+    elif gamma.ufl_shape != () or extract_arguments(gamma):
+        raise ParameterError(f"gamma = {shown(gamma)} must be a number or a scalar of UFL")
+    elif extract_unique_domain(gamma) not in (None, points.grid.ufl_domain()):
+        raise ParameterError("gamma lives on another grid than the points; make it on points.grid")
+    order = None if order is None else whole("order", order, 1)
+    # before γ, always: FFCx tells forms apart by the order in which their constants were made
+    space = getattr(u, "_dolfinmpm_space", None)
+    size = cell_size(points.grid) if space is None else space.cell_size
+    factor: Expr
+    if adaptive or scaling == "tangent":
+        check_displacement(points, u=u, v=v)
+        factor = FacetModulus(points, u, target, scaling)("+")
+        if not adaptive:
+            factor *= gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
+    else:
+        factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
+        if points.axisymmetric:
+            factor *= FacetRing(points, u)("+")
+    smooth = space.basis.continuity if space is not None else 0
+    if order is None:
+        order = space.basis.degree if space is not None else 1
+    h = ufl.avg(size) if isinstance(size, fem.Function) else size
+    if scaling != "literal":
+        factor = factor / h**2
+
+    def jump(w: Expr, k: int) -> Expr:
+        return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
+
+    terms = [
+        factor
+        * h ** (2 * k + 1)
+        / ((2 * k + 1) * math.factorial(k) ** 2)
+        * ufl.inner(jump(u, k), jump(v, k))
+        for k in range(min(smooth, order - 1) + 1, order + 1)
+    ]
+    facets = points.dS
+    if smooth:
+        # exact on the rectangular grids of splines, where UFL would reckon with any shape
+        metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
+        facets = facets.reconstruct(metadata=metadata)
+    jumps = sum(terms[1:], start=terms[0])
+    if u.ufl_shape != (points.gdim,):
+        # the sign of a scalar's equation is the user's
+        return jumps * facets
+    return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
+
+
+def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:
+    """Soft stiffness: η times the linear elastic stiffness of the whole of all active cells.
+
+    It belongs into the tangent alone, not among the forces (Wang, Vardon, Hicks &
+    Chen 2016, doi 10.1016/j.compgeo.2016.05.003): Newton's method ends in the same
+    state, more slowly.
+
+    Args:
+        points: Material points, whose cells are meant.
+        u: Increment of the step.
+        v: Test function.
+        E: Young's modulus (Pa).
+        nu: Poisson's ratio.
+        eta: η, the share, about 1e-5 ... 1e-2.
+
+    Raises:
+        ParameterError: A number is not what it may be, or u and v are no increment and no test
+            function of a displacement.
+    """
+    check_points(points)
+    check_displacement(points, u=u, v=v)
+    number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0, 1.0)
+    lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
+    radius = ufl.SpatialCoordinate(points.grid)[0]
+    strain = ufl.sym(gradient(points, u, radius))
+    stress = lmbda * ufl.tr(strain) * ufl.Identity(points.strain_dim) + 2 * mu * strain
+    energy = ufl.inner(stress, gradient(points, v, radius))
+    return (ring(radius, energy) if points.axisymmetric else energy) * points.dC
