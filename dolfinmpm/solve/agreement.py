@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -182,8 +183,8 @@ def _form(form: ufl.Form) -> Any:
     parts: list[tuple[str, Any]] = [("number of terms", len(form.integrals()))]
     for k, integral in enumerate(form.integrals()):
         marks = integral.metadata() or {}
-        for field in marks.get(CARRIED, ()):
-            parts += _carried(field)
+        carried = [*marks.get(CARRIED, ()), *extract_coefficients(integral.integrand())]
+        parts += _carried(carried)
         for mark in ("contact", "condition"):
             if mark in marks:
                 parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
@@ -194,11 +195,19 @@ def _form(form: ufl.Form) -> Any:
     return tuple(parts)
 
 
-def _carried(field: Any) -> list[tuple[str, Any]]:
-    """What a field that a term carries is set to."""
-    if not isinstance(field, CarriedField):
-        return []
-    return [(f"{name} of what '{field.name}' carries", what) for name, what in told(field.update)]
+def _carried(fields: Iterable[Any]) -> list[tuple[str, Any]]:
+    """What fields that terms carry are set to, and those that are in what these are set to."""
+    parts, seen, left = [], set(), list(fields)
+    while left:
+        field = left.pop(0)
+        if not isinstance(field, CarriedField) or id(field) in seen:
+            continue
+        # often set to what it has been and something more
+        seen.add(id(field))
+        parts += [(f"{n} of what '{field.name}' carries", what) for n, what in told(field.update)]
+        if isinstance(field.update, Expr):
+            left += extract_coefficients(field.update)
+    return parts
 
 
 @told.register(Expr)
@@ -226,8 +235,6 @@ def _expression(expression: Expr) -> Any:
             # free ones have numbers of each rank
             places += [int(index) for index in node if isinstance(index, FixedIndex)]
         operations[type(node).__name__] += 1
-    for field in (c for c in coefficients if isinstance(c, CarriedField)):
-        parts += _carried(field)
     parts += [("fields", told(fields)), ("numbers", told(sorted(numbers)))]
     parts.append(("indices", told(sorted(places))))
     return (*parts, ("operations", told(sorted(operations.items()))))
