@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import importlib.util
+import inspect
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +17,20 @@ import ufl
 from dolfinx import cpp, fem, jit, la
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
+from ufl.algorithms import apply_restrictions as restrictions
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm._platform.jit import patiently
 
 
+_TAG = 1202  # of messages, which no other messages on the same communicator have
+
+
 def geometry_dofmap(grid) -> npt.NDArray[np.int32]:
     """Vertices of every local cell, shape (cells, vertices of a cell)."""
+    if hasattr(grid.geometry, "dofmaps"):  # 0.11: one for each type of cell
+        return grid.geometry.dofmaps[0]
     dofmap = grid.geometry.dofmap
     return dofmap() if callable(dofmap) else dofmap
 
@@ -31,11 +40,61 @@ def geometry_degree(grid) -> int:
     return grid.ufl_domain().ufl_coordinate_element().embedded_superdegree
 
 
+def _value(property_or_method) -> Any:
+    """What was a method once and is a property now."""
+    return property_or_method() if callable(property_or_method) else property_or_method
+
+
+def geometric_dimension(domain: ufl.AbstractDomain) -> int:
+    """Number of coordinates in a UFL domain; a method until UFL 2025.2."""
+    return _value(domain.geometric_dimension)
+
+
+def interpolation_points(element) -> npt.NDArray[np.float64]:
+    """Points of an element's interpolation, shape (points, dimension); a method until 0.9."""
+    return _value(element.interpolation_points)
+
+
 def make_index_map(comm, owned: int, ghosts, owners) -> IndexMap:
     """Index map with `owned` indices here and the given ghosts. Collective."""
-    return IndexMap(
-        comm, owned, np.asarray(ghosts, dtype=np.int64), np.asarray(owners, dtype=np.int32)
+    ghosts, owners = np.asarray(ghosts, dtype=np.int64), np.asarray(owners, dtype=np.int32)
+    try:
+        return IndexMap(comm, owned, ghosts, owners)
+    except TypeError:  # from 0.10 on with a tag of its messages
+        return IndexMap(comm, owned, ghosts, owners, _TAG)
+
+
+def restrict(form: ufl.Form) -> ufl.Form:
+    """A form over interior facets with its terminals restricted, as FFCx restricts them.
+
+    Raises:
+        ValueError: Something is restricted twice, or not where it must be.
+    """
+    if hasattr(restrictions, "apply_default_restrictions"):  # until UFL 2024.2
+        form = restrictions.apply_default_restrictions(form)
+    if "default_restrictions" not in inspect.signature(restrictions.apply_restrictions).parameters:
+        return restrictions.apply_restrictions(form)
+    return ufl.Form(  # from UFL 2026.1 on for each integral and each domain
+        [
+            restrictions.apply_restrictions(integral, {integral.ufl_domain(): "+"})
+            if integral.integral_type().startswith("interior_facet")
+            else integral
+            for integral in form.integrals()
+        ]
     )
+
+
+@functools.cache
+def kernel_arguments() -> int:
+    """Number of arguments of FFCx's kernels, from the declaration that FFCx compiles them with."""
+    found = importlib.util.find_spec("ffcx")
+    assert found is not None and found.origin is not None
+    header = Path(found.origin).parent / "codegeneration" / "ufcx.h"
+    declared = re.search(
+        r"typedef void ?\(ufcx_tabulate_tensor_float64\)\((.*?)\);", header.read_text(), re.DOTALL
+    )
+    assert declared is not None, f"{header} does not declare ufcx_tabulate_tensor_float64"
+    return declared[1].count(",") + 1
 
 
 class _WithoutVariables(MultiFunction):
@@ -59,6 +118,13 @@ def jit_expression(comm, expression, points) -> tuple[int, Any]:
         comm, lambda: jit.ffcx_jit(comm, (expression, points), form_compiler_options=options)
     )
     function = compiled.tabulate_tensor_float64
+    declared = len(module.ffi.typeof("ufcx_tabulate_tensor_float64 *").args)
+    if declared != kernel_arguments():
+        raise RuntimeError(
+            f"FFCx compiled a kernel of {declared} arguments, where its header declares "
+            f"{kernel_arguments()}: two versions of FFCx are installed; remove one, and the "
+            f"folder {jit.get_options()['cache_dir']}"
+        )
     return int(module.ffi.cast("uintptr_t", function)), (module, compiled)
 
 

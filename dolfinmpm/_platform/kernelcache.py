@@ -10,14 +10,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
 from pathlib import Path
 
 __all__ = ["forget_outdated"]
 
-STAMP = "kernels.sha256"
+STAMP = f"kernels-{sys.implementation.cache_tag}.sha256"
+# Numba's indices of this Python; those of another are its own affair
+INDICES = "__pycache__/*.py{0}{1}*.nbi".format(*sys.version_info)
 
 
-def forget_outdated(package: Path) -> bool:
+def forget_outdated(package: Path, also: str = "") -> bool:
     """Remove Numba's indices in a package if any source with a loop is not what it was.
 
     Several processes may do so at once: what one of them misses it compiles again.
@@ -26,11 +29,12 @@ def forget_outdated(package: Path) -> bool:
 
     Args:
         package: Folder of the package.
+        also: What else the loops are compiled for.
 
     Returns:
         Whether the sources had changed.
     """
-    state = hashlib.sha256()
+    state = hashlib.sha256(also.encode())
     for source in sorted(package.rglob("*.py")):
         content = source.read_bytes()
         if b"numba" in content:
@@ -40,7 +44,7 @@ def forget_outdated(package: Path) -> bool:
         if stamp.read_text() == state.hexdigest():
             return False
     with contextlib.suppress(OSError):
-        for index in package.rglob("__pycache__/*.nbi"):
+        for index in package.rglob(INDICES):
             index.unlink(missing_ok=True)
         stamp.parent.mkdir(exist_ok=True)
         own = stamp.with_suffix(f".{os.getpid()}")

@@ -8,12 +8,13 @@ from mpi4py import MPI
 from petsc4py import PETSc  # noqa: F401  it takes signals when it starts
 
 from dolfinmpm._platform.abort import end_all_ranks
+from dolfinmpm._platform.compat import kernel_arguments
 from dolfinmpm._platform.kernelcache import forget_outdated
 from dolfinmpm._platform.kernelloading import load_at_once
 from dolfinmpm._platform.pipes import end_quietly
 from dolfinmpm._platform.watchdog import watch
 
-forget_outdated(Path(__file__).parents[1])
+forget_outdated(Path(__file__).parents[1], f"kernels of {kernel_arguments()} arguments")
 load_at_once("dolfinmpm")
 end_all_ranks(MPI.COMM_WORLD)
 watch(MPI.COMM_WORLD)

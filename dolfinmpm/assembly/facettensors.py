@@ -19,7 +19,6 @@ from dolfinx import fem
 from ufl import classes
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
-from ufl.algorithms.apply_restrictions import apply_default_restrictions, apply_restrictions
 from ufl.algorithms.expand_indices import expand_indices
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from ufl.classes import Argument, FacetArea, FacetNormal, Grad, Indexed, Restricted
@@ -28,6 +27,7 @@ from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
+from dolfinmpm._platform.compat import geometric_dimension, restrict
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
 __all__ = [
@@ -99,7 +99,7 @@ class _Facing(MultiFunction):
 def _restricted(form: ufl.Form) -> ufl.Form:
     """The form with terminals restricted as FFCx restricts them."""
     form = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
-    return apply_restrictions(apply_default_restrictions(form))
+    return restrict(form)
 
 
 def facet_moduli(form: ufl.Form) -> list[FacetModulus]:
@@ -181,7 +181,7 @@ def _factor(o: Expr) -> _Factor | None:
     along = index[len(shape) :]
     assert len(along) == order
     component = int(np.ravel_multi_index(index[: len(shape)], shape)) if shape else 0
-    gdim = argument.ufl_function_space().ufl_domain().geometric_dimension()
+    gdim = geometric_dimension(argument.ufl_function_space().ufl_domain())
     powers = tuple(along.count(d) for d in range(gdim))
     return _Factor(argument.number(), component, side, powers)
 

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
+from dolfinmpm._platform.compat import interpolation_points
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
@@ -23,7 +24,7 @@ def function_values(function: fem.Function, gradient: bool, points: MaterialPoin
         degree = max(function.function_space.ufl_element().embedded_superdegree, 1)
         space = fem.functionspace(points.grid, ("DG", degree, shape))
         slope = fem.Function(space)
-        expression = fem.Expression(ufl.grad(function), space.element.interpolation_points())
+        expression = fem.Expression(ufl.grad(function), interpolation_points(space.element))
         slope.interpolate(expression)
         function = slope
     if points.partition is None:

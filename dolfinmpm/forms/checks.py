@@ -9,11 +9,11 @@ from typing import Any
 import ufl
 from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_arguments, extract_coefficients
-from ufl.algorithms.apply_restrictions import apply_default_restrictions, apply_restrictions
 from ufl.classes import Division, Product, ScalarValue
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.compat import restrict
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.acting import MARK
@@ -149,7 +149,7 @@ def _times(sign: float | None, factor: Expr) -> float | None:
 
 def _check_restricted(integral: Any) -> None:
     try:
-        apply_restrictions(apply_default_restrictions(expand_derivatives(ufl.Form([integral]))))
+        restrict(expand_derivatives(ufl.Form([integral])))
     except ValueError as error:
         text = str(error)
         if "restrict" not in text:

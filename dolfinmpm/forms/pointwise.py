@@ -22,7 +22,7 @@ from numba.extending import intrinsic
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.compat import jit_expression
+from dolfinmpm._platform.compat import jit_expression, kernel_arguments
 from dolfinmpm._platform.errors import FormError
 
 __all__ = ["Program", "call_tabulate", "compile_here", "compile_program"]
@@ -32,22 +32,23 @@ Array = npt.NDArray[np.float64]
 
 @intrinsic
 def call_tabulate(typingctx, function, out, constants):
-    """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation)` at an address.
+    """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation, ...)` at an address.
 
     For compiled loops, with the addresses of A, to which it adds, and of the constants c.
     """
     signature = types.void(types.intp, types.intp, types.intp)
+    number = kernel_arguments()
 
     def generate(context, builder, sig, args):
         from llvmlite import ir
 
         pointer = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [pointer] * 6)
+        kind = ir.FunctionType(ir.VoidType(), [pointer] * number)
         address = builder.inttoptr(args[0], kind.as_pointer())
         a = builder.inttoptr(args[1], pointer)
         c = builder.inttoptr(args[2], pointer)
         null = cgutils.get_null_value(pointer)
-        builder.call(address, [a, null, c, null, null, null])
+        builder.call(address, [a, null, c] + [null] * (number - 3))
         return context.get_dummy_value()
 
     return signature, generate
