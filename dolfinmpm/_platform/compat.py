@@ -14,16 +14,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import cpp, fem, jit, la
+from dolfinx import cpp, fem, graph, jit, la, mesh
 from dolfinx.common import IndexMap
 from dolfinx.fem.forms import get_integration_domains
+from petsc4py import PETSc
 from ufl.algorithms import apply_restrictions as restrictions
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm._platform.jit import patiently
 
-
+_reasons = PETSc.SNES.ConvergedReason
+# SNES's reason where forces are no numbers, until PETSc 3.24 and later
+DIVERGED_NAN: int = (
+    _reasons.DIVERGED_FNORM_NAN
+    if hasattr(_reasons, "DIVERGED_FNORM_NAN")
+    else _reasons.DIVERGED_FUNCTION_NANORINF
+)
 _TAG = 1202  # of messages, which no other messages on the same communicator have
 
 
@@ -95,6 +102,26 @@ def kernel_arguments() -> int:
     )
     assert declared is not None, f"{header} does not declare ufcx_tabulate_tensor_float64"
     return declared[1].count(",") + 1
+
+
+def adjacency_list(links, offsets) -> Any:
+    """The lists that DOLFINx's mesh creation takes from a partitioner.
+
+    Args:
+        links: What each list holds, one behind the other, int32.
+        offsets: Where each list begins, and the end, int32.
+    """
+    made = graph.adjacencylist(links, offsets)
+    return getattr(made, "_cpp_object", made)  # wrapped from 0.10 on
+
+
+def ghosted_partitioner() -> str:
+    """What a user writes for a partitioner whose cells beside other ranks' are ghosts."""
+    if inspect.isfunction(mesh.create_cell_partitioner):  # from 0.11 on
+        arguments = "dolfinx.graph.partitioner(), dolfinx.mesh.GhostMode.shared_facet, 2"
+    else:
+        arguments = "dolfinx.mesh.GhostMode.shared_facet"
+    return f"dolfinx.mesh.create_cell_partitioner({arguments})"
 
 
 class _WithoutVariables(MultiFunction):

@@ -32,13 +32,17 @@ def _is_broken(stream: Any) -> bool:
 
 
 def _drop_what_nobody_reads(*signal_and_frame: Any) -> None:
-    """Drop what is written from now on if the output, or messages, reach nobody any more."""
+    """Drop what is written from now on if the output, or messages, reach nobody any more.
+
+    On a signal the stream that broke stays as it is: the write that broke may have been one in
+    part, which raises nothing, and the next one must. What is said of it is dropped.
+    """
     streams = sys.stdout, sys.stderr
     if not any(_is_broken(stream) for stream in streams):
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in streams:
-        if signal_and_frame or _is_broken(stream):
+        if bool(signal_and_frame) != _is_broken(stream):
             with contextlib.suppress(AttributeError, OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

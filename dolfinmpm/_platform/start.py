@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dolfinx import __version__
 from mpi4py import MPI
 from petsc4py import PETSc  # noqa: F401  it takes signals when it starts
+
+from dolfinmpm._platform.versions import check_version
+
+check_version(__version__, MPI.COMM_WORLD.rank)
 
 from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.compat import kernel_arguments

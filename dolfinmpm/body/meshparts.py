@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import graph
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import coordinates
+from dolfinmpm._platform.compat import adjacency_list
 from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_together, warn
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.points import MaterialPoints
@@ -153,9 +153,7 @@ def _destinations(
     order = np.argsort(every[:, 0], kind="stable")
     offsets = np.zeros(count + 1, np.int32)
     np.cumsum(np.bincount(every[:, 0], minlength=count), out=offsets[1:])
-    made = graph.adjacencylist(every[order, 1].astype(np.int32), offsets)
-    # DOLFINx 0.10 wraps it
-    return getattr(made, "_cpp_object", made)
+    return adjacency_list(every[order, 1].astype(np.int32), offsets)
 
 
 def warn_of_imbalance(points: MaterialPoints) -> None:

@@ -278,8 +278,8 @@ class Surface:
         points = self.points
         p = pressure_of(points, p)
         check_displacement(points, u=u, v=v)
-        F = ufl.Identity(points.gdim) + in_section(points, gradient(points, u))
-        F = ufl.dot(F, in_section(points, points.F))
+        F = ufl.Identity(points.strain_dim) + gradient(points, u)
+        F = in_section(points, ufl.dot(F, points.F))
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh, exterior_facet_indices
 from mpi4py import MPI
 
+from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, Stencils
 from dolfinmpm.grid.halo import Numbering
@@ -97,8 +98,7 @@ class GhostFacets:
             raise UnsupportedGridError(
                 "terms over interior facets need ghost cells in parallel; create the mesh with "
                 "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or one of gmsh or of a file "
-                "with partitioner=dolfinx.mesh.create_cell_partitioner("
-                "dolfinx.mesh.GhostMode.shared_facet)"
+                f"with partitioner={ghosted_partitioner()}"
             )
         first, count = to_cells.offsets[:-1], np.diff(to_cells.offsets)
         self._facet_cells = np.full((len(count), 2), -1, np.int32)

@@ -14,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.points import Matrix
 from dolfinmpm.solve.guess import Guess
 from dolfinmpm.solve.linear import LinearSolver
@@ -91,7 +92,7 @@ class Balance:
                 if there is one, or if references are not known yet.
         """
         if not math.isfinite(norm):
-            return Reason.DIVERGED_FNORM_NAN
+            return DIVERGED_NAN
         if iteration == 0 and not self.guessed:
             self._first = norm
         # a body that is unloaded ends without loads and reactions to measure against

@@ -11,8 +11,9 @@ import pytest
 import ufl
 from basix.ufl import element, mixed_element
 from dolfinx import fem, mesh
-from dolfinx.fem.petsc import LinearProblem
+from dolfinx.fem import petsc
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.materials.base import lame
@@ -43,11 +44,23 @@ def conforming(n):
     held = fem.locate_dofs_topological((W.sub(0), V), 1, facets)
     a = weak(u, p, v, q, ufl.dx)
     L = ufl.inner(ufl.as_vector((0.0, -WEIGHT)), v) * ufl.dx
-    options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-    problem = LinearProblem(
-        a, L, bcs=[fem.dirichletbc(zero, held, W.sub(0))], petsc_options=options
-    )
-    found = problem.solve()
+    bcs = [fem.dirichletbc(zero, held, W.sub(0))]
+    a, L = fem.form(a), fem.form(L)
+    A = petsc.assemble_matrix(a, bcs=bcs)
+    A.assemble()
+    b = petsc.assemble_vector(L)  # what is held is held at zero: nothing to lift
+    b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    petsc.set_bc(b, bcs)
+    ksp = PETSc.KSP().create(grid.comm)
+    ksp.setOperators(A)
+    ksp.setType("preonly")
+    ksp.pc.setType("lu")
+    ksp.pc.setFactorSolverType("mumps")
+    x = A.createVecRight()
+    ksp.solve(b, x)
+    found = fem.Function(W)
+    found.x.array[: len(x.array)] = x.array
+    found.x.scatter_forward()
     u, p = found.sub(0).collapse(), found.sub(1).collapse()
     area = LENGTH * HEIGHT
 

@@ -111,7 +111,7 @@ def _of_studies(s, at):
 
 def _on_one_rank(s, at) -> None:
     """What is wrong on one rank alone, which the others cannot know."""
-    first, last = COMM.rank == 0, COMM.rank == COMM.size - 1
+    last = COMM.rank == COMM.size - 1
     for name, value, words in (
         ("density", np.nan, "density = nan"),
         ("density", -5.0, "density = -5.0"),
@@ -119,7 +119,9 @@ def _on_one_rank(s, at) -> None:
         ("x", 9.0, "is not in the cell"),
     ):
         problem = _fresh(s)
-        if first:
+        # the first rank that has points
+        has = COMM.allgather(len(problem.points) > 0)
+        if COMM.rank == has.index(True):
             problem.points[name] = problem.points[name] * 0 + value
         assert words in _ends(problem.step)
     # rows, vectors and records of one rank
