@@ -95,7 +95,8 @@ def restrict(form: ufl.Form) -> ufl.Form:
 def kernel_arguments() -> int:
     """Number of arguments of FFCx's kernels, from the declaration that FFCx compiles them with."""
     found = importlib.util.find_spec("ffcx")
-    assert found is not None and found.origin is not None
+    assert found is not None
+    assert found.origin is not None
     header = Path(found.origin).parent / "codegeneration" / "ufcx.h"
     declared = re.search(
         r"typedef void ?\(ufcx_tabulate_tensor_float64\)\((.*?)\);", header.read_text(), re.DOTALL

@@ -17,7 +17,7 @@ __all__ = ["forget_outdated"]
 
 STAMP = f"kernels-{sys.implementation.cache_tag}.sha256"
 # Numba's indices of this Python; those of another are its own affair
-INDICES = "__pycache__/*.py{0}{1}*.nbi".format(*sys.version_info)
+INDICES = f"__pycache__/*.py{sys.version_info.major}{sys.version_info.minor}*.nbi"
 
 
 def forget_outdated(package: Path, also: str = "") -> bool:
