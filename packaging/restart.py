@@ -1,7 +1,7 @@
 """A run that goes on from its checkpoint: the column of demos/column_compaction.py.
 
 The file is named by the environment variable CHECKPOINT. It is saved after each step, and loaded at
-the start where it exists, on any number of ranks. A run that is killed loses the step that it was in.
+the start where it exists, on any number of ranks. A run that is killed loses its last step only.
 """
 
 import os
