@@ -30,7 +30,7 @@ from dolfinmpm.forms.densities import density_of
 from dolfinmpm.forms.pointterms import PointTerms, derive
 from dolfinmpm.forms.pointwise import compile_program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.terms import summands, tags_of
+from dolfinmpm.forms.termqueries import summands, tags_of
 
 __all__ = ["STORED", "OwnStress"]
 

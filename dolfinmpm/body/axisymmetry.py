@@ -10,7 +10,7 @@ three dimensions; r is that of the point at the start of the step, as gradients 
 then. So the hoop component of F, a product of 1 + u_r/r over the steps, is the ratio of the
 present radius of the ring to its first one. Functions that are averaged over domains are averaged
 over rings: u_r/r has the mean of u_r over the section of the domain by the radius of its centre,
-and slopes along the radius are weighted with it (`dolfinmpm.basis.lattice.ring_slopes`).
+and slopes along the radius are weighted with it (`dolfinmpm.basis.latticebasis.ring_slopes`).
 
 Amounts are those of whole rings, 2π r times those of the section: volumes (m³), masses (kg), areas
 of faces (m²), forces (N), and energies (J).

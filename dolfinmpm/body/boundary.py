@@ -24,9 +24,9 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.acting import acting
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.markerplaces import (
     put_inside,

@@ -21,12 +21,12 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.amounts import check_amount, check_per_cell
 from dolfinmpm.body.axisymmetry import require_axis, ring
-from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.parts import CellParts, LatticeParts, Parts
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
+from dolfinmpm.body.validity import require_grid
 from dolfinmpm.body.volumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
 from dolfinmpm.grid.positions import ask

@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.body.balance import beside
+from dolfinmpm.body.loadbalance import beside
 from dolfinmpm.body.room import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.grid.positions import choose

@@ -28,13 +28,13 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
 from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
-from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
 from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.validity import astray, checked_rows, fault, require_grid
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.partition import Partition

@@ -35,8 +35,8 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.acting import acting
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant

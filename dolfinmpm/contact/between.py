@@ -15,8 +15,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height

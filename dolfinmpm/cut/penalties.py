@@ -14,13 +14,13 @@ from ufl.domain import extract_unique_domain
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import (
+from dolfinmpm.body.axisymmetry import gradient, ring
+from dolfinmpm.body.formarguments import (
     check_displacement,
     check_increment,
     check_points,
     check_test,
 )
-from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant

@@ -22,7 +22,7 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import handed_on
+from dolfinmpm.cut.held import inherited
 from dolfinmpm.grid.lattice import require_lattice
 
 __all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
@@ -198,7 +198,7 @@ class Faces:
             base = face.space.basis
             marks = np.zeros(base.nodes.size)
             marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(handed_on(marks, base, basis))
+            nodes = np.flatnonzero(inherited(marks, base, basis))
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))
@@ -315,7 +315,7 @@ class Sides:
     def __len__(self):
         return len(self._faces)
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget areas of where the grid's lines were."""
         self._on.clear()
 

@@ -17,13 +17,13 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.forms.terms import contact_of, depends_on, summands
+from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Laws", "Loads", "why_not"]
+__all__ = ["FusedLoads", "Laws", "why_not"]
 
 Array = npt.NDArray[np.float64]
 # What a step changes: a load that depends on it is evaluated in every step
@@ -217,8 +217,8 @@ class Laws:
         return numbers
 
 
-class Loads:
-    """Loads of a form as forces at the points.
+class FusedLoads:
+    """FusedLoads of a form as forces at the points.
 
     Args:
         form: The weak form.

@@ -9,7 +9,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.terms import brief
+from dolfinmpm.forms.termqueries import brief
 
 __all__ = ["check_hoop", "check_hoops"]
 

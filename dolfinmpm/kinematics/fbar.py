@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError, SoftVolumeWarning, raise_together, warn
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.operators import KeepingLaw, Kept, if_kept
+from dolfinmpm.forms.operators import KeepingLaw, KeptTangents, if_kept
 
 __all__ = ["FBar", "StrainFramework"]
 
@@ -299,7 +299,7 @@ class FBar:
 
     def evaluate(
         self, operand: Array, value: Array, tangent: Array | None, rows,
-        by_mean: Array | None = None, kept: Kept | None = None,
+        by_mean: Array | None = None, kept: KeptTangents | None = None,
     ) -> int:  # fmt: skip
         """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
         d, kind = self.points.strain_dim, self._multiplicative
@@ -319,7 +319,7 @@ class FBar:
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
         return -1
 
-    def commit(self, operand: Array, rows, kept: Kept | None = None) -> dict[str, Array]:
+    def commit(self, operand: Array, rows, kept: KeptTangents | None = None) -> dict[str, Array]:
         """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
         points = self.points
         changed = np.empty_like(operand)

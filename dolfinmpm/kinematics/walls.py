@@ -30,14 +30,14 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import in_front, look_ahead
-from dolfinmpm.kinematics.terms import flux
+from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 
 from dolfinmpm._platform.errors import FormError
-from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
@@ -25,15 +25,15 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
-from dolfinmpm.grid.graded import times_laid
+from dolfinmpm.grid.graded import times_regridded
 from dolfinmpm.solve.boundaries import place_markers, set_penalties
 
-__all__ = ["Inertia", "WeakForm"]
+__all__ = ["MassTerm", "WeakForm"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Inertia(Protocol):
+class MassTerm(Protocol):
     """What the mass of a problem is made of.
 
     Attributes:
@@ -93,9 +93,9 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.bodies = Bodies(self.parts.contacts, points.grid)
-        self.laid = times_laid(points.grid)
+        self.laid = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.inertia: Inertia | None = None
+        self.inertia: MassTerm | None = None
         self.own: list[OwnStress] = []
         # none before the first step
         self._revision = -1
@@ -300,11 +300,11 @@ class WeakForm:
             for first, second in [contact.boundaries]
         ]
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
-        self.laid = times_laid(self.points.grid)
+        self.laid = times_regridded(self.points.grid)
         for grid in self.grids:
-            grid.lay()
+            grid.regrid()
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""

@@ -293,7 +293,7 @@ class LatticeBasis:
             self._grown[key] = wider
         return self._grown[key]
 
-    def lay(self, lattice: Lattice) -> None:
+    def regrid(self, lattice: Lattice) -> None:
         """Take a lattice of the grid of as many lines in place of the own one.
 
         Numberings stay; what was computed from places does not.

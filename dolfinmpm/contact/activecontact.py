@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.assembly.points import Entries
+from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.contact.candidates import candidates, touchable
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
@@ -18,7 +19,6 @@ from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.passing import entered, passes, suspected, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.surfaces import Probe
-from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
 __all__ = ["ActiveContact"]

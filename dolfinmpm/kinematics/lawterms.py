@@ -15,8 +15,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import (
@@ -25,12 +25,12 @@ from dolfinmpm.forms.declarations import (
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.history import MARKS, check_history
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.kinematics.strainmarks import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

@@ -1,9 +1,9 @@
 """The penalty that Nitsche's method needs, from eigenproblems of the cells at the boundary.
 
 The method is stable if k exceeds the constant of ∫ |σ(v) n|² da ≤ k a(v, v), with a the elastic
-energy of the points and of what remedies add to it: the ghost penalty, or the nodes that
+energy of the points and of what stabilisations add to it: the ghost penalty, or the nodes that
 aggregation ties. Neither a number of M/h nor the size of a cut will do: a cell of which the body
-fills next to nothing has as much energy as its remedy gives it, and no more.
+fills next to nothing has as much energy as its stabilisation gives it, and no more.
 
 Around every cell at the boundary the largest eigenvalue of the two forms is taken among functions
 that are zero beyond some rings of nodes. Tractions belong to differences of near nodes, so that
@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import StateError, raise_together
 from dolfinmpm.assembly.facetpairs import isotropic
-from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
+from dolfinmpm.assembly.stencilsums import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import pushed_forward
 from dolfinmpm.body.axisymmetry import in_section
@@ -213,7 +213,7 @@ def trace_constants(
         boundary: Which of the activation's boundaries it is.
 
     Raises:
-        StateError: A marker is in a cell without material and without a remedy.
+        StateError: A marker is in a cell without material and without stabilisation.
     """
     d, s, own = points.gdim, here.fields[k].of_markers[boundary], here.fields[k].stencils
     if here.total:
@@ -247,8 +247,8 @@ def trace_constants(
         if lost is None
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
-            'a remedy: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
-            '"aggregation", in explicit steps the latter, or give beta'
+            "a stabilisation: Nitsche's method has no finite penalty there; add "
+            'stabilisation="ghost" or "aggregation", in explicit steps the latter, or give beta'
         ),
     )
     return constants
