@@ -6,7 +6,7 @@ aggregation ties. Neither a number of M/h nor the size of a cut will do: a cell 
 fills next to nothing has as much energy as its stabilisation gives it, and no more.
 
 Around every cell at the boundary the largest eigenvalue of the two forms is taken among functions
-that are zero beyond some rings of nodes. Tractions belong to differences of near nodes, so that
+that are zero beyond some layers of nodes. Tractions belong to differences of near nodes, so that
 this misses the constant of all functions by less than the factor of 2 that is put on it.
 """
 
@@ -48,7 +48,7 @@ def _tangents(moduli: Array, d: int) -> Array:
 
 
 def _by_slots(points: MaterialPoints, values: Array) -> Array:
-    """Forms of tensors ∇u as those of what stencils give: gradients, at rings values too.
+    """Forms of tensors ∇u as those of stencils: gradients, and values where axisymmetric.
 
     Args:
         points: The points.
@@ -109,7 +109,7 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
 
 
 def _around(
-    here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], rings: int
+    here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], layers: int
 ) -> tuple[list[scipy.sparse.csr_matrix], npt.NDArray[np.int64]]:
     """The parts of matrices around unknowns, and the global numbers they are of. Collective."""
     if here.unknowns.comm.size == 1:
@@ -121,7 +121,7 @@ def _around(
         ]
         return made, np.arange(shape[0], dtype=np.int64)
     where = PETSc.IS().createGeneral(np.unique(rows).astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    matrices[0].petsc.increaseOverlap(where, rings)
+    matrices[0].petsc.increaseOverlap(where, layers)
     where.sort()
     parts = []
     for matrix in matrices:
@@ -131,9 +131,9 @@ def _around(
     return parts, where.getIndices().astype(np.int64)
 
 
-def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
+def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], layers: int) -> npt.NDArray[Any]:
     """Rows and those around them that they are coupled to, ring by ring."""
-    for _ in range(rings):
+    for _ in range(layers):
         rows = np.unique(A[rows].indices)
     return rows
 
@@ -228,14 +228,14 @@ def trace_constants(
     for g in range(s.groups.size - 1):
         seen = row_of[s.nodes[s.node_start[g] : s.node_start[g + 1]]].ravel()
         groups.append(to_global[seen[seen >= 0]].astype(np.int64))
-    rings = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
+    layers = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
     wanted = np.concatenate([np.empty(0, np.int64), *groups])
-    (A, N), numbers = _around(here, [energy, tractions], wanted, rings)
+    (A, N), numbers = _around(here, [energy, tractions], wanted, layers)
     constants = np.zeros(len(markers))
     lost: Array | None = None
     place = np.full(len(numbers), -1, np.int64)
     for g, rows in enumerate(groups):
-        patch = _ringed(A, np.searchsorted(numbers, rows), rings)
+        patch = _ringed(A, np.searchsorted(numbers, rows), layers)
         constant = _largest(*(_part(matrix, patch, place) for matrix in (A, N)))
         members = s.order[s.groups[g] : s.groups[g + 1]]
         constants[members] = constant

@@ -91,7 +91,7 @@ class OwnStress:
         return self._slots.slot(("field", name), shape)
 
     def _flux(self, integrals: Sequence, movers: Sequence[int]) -> tuple[Expr, Expr]:
-        """Flux per first volume, and around the axis of rings."""
+        """Flux per first volume, and around the axis of axisymmetric bodies."""
         slots, gdim = self._slots, self._points.gdim
         flux, hoop = zero((gdim, gdim)), zero()
         for integral in expand_derivatives(ufl.Form(list(integrals))).integrals():
@@ -158,7 +158,7 @@ class OwnStress:
 
 
 def _full(tensor: Expr, around: Expr, points: MaterialPoints) -> Expr:
-    """A tensor of shape (gdim, gdim), with its component around the axis at rings."""
+    """A tensor of shape (gdim, gdim), with its component around the axis at axisymmetric points."""
     if not points.axisymmetric:
         return tensor
     rows = [[tensor[i, j] for j in range(2)] + [0] for i in range(2)]

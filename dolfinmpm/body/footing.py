@@ -147,7 +147,7 @@ class RigidFooting(ReadOnce):
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
-        On rings it is the whole force.
+        Of axisymmetric bodies it is the whole force.
         """
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)

@@ -138,8 +138,8 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
         raise ParameterError("the bodies are on two grids; fill both on the same grid object")
     if a.axisymmetric != b.axisymmetric:
         raise ParameterError(
-            f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: rings "
-            "and points of plane strain cannot be joined; fill both alike"
+            f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: "
+            "axisymmetric points and points of plane strain cannot be joined; fill both alike"
         )
     for name, field in b._ufl.items():
         if name in a._ufl and a._ufl[name].ufl_shape != field.ufl_shape:

@@ -97,10 +97,10 @@ class MaterialPoints:
                                       one of the points' law, and later a result: see `set_stress`
     ===========  ==========  =======  =====================================
 
-    e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where points
-    are rings. Rings about the axis x[0] = 0 (`axisymmetric`) have volumes in m³, 2π r times the
-    area of their section, and so whole masses and forces; gradients at them have a hoop term,
-    see `dolfinmpm.body.axisymmetry`.
+    e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where
+    `axisymmetric`. Axisymmetric points go around the axis x[0] = 0: their volumes are in m³, 2π r
+    times the area of their section, and so are their masses and forces. Gradients at them have a
+    hoop term, see `dolfinmpm.body.axisymmetry`.
 
     Points come from `fill`, from `from_arrays`, `from_csv` and `from_mesh`, and from `a + b`; the
     constructor takes what these have found. Arrays in `fields` get other sizes when
@@ -117,8 +117,8 @@ class MaterialPoints:
             shape (n,).
         id: Their numbers, different on all ranks, shape (n,); by default in the order of the
             ranks.
-        axisymmetric: Whether the points are rings about the axis x[0] = 0; volumes are those of
-            whole rings then.
+        axisymmetric: Whether the body is one of revolution about x[0] = 0; volumes are those
+            all around the axis then.
 
     Attributes:
         strain_dim: Dimension of the gradients' tensors, gdim or 3.
@@ -144,7 +144,7 @@ class MaterialPoints:
         FieldShapeError: An array has another shape.
         PointsOutsideGridError: A point is not in its cell.
         UnsupportedGridError: The cells are curved, or coordinates of single precision; the grid of
-            rings is not two-dimensional, or reaches beyond the axis.
+            axisymmetric points is not two-dimensional, or reaches beyond the axis.
     """
 
     @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))
@@ -245,7 +245,8 @@ class MaterialPoints:
         Args:
             grid: Background grid.
             x: Positions (m), shape (n, gdim).
-            volume: Volumes (m^d), a number or shape (n,); of rings the whole ones (m³).
+            volume: Volumes (m^d), a number or shape (n,); of axisymmetric bodies the whole ones
+            (m³).
             density: Mass per volume (kg/m^d): a number, shape (n,), or a function of
                 positions in DOLFINx's layout, shape (gdim, n), to n values.
             tag: Which part of the body the points belong to, a number or shape (n,).
@@ -256,7 +257,7 @@ class MaterialPoints:
                 the law of a problem takes as its initial stress.
             id: Numbers of the points, shape (n,); by default in the order of their
                 coordinates, whatever rank gave them.
-            axisymmetric: Whether they are rings about the axis x[0] = 0.
+            axisymmetric: Whether the body is one of revolution about x[0] = 0.
 
         Raises:
             FieldShapeError: An array has the wrong shape, or the ranks give different fields.
@@ -336,8 +337,7 @@ class MaterialPoints:
             degree: Degree of the polynomials that the quadrature integrates.
             tag: Tag of all the points; by default the number of the physical group of
                 their cell, 0 for cells in none.
-            axisymmetric: Whether the mesh is the section of a body of revolution about x[0] = 0,
-                and the points are rings.
+            axisymmetric: Whether the mesh is the section of a body of revolution about x[0] = 0.
 
         Raises:
             ParameterError: `points` or `degree` is not what it may be, a cell has no volume, or

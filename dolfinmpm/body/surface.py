@@ -57,8 +57,9 @@ class Surface:
     both as they were at first, and zero for points that are not at the face. A
     point at an edge of the body may belong to several surfaces.
 
-    Faces of rings are rings themselves: their area is 2π r times the length of their section, with
-    r the radius of the centre of the face, and the forces of loads are those on the whole body.
+    Faces of axisymmetric bodies go around the axis: their area is 2π r times the length of their
+    section, with r the radius of the centre of the face, and the forces of loads are those on the
+    whole body.
 
     Args:
         points: Material points.
@@ -77,8 +78,8 @@ class Surface:
 
     Raises:
         ParameterError: The points, the place or the name is not what it may be, the normal
-            is not a unit axis, the name is taken, some of the faces lie inside the body, or, of
-            rings, on the axis.
+            is not a unit axis, the name is taken, some of the faces lie inside the body, or
+            on the axis of an axisymmetric one.
         EmptyShapeError: No face lies there.
         UnsupportedGridError: The grid is not rectangular.
     """
@@ -141,7 +142,7 @@ class Surface:
             offset: From the points' centres to their faces, as at first (m), shape
                 (points on this rank, gdim).
             area: Area times outward unit normal, as at first (m^(d-1)), likewise; zero
-                for points that are not at the face. Of rings the whole area (m²).
+                for points that are not at the face. Of axisymmetric bodies the whole area (m²).
             name: Name of the fields.
 
         Raises:
@@ -317,7 +318,7 @@ class Surface:
 
 
 def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
-    """An error if chosen faces of rings, at these centres, lie on the axis."""
+    """An error if chosen faces of axisymmetric bodies, at these centres, lie on the axis."""
     radius = faces[:, 0]
     bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
     if not bad.size:

@@ -293,7 +293,7 @@ class ActiveContact:
     def totals(self) -> tuple[Array, Array]:
         """Force and moment of the points on the body (N, N m), on all ranks. Collective.
 
-        Of rings they are those all around.
+        Of axisymmetric bodies they are those all around.
         """
         moment = _cross(self._lever(), self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])

@@ -209,7 +209,7 @@ def contact_between(
     points = first.points
     if points.axisymmetric:
         raise ParameterError(
-            "contact_between is of plane bodies and bodies in 3D, these points are rings; let a "
+            "contact_between is of plane and 3D bodies, and these points are axisymmetric; let a "
             "mpm.RigidBody touch them, or hold them with mpm.dirichlet"
         )
     require_lattice(points.grid, "contact_between")

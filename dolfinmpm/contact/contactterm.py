@@ -162,9 +162,9 @@ def contact(
     found balance, it does so again with the pressure found so far as multiplier, until the bound
     holds, whatever the penalty.
 
-    Against rings a body of revolution acts, whose meridian is the right half of the shape, and
-    which moves along the axis alone: give the whole shape, symmetric about x[0] = 0, such as a
-    `Wedge` for a cone.
+    Against axisymmetric bodies a body of revolution acts, whose meridian is the right half of the
+    shape, and which moves along the axis alone: give the whole shape, symmetric about x[0] = 0,
+    such as a `Wedge` for a cone.
 
     Args:
         body: The body. One that points or bodies touch in several terms is one body.

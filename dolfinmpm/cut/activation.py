@@ -343,14 +343,14 @@ def _entities(points: MaterialPoints, keys, bases: Sequence[Basis], seen, moving
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    entities: Entities, rings: bool,
+    entities: Entities, axisymmetric: bool,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
     tying, penalty, active = field.tying, None, nodes
     C = None if tying is None else tying.ties(where, basis, seen, nodes, fixed, roots)
     if C is not None and field.stabilisation.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
-        radius = basis.node_coordinates()[:, 0] if rings else None
+        radius = basis.node_coordinates()[:, 0] if axisymmetric else None
         rows, columns, values = field.stabilisation.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
     level = None if C is None or tying is None else tying.level(basis.degree)

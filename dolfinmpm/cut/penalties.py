@@ -80,8 +80,8 @@ def ghost(
     Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
     (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
     increment, so that nothing accumulates. On splines of degree q, which are smooth
-    up to the derivative q − 1, only the term k = q is there. Of points that are rings facets
-    are rings too, with areas of 2π r times their lengths.
+    up to the derivative q − 1, only the term k = q is there. Of axisymmetric points facets
+    go around the axis, with areas of 2π r times their lengths.
 
     Args:
         points: Material points; the facets are those of their boundary cells.

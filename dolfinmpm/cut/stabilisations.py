@@ -225,8 +225,8 @@ class Stabilisation:
         The distance of a node from the continued polynomial is penalised in place
         of being made zero (after Badia, Neiva & Verdugo 2022, doi
         10.1016/j.cma.2021.114093). The continuation is taken to have the scale of a
-        stiffness, E h^{d−2}; of rings, which have a radius, with the factor 2π r, r being no less
-        than half a cell.
+        stiffness, E h^{d−2}; of axisymmetric bodies, which have a radius, with the factor 2π r, r
+        being no less than half a cell.
 
         Returns:
             Rows, columns and blocks, as the ordinary terms give them.

@@ -45,7 +45,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     if not isinstance(field.space.basis, LatticeBasis):
         return ParameterError("Collision asks for room at the nodes; take a rectangular grid")
     if problem.points.axisymmetric:
-        return ParameterError("Collision is of plane bodies and bodies in 3D, these are rings")
+        return ParameterError("Collision is of plane and 3D bodies, and these are axisymmetric")
     if mass != "lumped" or settings.mapping.kind not in ("flip", "pic"):
         return ParameterError(
             f'mass = "{mass}" and mapping = "{settings.mapping.kind}" do not go with Collision: '

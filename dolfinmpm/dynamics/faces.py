@@ -184,13 +184,13 @@ class Faces:
         faces: The faces.
         basis: Basis with the overlap that steps need.
         d: Dimension of space.
-        rings: Whether the body's points are rings, and the faces with them.
+        axisymmetric: Whether the body's points are axisymmetric, and the faces with them.
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
     """
 
-    def __init__(self, faces: Sequence[Face], basis: Any, d: int, rings: bool = False):
+    def __init__(self, faces: Sequence[Face], basis: Any, d: int, axisymmetric: bool = False):
         self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
@@ -206,7 +206,7 @@ class Faces:
                 if self.dashpots is None:
                     self.dashpots = np.zeros((basis.nodes.size, d))
                 area = _areas(basis, nodes, face.axis)
-                if rings:
+                if axisymmetric:
                     area = ring(_middles(basis, nodes, face), area)
                 for k in range(d):
                     rate = face.impedance[0 if k == face.axis else 1]
@@ -308,7 +308,7 @@ class Sides:
             for condition in conditions:
                 _refuse_held(face, condition)
             _refuse_stuck(face, conditions)
-        self._faces, self._d, self._rings = list(faces), points.gdim, points.axisymmetric
+        self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
         # a basis goes with the partition of the lattice that it is for
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
@@ -324,7 +324,7 @@ class Sides:
         if not self._faces:
             return None
         if basis not in self._on:
-            self._on[basis] = Faces(self._faces, basis, self._d, self._rings)
+            self._on[basis] = Faces(self._faces, basis, self._d, self._axisymmetric)
         return self._on[basis]
 
 

@@ -39,7 +39,7 @@ def why_not(form: WeakForm) -> str | None:
     if points.gdim == 1:
         return "they are written for two and three dimensions"
     if points.axisymmetric:
-        return "points that are rings about an axis"
+        return "axisymmetric points"
     if space.configuration == "total":
         return "functions that are taken at first positions"
     if space.coarsen > 1:

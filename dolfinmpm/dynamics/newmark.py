@@ -442,7 +442,7 @@ class Newmark(TimeStepping):
 
 
 class GeneralisedAlpha(TimeStepping):
-    """A weak form in time, by the generalised-α method: second order, and damped where it rings.
+    """A weak form in time, by the generalised-α method: second order, with damping.
 
     Args:
         form, increment, points, bcs, options: See `Newmark`, also for what options there are.

@@ -57,7 +57,8 @@ class PointwiseLaw(Protocol):
 class AveragingLaw(Protocol):
     """A `PointwiseLaw` that also needs a mean over the cells of a scalar made of its operand.
 
-    Its operand must be made of one increment: its gradient, with a hoop term at rings.
+    Its operand must be made of one increment: its gradient, with a hoop term at axisymmetric
+    points.
     """
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:

@@ -122,7 +122,7 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
 
 
 def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
-    """Lay the lines of a rectangular grid anew; see `regrid` for problems on it. Collective.
+    """Place the lines of a rectangular grid anew; see `regrid` for problems on it. Collective.
 
     Args:
         grid: The grid.

@@ -178,7 +178,7 @@ class FBar:
     With ΔF = I + H, ΔJ = det ΔF and ΔJ̄ its mean over the cells of the point, or over
     splines one degree lower (see `CellMeans`), weighted with the volumes at the start of the
     step, the framework is given ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), d the dimension of space (2
-    in plane strain, 3 of rings). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
+    in plane strain, else 3). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
     volume with true spatial gradients, S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ: Cauchy stress belongs to
     the F̄ that made it, σ = τ/J̄, and the factor J/J̄ is left in as de Souza Neto et al. have
     it, who integrate σ(F̄) over the true volume.

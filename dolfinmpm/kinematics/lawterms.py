@@ -167,7 +167,7 @@ def momentum(
     """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
 
     The measures of strain, ∇ũ being the increment's gradient on the grid at the
-    start of the step, at points that are rings with the hoop term (`mpm.gradient`):
+    start of the step, at axisymmetric points with the hoop term (`mpm.gradient`):
 
     - "large": logarithmic strain ½ ln(ΔF b_n ΔFᵀ), Kirchhoff stress τ, S = τ ΔF⁻ᵀ; for strains
       and rotations of any size;
@@ -245,7 +245,7 @@ def stress(
             term to the same tags, `points.dX(tag)`.
 
     Returns:
-        An expression of shape (strain_dim, strain_dim), which is (3, 3) at rings.
+        An expression of shape (strain_dim, strain_dim), which is (3, 3) at axisymmetric points.
 
     Raises:
         ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
@@ -283,8 +283,8 @@ def flux(
         law, points, u, strain, tag: As for `momentum`.
 
     Returns:
-        An expression of shape (gdim, gdim), at rings without the hoop term, which no normal has a
-        part in, and the law's declaration.
+        An expression of shape (gdim, gdim), at axisymmetric points without the hoop term, which no
+        normal has a part in, and the law's declaration.
     """
     declaration = points.declarations[_declare(law, points, u, strain, False, tag)]
     d, S = points.strain_dim, declaration.operator

@@ -1,4 +1,4 @@
-"""Essential conditions imposed weakly, on boundaries that do not fit the grid.
+"""Essential conditions imposed in the weak form, on boundaries that do not fit the grid.
 
 With the traction t(u) of the law at a marker, and what is missing of the prescribed
 displacement, w(u) = gap + u − Δg, Nitsche's method (Nitsche 1971, doi 10.1007/BF02995904) adds

@@ -9,7 +9,7 @@ with the shear t_s that Coulomb's law returns of t_s,n − k_t P u, P = I − n�
 the start of the step plus n·u, and goes on below zero: what lifts off comes back where it left.
 Where a wall has had no contact yet, the gap is the way from the nearest point's domain.
 
-In steps in time such contact rings under the trapezoidal rule with a consistent mass, as any
+In steps in time such contact oscillates under the trapezoidal rule with a consistent mass, as any
 penalty does; a lumped mass or `GeneralisedAlpha` with ρ∞ < 1 damps it.
 """
 

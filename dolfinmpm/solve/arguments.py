@@ -193,7 +193,7 @@ def check_grid(points: MaterialPoints) -> None:
         raise ParameterError(
             f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
             "it was first used: its coordinates have been changed since, which points and spaces "
-            "on it do not follow. Change them before, or lay lines anew by mpm.regrid"
+            "on it do not follow. Change them before, or place lines anew by mpm.regrid"
         )
 
 
@@ -346,7 +346,7 @@ def advice(
     bcs: Sequence[Condition],
     space: Space,
     active: npt.NDArray[np.int32],
-    rings: bool = False,
+    axisymmetric: bool = False,
 ) -> str:
     """What to do about a step that failed. Collective.
 
@@ -355,12 +355,12 @@ def advice(
         bcs: Essential conditions.
         space: Space of the first field.
         active: Its active nodes.
-        rings: Whether the body is one of revolution.
+        axisymmetric: Whether the body is one of revolution.
     """
     text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
     if space.increment.ufl_shape != (space.grid.geometry.dim,):
         return text
-    free = free_motions(bcs, space, active, rings)
+    free = free_motions(bcs, space, active, axisymmetric)
     if not free:
         return text
     if not bcs:

@@ -216,7 +216,7 @@ class LinearSolver:
                 self._choose(here.unknowns.total)
                 self._take(here)
         assert self.matrix is not None
-        self.true = operator.unsoftened(self.matrix)
+        self.true = operator.without_soft(self.matrix)
 
     def _choose(self, count: int) -> None:
         """Take the method for so many unknowns. Collective."""

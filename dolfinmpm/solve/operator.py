@@ -442,7 +442,7 @@ class Operator:
             kept_lifts = [lift[field.nodes] for field, lift in zip(fields, lifts)]
             self._base = np.array(matrix.data), kept_lifts
 
-    def unsoftened(self, matrix: Matrix) -> PETSc.Mat:
+    def without_soft(self, matrix: Matrix) -> PETSc.Mat:
         """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
         if not self.here.soft:
             return matrix.petsc

@@ -144,8 +144,8 @@ class Problem(ReadOnce):
         if self._ties_movers:
             for k in movers(spaces):
                 self.fields[k] = with_ties(self.fields[k])
-        whole, softening, changes = with_stabilisations(form, self.fields, points)
-        self.form = WeakForm(whole, spaces, points, softening, changes)
+        whole, soft, changes = with_stabilisations(form, self.fields, points)
+        self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
@@ -390,7 +390,7 @@ class Problem(ReadOnce):
         self.bodies.take()
         if times_regridded(self.points.grid) != self.form.laid:
             raise ParameterError(
-                "mpm.regrid has laid the grid's lines anew for another problem, and this one has "
+                "mpm.regrid has placed the grid's lines anew for another problem, and this one has "
                 f"kept where they were: make a new Space and a new {type(self).__name__} of its "
                 "points, or give it a grid of its own"
             )

@@ -139,7 +139,7 @@ class QuasiStatic(Problem):
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
         basis = self.form.spaces[0].basis
         tangent = Tangent(
-            symmetric(self.form), definite, self.form.softening is not None, len(shapes),
+            symmetric(self.form), definite, self.form.soft is not None, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
         )  # fmt: skip
         self.solver: Solver = Newton(

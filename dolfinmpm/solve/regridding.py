@@ -19,7 +19,7 @@ __all__ = ["regrid"]
 
 @together
 def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
-    """Lay the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
+    """Place the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
 
     Points and markers find their cells again; nothing is transferred, for the grid has no state.
     Both must be as dense as the finest cells need wherever the zone comes.

@@ -89,7 +89,7 @@ def with_stabilisations(
         The form; what the stabilisations add to the tangent only; and ghost penalties on what a
         step changes of the velocity, of fields whose nodes are tied beside their stabilisation.
     """
-    softening = changes = None
+    soft = changes = None
     for field in fields:
         trial, stabilisation = (field.space.increment, field.space.test), field.stabilisation
         known = penalty_of(form, trial[0]) if stabilisation.E is None else None
@@ -104,8 +104,8 @@ def with_stabilisations(
         if field.beside is not None:
             changes, extra = _sum(changes, extra), None
         form = form if extra is None else form + extra
-        softening = _sum(softening, stabilisation.tangent_terms(points, *trial))
-    return form, softening, changes
+        soft = _sum(soft, stabilisation.tangent_terms(points, *trial))
+    return form, soft, changes
 
 
 def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
@@ -116,7 +116,7 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
     """Fields that a converged step sets: those of laws and terms, and those given. Collective.
 
     Raises:
-        FormError: An expression lacks the hoop term of points that are rings.
+        FormError: An expression lacks the hoop term of axisymmetric points.
     """
     made: list[PointUpdates | OwnStress] = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)

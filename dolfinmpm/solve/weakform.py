@@ -57,7 +57,7 @@ class WeakForm:
         form: Weak form, linear in the test functions.
         spaces: Spaces of the increments.
         points: Material points.
-        softening: Terms of the tangent only, or None.
+        soft: Terms of the tangent only, or None.
         changes: Penalties on what a step in time changes of the velocity, as terms of the
             increments, or None.
 
@@ -85,7 +85,7 @@ class WeakForm:
         form: ufl.Form,
         spaces: Sequence[Space],
         points: MaterialPoints,
-        softening: ufl.Form | None = None,
+        soft: ufl.Form | None = None,
         changes: ufl.Form | None = None,
     ):
         self.given = form
@@ -99,7 +99,7 @@ class WeakForm:
         self.own: list[OwnStress] = []
         # none before the first step
         self._revision = -1
-        self._beside = self._assembler(softening), self._assembler(changes)
+        self._beside = self._assembler(soft), self._assembler(changes)
         self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
         self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -126,7 +126,7 @@ class WeakForm:
         return None if self.inertia is None else self.inertia.means
 
     @property
-    def softening(self) -> GridAssembler | None:
+    def soft(self) -> GridAssembler | None:
         """What assembles terms of the tangent only, or None."""
         return self._beside[0]
 
@@ -277,7 +277,7 @@ class WeakForm:
             (field,) = (f for f in fields if f.space.increment is modulus.increment)
             update(modulus, field)
         found: list[list[Blocks]] = []
-        for grid in (self.grid, self.softening, self.changes):
+        for grid in (self.grid, self.soft, self.changes):
             if grid is None or not grid.terms:
                 found.append([])
                 continue

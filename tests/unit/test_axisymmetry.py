@@ -438,5 +438,5 @@ def test_deformable_bodies_of_revolution_do_not_touch():
     ends = [(0.0, 0.3), (0.7, 0.3)]
     sides = [mpm.Boundary.from_polygon(points, e, closed=False) for e in (ends, ends[::-1])]
     spaces = [mpm.Space(points.grid, "gimp", tag=tag) for tag in (1, 2)]
-    with pytest.raises(ParameterError, match="these points are rings"):
+    with pytest.raises(ParameterError, match="these points are axisymmetric"):
         mpm.contact_between(sides, [V.increment for V in spaces], [V.test for V in spaces])

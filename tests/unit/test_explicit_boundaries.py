@@ -196,7 +196,7 @@ def test_what_is_prescribed_moves_by_the_clock():
 
 @pytest.mark.parametrize("what", ["total", "rings"])
 def test_other_configurations(what):
-    """At first positions, and of rings, a damped block stands on its unfitted foot."""
+    """At first positions, and axisymmetric, a damped block stands on its unfitted foot."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (2, 2)], (8, 8), SIDES)
     rings = what == "rings"
     (a, b), (c, d) = (0.0 if rings else 0.5, 0.54), (1.0, 1.29)
