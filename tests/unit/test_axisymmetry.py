@@ -91,7 +91,7 @@ def test_rings_are_joined_and_added():
     assert a.total == both.total
     plane = mpm.fill(grid, mpm.Box((0.5, 0), (1, 1)), 2, 1.0)
     for first, second in ((both, plane), (plane, both)):
-        with pytest.raises(ParameterError, match="rings and points of plane strain"):
+        with pytest.raises(ParameterError, match="axisymmetric points and points of plane strain"):
             first + second
         with pytest.raises(ParameterError, match="axisymmetric = "):
             first.add(second)
@@ -390,7 +390,7 @@ def test_absorbing_faces_are_rings(basis):
     rate, shear = 5.0, 3.0
     for side, axis, area in (("top", 1, np.pi * 9), ("right", 0, 2 * np.pi * 3 * 2)):
         face = mpm.absorbing(V, side, density=1.0, p_speed=rate, s_speed=shear)
-        found = Faces(face, V.basis, 2, rings=True).dashpots
+        found = Faces(face, V.basis, 2, axisymmetric=True).dashpots
         assert found[:, axis].sum() == pytest.approx(rate * area, rel=1e-12)
         assert found[:, 1 - axis].sum() == pytest.approx(shear * area, rel=1e-12)
 

@@ -95,7 +95,7 @@ def test_without_a_stabilisation_nothing_of_it_is_needed(basis, monkeypatch):
     problem.step()
     assert problem.history[-1].residuals[-1] < 1e-9
     (field,) = problem.here.fields
-    assert problem.form.softening is None
+    assert problem.form.soft is None
     assert problem.here.grid == problem.here.soft == []
     assert field.C is None
     assert field.penalty is None
