@@ -30,7 +30,7 @@ from dolfinmpm.dynamics.simdmath import (
     store,
     times,
 )
-from dolfinmpm.materials.base import call_law
+from dolfinmpm.materials.lawkernel import call_law
 
 __all__ = ["kernel"]
 

@@ -9,7 +9,8 @@ from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import call_together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.materials.base import Law, Parametrised
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.parametrised import Parametrised
 from dolfinmpm.materials.strength import weakened
 
 __all__ = ["PointParameters"]

@@ -25,7 +25,7 @@ import numpy as np
 
 from dolfinmpm.forms.pointwise import call_tabulate
 from dolfinmpm.grid.tensors import eigen, eigen_2
-from dolfinmpm.materials.base import call_law
+from dolfinmpm.materials.lawkernel import call_law
 
 __all__ = ["Layout", "components", "kept_numbers", "layout", "stress_kernel"]
 

@@ -1,11 +1,13 @@
 """Constitutive laws."""
 
-from dolfinmpm.materials.base import Law, Parameter, law_kernel
+from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.camclay import CamClay
 from dolfinmpm.materials.druckerprager import DruckerPrager
 from dolfinmpm.materials.hencky import Hencky
+from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.mohrcoulomb import MohrCoulomb
 from dolfinmpm.materials.neohookean import NeoHookean
+from dolfinmpm.materials.parametrised import Parameter
 from dolfinmpm.materials.sands import Sand, sand
 from dolfinmpm.materials.tresca import Tresca
 from dolfinmpm.materials.ufl_energy import EnergyWithYield

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import DegreesWarning, warn
-from dolfinmpm.materials.base import Array, Law
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.parametrised import Array
 
 __all__ = ["warn_of_radians"]
 

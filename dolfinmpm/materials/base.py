@@ -7,167 +7,19 @@ C function, so that one compiled loop serves all laws.
 
 from __future__ import annotations
 
-import functools
-import inspect
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
-from numba import types
-from numba.extending import intrinsic
-from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_function, coordinates, shown
+from dolfinmpm._platform.checks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
-from dolfinmpm.grid.positions import ask
-from dolfinmpm.materials.discarded import DISCARDED
+from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
+from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised
 
-__all__ = ["Law", "Parameter", "Parametrised", "Response", "Value", "call_law", "law_kernel"]
-
-Array = npt.NDArray[np.float64]
-# A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
-Value = float | Array | Callable[[Array], npt.ArrayLike]
-
-_PACKAGE = __name__.partition(".")[0] + "."
-_DOUBLES = types.CPointer(types.float64)
-KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
-
-
-class _Kernel:
-    """A law's kernel, compiled when its address is first asked for: no scene uses all laws."""
-
-    def __init__(self, function: Callable):
-        self._function = function
-
-    @functools.cached_property
-    def _compiled(self) -> Any:
-        # Numba's cache goes by file and line: to a module under another name, or after a number
-        # came from elsewhere, it would give the old kernel. The package's own have no such
-        # numbers, and `forget_outdated` sees their sources.
-        own = self._function.__module__.startswith(_PACKAGE)
-        return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
-
-    @property
-    def address(self) -> int:
-        """Address of the C function."""
-        return self._compiled.address
-
-    @functools.cached_property
-    def stress_address(self) -> int:
-        """Address of one that writes no tangent, for explicit steps; else the same.
-
-        Only of the package's own kernels: others may do with the tangent what goes with an array
-        alone.
-        """
-        if not self._function.__module__.startswith(_PACKAGE):
-            return self.address
-        signature = types.int32(*[_DOUBLES] * 5, DISCARDED)
-        kept = numba.cfunc(signature, cache=True, error_model="numpy")(self._function)
-        self._without_tangent = kept
-        return kept.address
-
-
-def law_kernel(function: Callable) -> _Kernel:
-    """Make a law's kernel, which is compiled when a process first uses the law.
-
-    The function takes six arrays and returns 0, or another number if the strain
-    admits no stress:
-
-    `kernel(parameters, strain, old, new, stress, tangent)`
-
-    with the parameters in the order declared; the three principal trial
-    logarithmic strains, which a law with a return mapping replaces by the elastic
-    ones; the internal variables at the start of the step; those at its end
-    (written); the three principal Kirchhoff stresses (Pa, written); and the nine
-    derivatives of stress by trial strain, row by row (Pa, written).
-
-    Raises:
-        ParameterError: It is no function of six arrays.
-    """
-    check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
-    try:
-        inspect.signature(function).bind(*range(6))
-    except TypeError as error:
-        raise ParameterError(
-            f"function = {shown(function)} must take six arrays, parameters, strain, old, new, "
-            f"stress and tangent: {error}"
-        ) from None
-    return _Kernel(function)
-
-
-@intrinsic
-def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
-    """Call a kernel by its address, with the addresses of its arrays; for compiled loops."""
-    signature = types.int32(*[types.intp] * 7)
-
-    def generate(context, builder, sig, args):
-        from llvmlite import ir
-
-        pointer = ir.DoubleType().as_pointer()
-        kind = ir.FunctionType(ir.IntType(32), [pointer] * 6)
-        function = builder.inttoptr(args[0], kind.as_pointer())
-        return builder.call(function, [builder.inttoptr(a, pointer) for a in args[1:]])
-
-    return signature, generate
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _respond(law, parameters, strain, old, new, stress, tangent):
-    for p in range(strain.shape[0]):
-        at = p if parameters.shape[0] > 1 else 0
-        status = call_law(
-            law, parameters.ctypes.data + 8 * at * parameters.shape[1],
-            strain.ctypes.data + 24 * p, old.ctypes.data + 8 * p * old.shape[1],
-            new.ctypes.data + 8 * p * new.shape[1], stress.ctypes.data + 24 * p,
-            tangent.ctypes.data + 72 * p,
-        )  # fmt: skip
-        if status != 0:
-            return p
-    return -1
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter of a law: its unit and the open or closed interval that it may be in.
-
-    Raises:
-        ParameterError: The unit is no word, or the limits are no numbers that rise.
-    """
-
-    unit: str
-    low: float = -math.inf
-    high: float = math.inf
-    closed: bool = False
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.unit, str):
-            raise ParameterError(f"unit = {shown(self.unit)} must be a word, such as 'Pa'")
-        for what in ("low", "high"):
-            value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
-                raise ParameterError(f"{what} = {shown(value)} must be a number")
-        if not self.low < self.high:
-            raise ParameterError(f"low = {self.low:g} must be below high = {self.high:g}")
-
-    def check(self, law: str, name: str, value: npt.ArrayLike) -> None:
-        """Raise ParameterError unless the value, or every value of an array, is admissible."""
-        values = np.asarray(value, float)
-        inside = (values >= self.low) & (values <= self.high)
-        if not self.closed:
-            inside = (values > self.low) & (values < self.high)
-        inside &= np.isfinite(values)
-        if not inside.all():
-            bad = values[~inside].flat[0]
-            left, right = ("[", "]") if self.closed else ("(", ")")
-            raise ParameterError(
-                f"{law}: {name} = {bad} {self.unit} must be in "
-                f"{left}{self.low}, {self.high}{right}".replace("  ", " ")
-            )
+__all__ = ["ELASTIC", "Law", "Response", "lame"]
 
 
 @dataclass(frozen=True)
@@ -185,156 +37,6 @@ class Response:
     internal: Array
     stress: Array
     tangent: Array
-
-
-class Parametrised:
-    """What laws have in common: parameters by name, each checked, and fixed once given.
-
-    A subclass declares `parameters` (name → Parameter), and `admissible` if they bound
-    each other. The values are attributes too, `law.E`, to be read only: a law is a value,
-    and problems that use it would not learn of another number.
-
-    Attributes:
-        values: Name → number, array or function, as given; to be read only.
-
-    Args:
-        values: Every parameter: a number, an array with one value for each of the law's
-            points of this rank, or a function of their first positions in DOLFINx's
-            layout, shape (gdim, n), that returns n values.
-
-    Raises:
-        ParameterError: A parameter is missing, unknown or outside its range; or, later, one is
-            assigned to.
-    """
-
-    parameters: dict[str, Parameter] = {}
-
-    def __init__(self, **values: Value):
-        missing = set(self.parameters) ^ set(values)
-        if missing:
-            raise ParameterError(
-                f"{type(self).__name__} takes the parameters {', '.join(self.parameters)}; "
-                f"missing or unknown: {', '.join(sorted(missing))}"
-            )
-        given: dict[str, Value] = {}
-        for name in self.parameters:
-            value = values[name]
-            if isinstance(value, Expr):
-                raise ParameterError(self._no_expression(name, value))
-            if not callable(value):
-                array = self._numbers(name, value)
-                self.parameters[name].check(type(self).__name__, name, array)
-                # a copy: to change the caller's array must not change the law
-                value = float(array) if array.ndim == 0 else array.copy()
-                if isinstance(value, np.ndarray):
-                    value.flags.writeable = False
-            given[name] = value
-        self.values: Mapping[str, Value] = MappingProxyType(given)
-        if not self.varies:
-            self.parameter_array()
-
-    def _no_expression(self, name: str, value: Any) -> str:
-        """What is said of a parameter in UFL, which is callable, but no function of positions."""
-        unit = self.parameters[name].unit
-        return (
-            f"{type(self).__name__}: {name} = {shown(value)} is an expression of UFL, and a law is "
-            f"a value, whose parameters are read once: give a number{unit and f' ({unit})'}, such "
-            f"as float(constant), or a function of positions, {name}=lambda x: ...; for another "
-            "number make a new law and a new problem, which compiles nothing anew"
-        )
-
-    def _numbers(self, name: str, value: Any) -> Array:
-        """A number, or one for each point."""
-        try:
-            array = None if value is None else np.asarray(value)
-            if array is not None and array.dtype != bool:
-                return array.astype(float, casting="same_kind")
-        except (TypeError, ValueError):
-            pass
-        unit = self.parameters[name].unit
-        unit = unit and f" ({unit})"
-        raise ParameterError(
-            f"{type(self).__name__}: {name} = {shown(value)} must be a number{unit}, an array with "
-            "one for each point of this rank, or a function of positions"
-        )
-
-    def __getattr__(self, name: str) -> Any:
-        values = self.__dict__.get("values", {})
-        if name in values:
-            return values[name]
-        raise AttributeError(
-            f"'{type(self).__name__}' has no attribute '{name}'"
-            + (f"; its parameters are {', '.join(values)}" if values else "")
-        )
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in self.parameters:
-            raise ParameterError(
-                f"{name} = {value!r}: {self!r} is a value, and a problem that uses it would not "
-                f"learn of another {name}; make a new law and a new problem with it, which "
-                "compiles nothing anew"
-            )
-        super().__setattr__(name, value)
-
-    def admissible(self, values: dict[str, Array]) -> None:
-        """Raise ParameterError where parameters contradict each other.
-
-        Args:
-            values: Name → values, all of one shape.
-        """
-
-    @property
-    def varies(self) -> bool:
-        """Whether any parameter differs from point to point."""
-        return not all(isinstance(value, float) for value in self.values.values())
-
-    def parameter_array(self, x: Array | None = None) -> Array:
-        """The parameters as the kernel takes them.
-
-        Args:
-            x: First positions of the points (m), shape (n, gdim); needed if parameters
-                vary.
-
-        Returns:
-            Shape (1, parameters) if all are numbers, else (n, parameters).
-
-        Raises:
-            ParameterError: A value is outside its range, or their number is not that
-                of the points.
-        """
-        name = type(self).__name__
-        n = 1 if not self.varies or x is None else len(x)
-        result = np.empty((n, len(self.parameters)))
-        for k, (key, value) in enumerate(self.values.items()):
-            given = value
-            if callable(given):
-                if x is None:
-                    raise ParameterError(f"{name}: {key} is a function and needs positions")
-                given = ask(f"{name}: {key}", given, x)
-                self.parameters[key].check(name, key, given)
-            if np.shape(given) not in ((), (n,)):
-                raise ParameterError(
-                    f"{name}: {key} has the shape {np.shape(given)}, expected one value for each "
-                    f"of {n} points"
-                )
-            result[:, k] = given
-        self.admissible(dict(zip(self.parameters, result.T)))
-        return self.completed(result)
-
-    def completed(self, parameters: Array) -> Array:
-        """The parameters, and behind them what a kernel takes that follows from them.
-
-        Args:
-            parameters: Those declared, shape (n, parameters).
-        """
-        return parameters
-
-    def __repr__(self) -> str:
-        inside = ", ".join(
-            f"{name}={value:g}" if isinstance(value, float) else f"{name}=varying"
-            for name, value in self.__dict__.get("values", {}).items()
-        )
-        return f"{type(self).__name__}({inside})"
 
 
 class Law(Parametrised):
@@ -357,7 +59,7 @@ class Law(Parametrised):
     strengths: tuple[str, ...] | None = None
     friction_angles: tuple[str, ...] = ()
     internal: dict[str, tuple[str, float | str]] = {}
-    kernel: _Kernel
+    kernel: Kernel
 
     def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
         """Raise ParameterError where a strength falls too fast for one stress by strain.
@@ -479,7 +181,7 @@ class Law(Parametrised):
         n = len(strain)
         elastic, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.zeros((n, 3, 3))
-        _respond(self.address, parameters, elastic, old, new, stress, tangent)
+        respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
         return tangent
 
     def response(self, strain: Array, internal: Array, parameters: Array) -> Array:
@@ -493,7 +195,7 @@ class Law(Parametrised):
         n = len(strain)
         trial, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
         new, stress, tangent = np.empty_like(old), np.full((n, 3), np.nan), np.empty((n, 3, 3))
-        _respond(self.address, parameters, trial, old, new, stress, tangent)
+        respond_at_points(self.address, parameters, trial, old, new, stress, tangent)
         return stress
 
     def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
@@ -558,7 +260,7 @@ class Law(Parametrised):
         old = np.ascontiguousarray(np.broadcast_to(old, (n, len(self.internal))))
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.empty((n, 3, 3))
         trial = elastic.copy()
-        bad = _respond(self.address, parameters, elastic, old, new, stress, tangent)
+        bad = respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
         if bad < 0 and not np.isfinite(stress).all():
             # of elastic laws, which ask nothing
             bad = int(np.argmin(np.isfinite(stress).all(axis=1)))

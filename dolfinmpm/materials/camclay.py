@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.base import Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Parameter, Value
 
 __all__ = ["CamClay"]
 

@@ -10,7 +10,9 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import choice
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.angles import warn_of_radians
-from dolfinmpm.materials.base import ELASTIC, Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Parameter, Value
 
 __all__ = ["DruckerPrager"]
 

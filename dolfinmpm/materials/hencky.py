@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dolfinmpm.materials.base import ELASTIC, Law, Value, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Value
 
 __all__ = ["Hencky"]
 

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis.cells import invert
-from dolfinmpm.materials.base import Law, call_law
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.lawkernel import call_law
 
 __all__ = ["belong", "elastic_strain"]
 

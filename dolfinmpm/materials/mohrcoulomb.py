@@ -9,7 +9,9 @@ import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.angles import warn_of_radians
-from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Array, Parameter, Value
 from dolfinmpm.materials.principal import descending, elastic, moduli
 
 __all__ = ["MohrCoulomb"]

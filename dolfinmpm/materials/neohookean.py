@@ -9,7 +9,8 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.base import ELASTIC, Parametrised, Value, lame
+from dolfinmpm.materials.base import ELASTIC, lame
+from dolfinmpm.materials.parametrised import Parametrised, Value
 
 __all__ = ["NeoHookean"]
 

@@ -12,7 +12,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from dolfinmpm.forms.pointwise import call_tabulate
-from dolfinmpm.materials.base import KERNEL_SIGNATURE, Array
+from dolfinmpm.materials.lawkernel import KERNEL_SIGNATURE
+from dolfinmpm.materials.parametrised import Array
 
 __all__ = ["return_kernel", "yield_values"]
 

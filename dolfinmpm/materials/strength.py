@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.base import Array, Law
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.parametrised import Array
 
 __all__ = ["reduced_angle", "weakened"]
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law
+from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.mohrcoulomb import return_to_planes
+from dolfinmpm.materials.parametrised import Array, Parameter, Value
 from dolfinmpm.materials.principal import moduli
 
 __all__ = ["Tresca"]

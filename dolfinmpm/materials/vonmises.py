@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
-from dolfinmpm.materials.base import ELASTIC, Array, Law, Parameter, Value, law_kernel
+from dolfinmpm.materials.base import ELASTIC, Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Array, Parameter, Value
 from dolfinmpm.materials.principal import elastic, moduli
 
 __all__ = ["VonMises"]

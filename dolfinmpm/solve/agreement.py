@@ -26,7 +26,7 @@ from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
-from dolfinmpm.materials.base import Parametrised
+from dolfinmpm.materials.parametrised import Parametrised
 
 if TYPE_CHECKING:
     from dolfinmpm.solve.problem import Problem

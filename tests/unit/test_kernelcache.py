@@ -16,7 +16,9 @@ CALLER = (
 
 
 LAW = """
-from dolfinmpm.materials.base import Law, Parameter, law_kernel
+from dolfinmpm.materials.base import Law
+from dolfinmpm.materials.lawkernel import law_kernel
+from dolfinmpm.materials.parametrised import Parameter
 from factor import FACTOR
 STIFFNESS = FACTOR * (1.0 if __name__ == "__main__" else 10.0)
 @law_kernel

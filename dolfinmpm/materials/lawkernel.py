@@ -1,0 +1,116 @@
+"""A law's kernel: a C function, so that one compiled loop serves all laws."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba import types
+from numba.extending import intrinsic
+
+from dolfinmpm._platform.checks import check_function, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.materials.discarded import DISCARDED
+
+__all__ = ["KERNEL_SIGNATURE", "Kernel", "call_law", "law_kernel", "respond_at_points"]
+
+_PACKAGE = __name__.partition(".")[0] + "."
+_DOUBLES = types.CPointer(types.float64)
+KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES)
+
+
+class Kernel:
+    """A law's kernel, compiled when its address is first asked for: no scene uses all laws."""
+
+    def __init__(self, function: Callable):
+        self._function = function
+
+    @functools.cached_property
+    def _compiled(self) -> Any:
+        # Numba's cache goes by file and line: to a module under another name, or after a number
+        # came from elsewhere, it would give the old kernel. The package's own have no such
+        # numbers, and `forget_outdated` sees their sources.
+        own = self._function.__module__.startswith(_PACKAGE)
+        return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
+
+    @property
+    def address(self) -> int:
+        """Address of the C function."""
+        return self._compiled.address
+
+    @functools.cached_property
+    def stress_address(self) -> int:
+        """Address of one that writes no tangent, for explicit steps; else the same.
+
+        Only of the package's own kernels: others may do with the tangent what goes with an array
+        alone.
+        """
+        if not self._function.__module__.startswith(_PACKAGE):
+            return self.address
+        signature = types.int32(*[_DOUBLES] * 5, DISCARDED)
+        kept = numba.cfunc(signature, cache=True, error_model="numpy")(self._function)
+        self._without_tangent = kept
+        return kept.address
+
+
+def law_kernel(function: Callable) -> Kernel:
+    """Make a law's kernel, which is compiled when a process first uses the law.
+
+    The function takes six arrays and returns 0, or another number if the strain
+    admits no stress:
+
+    `kernel(parameters, strain, old, new, stress, tangent)`
+
+    with the parameters in the order declared; the three principal trial
+    logarithmic strains, which a law with a return mapping replaces by the elastic
+    ones; the internal variables at the start of the step; those at its end
+    (written); the three principal Kirchhoff stresses (Pa, written); and the nine
+    derivatives of stress by trial strain, row by row (Pa, written).
+
+    Raises:
+        ParameterError: It is no function of six arrays.
+    """
+    check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
+    try:
+        inspect.signature(function).bind(*range(6))
+    except TypeError as error:
+        raise ParameterError(
+            f"function = {shown(function)} must take six arrays, parameters, strain, old, new, "
+            f"stress and tangent: {error}"
+        ) from None
+    return Kernel(function)
+
+
+@intrinsic
+def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
+    """Call a kernel by its address, with the addresses of its arrays; for compiled loops."""
+    signature = types.int32(*[types.intp] * 7)
+
+    def generate(context, builder, sig, args):
+        from llvmlite import ir
+
+        pointer = ir.DoubleType().as_pointer()
+        kind = ir.FunctionType(ir.IntType(32), [pointer] * 6)
+        function = builder.inttoptr(args[0], kind.as_pointer())
+        return builder.call(function, [builder.inttoptr(a, pointer) for a in args[1:]])
+
+    return signature, generate
+
+
+@numba.njit(cache=True, error_model="numpy")
+def respond_at_points(law, parameters, strain, old, new, stress, tangent):
+    """Let a kernel answer at each of n points; the first at which it finds no stress, else -1."""
+    for p in range(strain.shape[0]):
+        at = p if parameters.shape[0] > 1 else 0
+        status = call_law(
+            law, parameters.ctypes.data + 8 * at * parameters.shape[1],
+            strain.ctypes.data + 24 * p, old.ctypes.data + 8 * p * old.shape[1],
+            new.ctypes.data + 8 * p * new.shape[1], stress.ctypes.data + 24 * p,
+            tangent.ctypes.data + 72 * p,
+        )  # fmt: skip
+        if status != 0:
+            return p
+    return -1

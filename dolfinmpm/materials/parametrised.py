@@ -1,0 +1,212 @@
+"""Parameters of laws: by name, each with its unit and range, checked and fixed once given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.grid.positions import ask
+
+__all__ = ["Array", "Parameter", "Parametrised", "Value"]
+
+Array = npt.NDArray[np.float64]
+# A number, one for each point of this rank, or a function of first positions, shape (gdim, n)
+Value = float | Array | Callable[[Array], npt.ArrayLike]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a law: its unit and the open or closed interval that it may be in.
+
+    Raises:
+        ParameterError: The unit is no word, or the limits are no numbers that rise.
+    """
+
+    unit: str
+    low: float = -math.inf
+    high: float = math.inf
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.unit, str):
+            raise ParameterError(f"unit = {shown(self.unit)} must be a word, such as 'Pa'")
+        for what in ("low", "high"):
+            value = getattr(self, what)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
+                raise ParameterError(f"{what} = {shown(value)} must be a number")
+        if not self.low < self.high:
+            raise ParameterError(f"low = {self.low:g} must be below high = {self.high:g}")
+
+    def check(self, law: str, name: str, value: npt.ArrayLike) -> None:
+        """Raise ParameterError unless the value, or every value of an array, is admissible."""
+        values = np.asarray(value, float)
+        inside = (values >= self.low) & (values <= self.high)
+        if not self.closed:
+            inside = (values > self.low) & (values < self.high)
+        inside &= np.isfinite(values)
+        if not inside.all():
+            bad = values[~inside].flat[0]
+            left, right = ("[", "]") if self.closed else ("(", ")")
+            raise ParameterError(
+                f"{law}: {name} = {bad} {self.unit} must be in "
+                f"{left}{self.low}, {self.high}{right}".replace("  ", " ")
+            )
+
+
+class Parametrised:
+    """What laws have in common: parameters by name, each checked, and fixed once given.
+
+    A subclass declares `parameters` (name → Parameter), and `admissible` if they bound
+    each other. The values are attributes too, `law.E`, to be read only: a law is a value,
+    and problems that use it would not learn of another number.
+
+    Attributes:
+        values: Name → number, array or function, as given; to be read only.
+
+    Args:
+        values: Every parameter: a number, an array with one value for each of the law's
+            points of this rank, or a function of their first positions in DOLFINx's
+            layout, shape (gdim, n), that returns n values.
+
+    Raises:
+        ParameterError: A parameter is missing, unknown or outside its range; or, later, one is
+            assigned to.
+    """
+
+    parameters: dict[str, Parameter] = {}
+
+    def __init__(self, **values: Value):
+        missing = set(self.parameters) ^ set(values)
+        if missing:
+            raise ParameterError(
+                f"{type(self).__name__} takes the parameters {', '.join(self.parameters)}; "
+                f"missing or unknown: {', '.join(sorted(missing))}"
+            )
+        given: dict[str, Value] = {}
+        for name in self.parameters:
+            value = values[name]
+            if isinstance(value, Expr):
+                raise ParameterError(self._no_expression(name, value))
+            if not callable(value):
+                array = self._numbers(name, value)
+                self.parameters[name].check(type(self).__name__, name, array)
+                # a copy: to change the caller's array must not change the law
+                value = float(array) if array.ndim == 0 else array.copy()
+                if isinstance(value, np.ndarray):
+                    value.flags.writeable = False
+            given[name] = value
+        self.values: Mapping[str, Value] = MappingProxyType(given)
+        if not self.varies:
+            self.parameter_array()
+
+    def _no_expression(self, name: str, value: Any) -> str:
+        """What is said of a parameter in UFL, which is callable, but no function of positions."""
+        unit = self.parameters[name].unit
+        return (
+            f"{type(self).__name__}: {name} = {shown(value)} is an expression of UFL, and a law is "
+            f"a value, whose parameters are read once: give a number{unit and f' ({unit})'}, such "
+            f"as float(constant), or a function of positions, {name}=lambda x: ...; for another "
+            "number make a new law and a new problem, which compiles nothing anew"
+        )
+
+    def _numbers(self, name: str, value: Any) -> Array:
+        """A number, or one for each point."""
+        try:
+            array = None if value is None else np.asarray(value)
+            if array is not None and array.dtype != bool:
+                return array.astype(float, casting="same_kind")
+        except (TypeError, ValueError):
+            pass
+        unit = self.parameters[name].unit
+        unit = unit and f" ({unit})"
+        raise ParameterError(
+            f"{type(self).__name__}: {name} = {shown(value)} must be a number{unit}, an array with "
+            "one for each point of this rank, or a function of positions"
+        )
+
+    def __getattr__(self, name: str) -> Any:
+        values = self.__dict__.get("values", {})
+        if name in values:
+            return values[name]
+        raise AttributeError(
+            f"'{type(self).__name__}' has no attribute '{name}'"
+            + (f"; its parameters are {', '.join(values)}" if values else "")
+        )
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.parameters:
+            raise ParameterError(
+                f"{name} = {value!r}: {self!r} is a value, and a problem that uses it would not "
+                f"learn of another {name}; make a new law and a new problem with it, which "
+                "compiles nothing anew"
+            )
+        super().__setattr__(name, value)
+
+    def admissible(self, values: dict[str, Array]) -> None:
+        """Raise ParameterError where parameters contradict each other.
+
+        Args:
+            values: Name → values, all of one shape.
+        """
+
+    @property
+    def varies(self) -> bool:
+        """Whether any parameter differs from point to point."""
+        return not all(isinstance(value, float) for value in self.values.values())
+
+    def parameter_array(self, x: Array | None = None) -> Array:
+        """The parameters as the kernel takes them.
+
+        Args:
+            x: First positions of the points (m), shape (n, gdim); needed if parameters
+                vary.
+
+        Returns:
+            Shape (1, parameters) if all are numbers, else (n, parameters).
+
+        Raises:
+            ParameterError: A value is outside its range, or their number is not that
+                of the points.
+        """
+        name = type(self).__name__
+        n = 1 if not self.varies or x is None else len(x)
+        result = np.empty((n, len(self.parameters)))
+        for k, (key, value) in enumerate(self.values.items()):
+            given = value
+            if callable(given):
+                if x is None:
+                    raise ParameterError(f"{name}: {key} is a function and needs positions")
+                given = ask(f"{name}: {key}", given, x)
+                self.parameters[key].check(name, key, given)
+            if np.shape(given) not in ((), (n,)):
+                raise ParameterError(
+                    f"{name}: {key} has the shape {np.shape(given)}, expected one value for each "
+                    f"of {n} points"
+                )
+            result[:, k] = given
+        self.admissible(dict(zip(self.parameters, result.T)))
+        return self.completed(result)
+
+    def completed(self, parameters: Array) -> Array:
+        """The parameters, and behind them what a kernel takes that follows from them.
+
+        Args:
+            parameters: Those declared, shape (n, parameters).
+        """
+        return parameters
+
+    def __repr__(self) -> str:
+        inside = ", ".join(
+            f"{name}={value:g}" if isinstance(value, float) else f"{name}=varying"
+            for name, value in self.__dict__.get("values", {}).items()
+        )
+        return f"{type(self).__name__}({inside})"
