@@ -21,6 +21,7 @@ from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.ledger import Ledger
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
+from dolfinmpm.dynamics.reserve import Reserve, changes_of
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
@@ -116,6 +117,7 @@ class Motion:
 
     Attributes:
         rule, mapping, terms, ledger: The arguments.
+        reserve: What penalties on changes of velocity may give back.
         nodes: What moved in the last step: the nodes of each field that moves points.
         start, end: Times between which the step asked for goes (s).
         jumped, varying: Whether a load jumps at its start, and whether any changes in it.
@@ -142,7 +144,7 @@ class Motion:
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
-        self.ledger = ledger
+        self.ledger, self.reserve = ledger, Reserve()
         # whether the next step begins with M a = f
         self._starting = True
         self._largest = 0.0
@@ -188,6 +190,17 @@ class Motion:
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
         ]
+        if here.changes:
+            moving = [(one.k, one.mass, one.V) for one in self.nodes]
+            self.reserve.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+
+    @property
+    def _ghost_share(self) -> float:
+        """Share of forces at the level of balance in a step's mean forces.
+
+        Where steps begin with accelerations of their own it is γ.
+        """
+        return self.rule.gamma if self.rule.by_forces else 1.0
 
     def _on_nodes(self, here: Activation, k: int, rates: Array, start: Array | None) -> MovingNodes:
         """Those of one field; `start` is what is out of balance (N) if it begins. Collective."""
@@ -346,8 +359,7 @@ class Motion:
     ) -> None:
         """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
 
-        Collective. Of the forces at the end of a step a share γ acts in it, where it begins with
-        accelerations of its own.
+        Collective.
         """
         mass, losses, here = one.mass, self.ledger.work.losses, operator.here
         found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
@@ -355,12 +367,11 @@ class Motion:
         losses["ghost mass"] += found[1][1] - found[0][1]
         u = motion.u
         assert u is not None
-        share = self.rule.gamma if self.rule.by_forces else 1.0
-        expected = dt * one.V
+        share, expected = self._ghost_share / scale, self.reserve.share * dt * one.V
         plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
-        changes = [b for b in here.changes if b.row_field == one.k]
-        taken = mass.inner(u, plain, u) / scale + mass.inner(u, changes, u - expected) / scale
-        losses["ghost stiffness"] += share * taken
+        stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
+        self.reserve.energy += stored
+        losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
         faces = self._sides.on(here.fields[one.k].basis)
         if faces is not None and faces.dashpots is not None:
             owned = here.unknowns.fields[one.k].owned_nodes
@@ -401,11 +412,12 @@ class Motion:
             "wanted part": self.wanted,
             "starting": int(self._starting),
             "largest": self._largest,
+            "reserve": self.reserve.energy,
         }
 
     def remember(self, state: dict[str, Any]) -> None:
         """Take what `memory` returned."""
         self.time, self.last = state["time"], state["last part"]
         self.wanted, self._largest = state["wanted part"], state["largest"]
-        self._starting = bool(state["starting"])
+        self._starting, self.reserve.energy = bool(state["starting"]), state["reserve"]
         self.set_time(self.time)
