@@ -33,6 +33,7 @@ from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
+from dolfinmpm.dynamics.gains import LEAST
 from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
@@ -327,7 +328,8 @@ class TimeStepping(QuasiStatic):
         if isinstance(state, str):
             return state
         self._load_at(step, 0.5)
-        reason = motion.to_points(operator, state, step, x, scale)
+        parts = step.share >= 2 * 0.5**self.max_halvings
+        reason = motion.to_points(operator, state, step, x, scale, parts and step.share > LEAST)
         if reason is None:
             self._move_free(operator, step.dt)
         self._load_at(step, 1.0)

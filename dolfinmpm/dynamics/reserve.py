@@ -54,8 +54,10 @@ class Reserve:
             changes = changes_of(here, k)
             if changes:
                 most += 0.25 * weight * dt**2 * mass.inner(V, changes, V)
-        if most > self.energy:
-            self.share = math.sqrt(max(self.energy, 0.0) / most)
+        # of rounding both may be a little less than nothing
+        left = max(self.energy, 0.0)
+        if most > left:
+            self.share = math.sqrt(left / most)
 
 
 def changes_of(here: Activation, k: int) -> list[Blocks]:
