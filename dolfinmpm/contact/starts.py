@@ -1,4 +1,4 @@
-"""What contact of two bodies has stored at the start of a step: no more than at the end of the last.
+"""What contact of two bodies has stored as a step starts: no more than at the end of the last.
 
 Between steps places of the bodies that face each other, gaps, and areas are found anew. The
 penalties ½ p²/ε_N would then store more than before, or less. What they lose so is spare. What they
