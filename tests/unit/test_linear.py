@@ -12,7 +12,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import linear, method
+from dolfinmpm.solve import linearsolver, method
 from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
 from dolfinmpm.solve.reuse import Reuse
 from dolfinmpm.solve.rivals import Rivals
@@ -137,21 +137,21 @@ def test_what_laws_do_not_say_is_found_out():
 
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
-@pytest.mark.parametrize("remedy", ["none", "ghost", "aggregation", "soft"])
+@pytest.mark.parametrize("stabilisation", ["none", "ghost", "aggregation", "soft"])
 @pytest.mark.parametrize("basis", ["linear", "bspline2"])
-def test_multigrid_finds_what_factors_find(few_are_many, monkeypatch, kind, remedy, basis):
-    many = block(4, kind, basis=basis, stabilisation=remedy)
+def test_multigrid_finds_what_factors_find(few_are_many, monkeypatch, kind, stabilisation, basis):
+    many = block(4, kind, basis=basis, stabilisation=stabilisation)
     assert chosen(many)[1] == "gamg"
     assert many.here.unknowns.block == many.points.gdim
     assert many.history[0].residuals[-1] < 1e-9
     monkeypatch.undo()
-    few = block(4, kind, basis=basis, stabilisation=remedy)
+    few = block(4, kind, basis=basis, stabilisation=stabilisation)
     assert chosen(few)[1] == "cholesky"
     assert few.here.unknowns.block == 1
     assert many.history[0].unknowns == few.history[0].unknowns
     u, w = (p.points["x"] - p.points["x0"] for p in (many, few))
     # forces on functions that hardly feel the body say little of their motion
-    share = 1e-6 if remedy == "soft" else 1e-8
+    share = 1e-6 if stabilisation == "soft" else 1e-8
     np.testing.assert_allclose(u, w, atol=share * np.abs(w).max())
 
 
@@ -175,7 +175,7 @@ def test_incomplete_factors_find_what_factors_find(monkeypatch, most):
     few = sand()
     assert chosen(few) == ("preonly", "lu", "mumps")
     monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
-    monkeypatch.setattr(linear, "_MOST_OF_INCOMPLETE", most)
+    monkeypatch.setattr(linearsolver, "_MOST_OF_INCOMPLETE", most)
     many = sand()
     assert chosen(many)[:2] == ("gmres", "ilu" if most == 200 else "lu")
     assert many.history[0].halvings == 0
