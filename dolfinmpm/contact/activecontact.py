@@ -17,7 +17,7 @@ from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.passing import entered, passes, suspected, within
-from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
+from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners, lessened
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.cut.participants import Participants
 
@@ -25,6 +25,9 @@ __all__ = ["ActiveContact"]
 
 Array = npt.NDArray[np.float64]
 Chosen = npt.NDArray[np.bool_]
+
+# Ways of corners, by where they are, that are none
+_ROUNDING = 1e-12
 
 
 class ActiveContact:
@@ -64,13 +67,15 @@ class ActiveContact:
         self.x: Array = c.x.copy()
         self.forces: Array = np.zeros((m, d))
         self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
-        traction, pressure, _, stiffness = contact.names
+        traction, pressure, _, stiffness, closing = contact.names
         self._before = points[traction][c.rows, c.which]
         self._multiplier: Array = np.zeros(m)
         self._pressed = points[pressure][c.rows, c.which]
         if contact.penetration is not None:
             self._multiplier = self._pressed
         self._first = self._probe[0]
+        self._explicit = means is None and sight.growth is not None
+        self._closing = points[closing][c.rows, c.which]
         self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
         self._stiffness = contact.stiffness_at(c.rows) * self.areas
         if sight.growth is not None:
@@ -81,7 +86,7 @@ class ActiveContact:
             self._stiffness = np.where(held, kept, self._stiffness)
         self._gap: Array = np.full(m, np.inf)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
-        self._way, self._loss = np.zeros(m), np.zeros(m)
+        self._way, self._loss, self._closed = np.zeros(m), np.zeros(m), np.zeros(m)
 
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
@@ -165,7 +170,12 @@ class ActiveContact:
         self._way = np.linalg.norm(at - self._start, axis=1)
         far = self._first > self._way
         c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
-        self._find(c, at, self.contact.body.surface.probe(at[c]), holds)
+        probe = self.contact.body.surface.probe(at[c])
+        # at the start of a step what counts is how gaps have closed in the last one
+        moved = self._way > _ROUNDING * np.abs(at).max(initial=0.0)
+        self._find(
+            c, at, probe, holds, self._first[c] - probe[0] if moved.any() else self._closing[c]
+        )
 
     def rest(self) -> None:
         """Find the forces where corners and body are at the start of the step."""
@@ -173,9 +183,9 @@ class ActiveContact:
         c = np.flatnonzero((self._first <= 0.0) | (self._multiplier > 0.0))
         gap, normal, curvature = self._probe
         probe = gap[c], normal[c], curvature[c]
-        self._find(c, self._start, probe, np.zeros(len(self.x), bool))
+        self._find(c, self._start, probe, np.zeros(len(self.x), bool), self._closing[c])
 
-    def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen) -> None:
+    def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen, closing: Array) -> None:
         """Find the forces on some corners; on the others are none.
 
         Args:
@@ -183,9 +193,10 @@ class ActiveContact:
             at: Where all are in the frame of the body (m), shape (m, gdim).
             probe: What the surface is like where they are.
             holds: Which of all are held even where they are outside, shape (m,).
+            closing: By how much their gaps have closed in a step (m), shape (c,).
         """
         self._gap[:], self.states[:] = np.inf, FREE
-        for values in (self.forces, self.pressures, self._traction, self._slope):
+        for values in (self.forces, self.pressures, self._traction, self._slope, self._closed):
             values[:] = 0.0
         if self.means is not None:
             self._find_means(c, at, probe)
@@ -202,6 +213,9 @@ class ActiveContact:
         for own, values in zip(self._written, found):
             own[c] = values
         self._gap[c], self.states[c] = probe[0], state
+        if self._explicit:
+            found[0] -= lessened(probe[0], closing, found[2])[:, None] * probe[1]
+            self._closed[c] = closing
         self.forces[c] = contact.body.pose.directions(found[0])
 
     def _find_means(self, c: Rows, at: Array, probe: Probe) -> None:
@@ -371,9 +385,14 @@ class ActiveContact:
 
     def kept(self) -> list[tuple[str, Array]]:
         """What corners keep of it at the end of the step, by the name of the points' field."""
-        traction, pressure, _, stiffness = self.contact.names
+        traction, pressure, _, stiffness, closing = self.contact.names
         held = np.where(self.pressures > 0.0, self._stiffness, 0.0)
-        return [(traction, self._traction), (pressure, self.pressures), (stiffness, held)]
+        return [
+            (traction, self._traction),
+            (pressure, self.pressures),
+            (stiffness, held),
+            (closing, self._closed),
+        ]
 
     def stored(self, before: bool = False) -> float:
         """Energy that the penalties have stored (J), on all ranks. Collective.

@@ -37,7 +37,8 @@ class Between:
         penetration: Bound of the penetration (m) by multipliers, or None.
         name: Name in records, and first part of those of the markers' fields.
         names: Fields of the first boundary's markers: forces along the surface (N), normal ones
-            (N), the work that friction has taken (J), steps taken, and what is stored (J).
+            (N), the work that friction has taken (J), steps taken, what is stored (J), and what is
+            spare (J), see `dolfinmpm.contact.starts`.
         integrand: What the form has in its place.
     """
 
@@ -55,7 +56,7 @@ class Between:
         points = boundaries[0].points
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
-        parts = ("traction", "pressure", "work", "steps", "stored")
+        parts = ("traction", "pressure", "work", "steps", "stored", "spare")
         self.names = tuple(f"{self.name}_{part}" for part in parts)
 
     def __repr__(self) -> str:
@@ -115,7 +116,7 @@ class Between:
             ParameterError: The penalty needs moduli, and a body has none.
         """
         markers, points = self.boundaries[0].markers, self.points
-        shapes, units = ((points.gdim,), (), (), (), ()), ("N", "N", "J", "", "J")
+        shapes, units = ((points.gdim,), (), (), (), (), ()), ("N", "N", "J", "", "J", "J")
         for name, shape, unit in zip(self.names, shapes, units):
             markers.add_field(name, shape, unit)
         if self._penalty is None:

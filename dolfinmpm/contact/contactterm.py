@@ -44,7 +44,8 @@ class Contact:
         penetration: Bound of the penetration (m) by multipliers, or None.
         integrand: What the form has in its place.
         names: Fields of the points: tangential forces on corners (N) in the frame of the body,
-            normal ones (N), Young's modulus (Pa), and the stiffness of corners that touch (N/m).
+            normal ones (N), Young's modulus (Pa), the stiffness of corners that touch (N/m), and
+            by how much gaps have closed in the last step (m).
         dissipated: Work that friction has taken (J), on all ranks.
     """
 
@@ -64,7 +65,7 @@ class Contact:
         self.integrand: Expr = integrand
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         first = f"contact{next(counter)}"
-        kept = "traction", "pressure", "modulus", "stiffness"
+        kept = "traction", "pressure", "modulus", "stiffness", "closing"
         self.names = tuple(f"{first}_{name}" for name in kept)
         self.dissipated = 0.0
 
@@ -78,10 +79,11 @@ class Contact:
             ParameterError: The penalty needs moduli, and a point has none.
         """
         points, count = self.points, corner_count(self.points.gdim, self.surface)
-        traction, pressure, modulus, stiffness = self.names
+        traction, pressure, modulus, stiffness, closing = self.names
         points.add_field(traction, (count, points.gdim), "N")
         points.add_field(pressure, (count,), "N")
         points.add_field(stiffness, (count,), "N/m")
+        points.add_field(closing, (count,), "m")
         if self.stiffness is not None:
             return
         points.add_field(modulus, (), "Pa")

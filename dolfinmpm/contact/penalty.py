@@ -18,7 +18,7 @@ import math
 import numba
 import numpy as np
 
-__all__ = ["FREE", "SLIPS", "STICKS", "forces_on_corners"]
+__all__ = ["FREE", "SLIPS", "STICKS", "forces_on_corners", "lessened"]
 
 FREE, STICKS, SLIPS = 0, 1, 2
 
@@ -105,3 +105,21 @@ def forces_on_corners(
             for i in range(d):
                 s = trial[i] / size
                 slope[c, i, j] += share * (tangent[i, j] - s * dsize) - friction * eN * n[j] * s
+
+
+def lessened(gap, closing, pressure):
+    """What an explicit step takes from normal forces, (p/2) max(0, 1 − |g|/|Δg|) (N), shape (m,).
+
+    A force at the start of a step acts for half a step before and after. Where a corner has been,
+    or will be, outside within it, p = −ε_N g over that half has another work than what the penalty
+    stores, ½ ε_N g²: half the force acts by the share |g|/|Δg| of the time inside. The work over
+    a contact is then that of the penalty whenever in a step it begins and ends, to second order.
+
+    Args:
+        gap: g (m), shape (m,).
+        closing: By how much they close, or have opened, in a step (m), likewise.
+        pressure: p (N), likewise.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        outside = 1.0 - np.abs(gap) / np.abs(closing)
+    return 0.5 * np.where(outside > 0.0, outside, 0.0) * np.maximum(pressure, 0.0)

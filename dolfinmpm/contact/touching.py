@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +17,9 @@ from dolfinmpm.contact.corners import stencil_matrix
 from dolfinmpm.contact.cutpieces import pieces_in_cells
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
-from dolfinmpm.contact.motions import Seen
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
+from dolfinmpm.contact.sides import side_of
+from dolfinmpm.contact.starts import RUBBED, held_back, stored_by
 from dolfinmpm.cut.participants import ActiveField, Participants
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
@@ -38,33 +38,6 @@ _LENGTH, _WIDTH = 0.65, 1.0
 LAYERS = 2
 # Gap or overlap of bodies, by the size of a cell, that is taken for rounding
 _TOUCHES = 1e-6
-
-
-@dataclass(frozen=True)
-class Side:
-    """How a body moves the places that face the other one.
-
-    Attributes:
-        field: Number of its field.
-        nodes: Nodes that any place sees, shape (k,).
-        N: What they see of these, shape (places, k).
-    """
-
-    field: int
-    nodes: npt.NDArray[np.int32]
-    N: scipy.sparse.csr_matrix
-
-    def displacement(self, u: Sequence[Array]) -> Array:
-        """Displacements of the places (m), shape (places, d), from nodal ones of all fields."""
-        return np.asarray(self.N @ u[self.field][self.nodes])
-
-    def entries(self) -> Seen:
-        """What each place sees of which node."""
-        return self.N.indptr, self.nodes[self.N.indices], self.N.data
-
-    def add(self, forces: Array, out: Sequence[Array]) -> None:
-        """Add forces at the places (N), shape (places, d), to nodal ones of all fields."""
-        out[self.field][self.nodes] += self.N.T @ forces
 
 
 class Facing:
@@ -116,8 +89,8 @@ class Facing:
         raise_together(first.comm, None if begun else self._overlap(x))
         opposite = at - self.gap[:, None] * self.normal
         self.sides = (
-            _side(own[0], _seen(here.fields[own[0]], at, x[rows])),
-            _side(own[1], _seen(here.fields[own[1]], opposite, X[which[rows]])),
+            side_of(own[0], _seen(here.fields[own[0]], at, x[rows])),
+            side_of(own[1], _seen(here.fields[own[1]], opposite, X[which[rows]])),
         )
 
     def _pieces(self, x: Array, area: Array, X: Array, A: Array):
@@ -191,15 +164,6 @@ class Facing:
         return start, np.concatenate([np.empty(0, np.int32), *lists]).astype(np.int32)
 
 
-def _side(field: int, N: scipy.sparse.csr_matrix) -> Side:
-    N.eliminate_zeros()
-    nodes = np.unique(N.indices).astype(np.int32)
-    local = np.searchsorted(nodes, N.indices)
-    return Side(
-        field, nodes, scipy.sparse.csr_matrix((N.data, local, N.indptr), (N.shape[0], nodes.size))
-    )
-
-
 def _seen(field: ActiveField, x: Array, beside: Array) -> scipy.sparse.csr_matrix:
     """What places on a boundary see of a field, behind its ties. Collective at first.
 
@@ -260,6 +224,12 @@ class ActiveBetween:
         if contact.penetration is not None:
             self._multiplier = self._pressed
         self._stiffness: Array = contact.stiffness * facing.areas
+        if means is not None and contact.penetration is None:
+            q = -self._stiffness * facing.gap
+            along = self._stored(np.zeros(m), self._before)
+            kept, spare = (float(markers[name].sum()) for name in contact.names[4:6])
+            comm, stored = contact.points.comm, self._stored(q, np.zeros((m, d)))
+            self._multiplier = held_back(q, stored, along, kept, spare, comm)
         self._gap: Array = np.full(m, np.inf)
         self._slip: Array = np.zeros((m, d))
         self._loss: Array = np.zeros(m)
@@ -358,23 +328,24 @@ class ActiveBetween:
     def new_fields(self) -> dict[str, Array]:
         """What the markers of the first boundary keep of it at the end of the step."""
         markers, rows = self.contact.boundaries[0].markers, self.facing.rows
-        traction, pressure, work, steps, stored = self.contact.names
+        traction, pressure, work, steps, stored, spare = self.contact.names
         new: dict[str, Array] = {name: np.zeros_like(markers[name]) for name in self.contact.names}
         new[work][:] = markers[work]
-        parts = self._traction, self.pressures, self._dissipated(), self._stored()
+        done = self._dissipated()
+        parts = self._traction, self.pressures, done, self._stored(self.pressures, self._traction)
         for name, values in zip((traction, pressure, work, stored), parts):
             np.add.at(new[name], rows, values)
         new[steps][:] = markers[steps] + 1.0
+        if self._means is not None and self.contact.penetration is None:
+            q = self._multiplier - self._stiffness * self.facing.gap
+            new[spare][:] = markers[spare] + markers[stored]
+            np.add.at(new[spare], rows, RUBBED * done - self._stored(q, self._before))
         return new
 
-    def _stored(self) -> Array:
-        """Energy that the penalties have stored at each place (J), shape (m,)."""
-        k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
-        stored = 0.5 * np.maximum(self.pressures, 0.0) ** 2 / k
-        if self.contact.friction:
-            t = self._traction
-            stored += 0.5 * np.sum(t * t, axis=1) / (self.contact.slip_share * k)
-        return stored
+    def _stored(self, pressures: Array, t: Array) -> Array:
+        """What the penalties store at each place (J), shape (m,), under some forces (N)."""
+        slip = self.contact.slip_share if self.contact.friction else 0.0
+        return stored_by(pressures, t, self._stiffness, slip)
 
     def _dissipated(self) -> Array:
         """Work that friction takes at each place in this step (J), shape (m,)."""

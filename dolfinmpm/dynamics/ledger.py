@@ -225,6 +225,11 @@ class Ledger:
         """Whether a step has begun."""
         return bool(self._first["started"])
 
+    @property
+    def whole(self) -> float:
+        """What there was at first, and what loads have done since (J)."""
+        return self._first["initial"] + (self._bodies.given or 0.0) + self.work.external
+
     def end(self) -> float:
         """Take note of the state after a step or a call; the kinetic energy. Collective."""
         self._last = self.kinetic()
@@ -285,7 +290,7 @@ class Ledger:
             losses["mass scaling"] = (self.scaling - 1.0) * (gained + late)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
-        losses["integrator"] = initial + work.external - known
+        losses["integrator"] = self.whole - known
         return Energies(kinetic, strain, work.external, bodies, contact, initial, losses)
 
     def memory(self) -> dict[str, Any]:

@@ -18,9 +18,11 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.ledger import Ledger
+from dolfinmpm.dynamics.gains import Gains
+from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
+from dolfinmpm.dynamics.reserve import Reserve, changes_of
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
@@ -116,6 +118,7 @@ class Motion:
 
     Attributes:
         rule, mapping, terms, ledger: The arguments.
+        reserve: What penalties on changes of velocity may give back.
         nodes: What moved in the last step: the nodes of each field that moves points.
         start, end: Times between which the step asked for goes (s).
         jumped, varying: Whether a load jumps at its start, and whether any changes in it.
@@ -142,7 +145,7 @@ class Motion:
         self.time = self.start = self.end = 0.0
         self.last = self.wanted = 0.0
         self.jumped = self.varying = False
-        self.ledger = ledger
+        self.ledger, self.reserve, self._gains = ledger, Reserve(), Gains()
         # whether the next step begins with M a = f
         self._starting = True
         self._largest = 0.0
@@ -188,6 +191,17 @@ class Motion:
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
         ]
+        if here.changes:
+            moving = [(one.k, one.mass, one.V) for one in self.nodes]
+            self.reserve.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
+
+    @property
+    def _ghost_share(self) -> float:
+        """Share of forces at the level of balance in a step's mean forces.
+
+        Where steps begin with accelerations of their own it is γ.
+        """
+        return self.rule.gamma if self.rule.by_forces else 1.0
 
     def _on_nodes(self, here: Activation, k: int, rates: Array, start: Array | None) -> MovingNodes:
         """Those of one field; `start` is what is out of balance (N) if it begins. Collective."""
@@ -233,7 +247,7 @@ class Motion:
 
     @stages.commit
     def to_points(
-        self, operator: Operator, state: NewState, step: Step, x: Array, scale: float
+        self, operator: Operator, state: NewState, step: Step, x: Array, scale: float, parts: bool
     ) -> str | None:
         """Add the points' new motion to a new state. Collective.
 
@@ -245,6 +259,7 @@ class Motion:
             step: The step.
             x: Unknowns at the level where forces balance, shape (owned,).
             scale: What they are multiplied by at the end.
+            parts: Whether a step that makes energy may be parted.
 
         Returns:
             Why the step is not to be taken, or None.
@@ -264,11 +279,16 @@ class Motion:
         if reason is not None:
             return reason
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
-        external = self._external(operator, x, scale, motions, dt)
-        self.ledger.work.external += external
-        self.ledger.work.add_stresses(points, state.fields, operator)
+        work, stored = Work(external=self._external(operator, x, scale, motions, dt)), 0.0
+        work.add_stresses(points, state.fields, operator)
         for one, motion in zip(self.nodes, motions):
-            self._count(one, motion, operator, dt, scale)
+            stored += self._count(work, one, motion, operator, dt, scale)
+        if operator.touches:
+            reason = self._gains.judge(work, self._by_contact(operator), self.ledger.whole, parts)
+            if reason is not None:
+                return reason
+        self.ledger.work.add(work)
+        self.reserve.energy += stored
         new = found[0]
         for one, own in zip(self.nodes[1:], found[1:]):
             rows = rows_within(points, one.tags)
@@ -293,6 +313,14 @@ class Motion:
         out = [np.zeros_like(u) for u in operator.increments]
         operator.contact_forces(out)
         return [np.asarray(-force / means.weight) for force in out]
+
+    def _by_contact(self, operator: Operator) -> float:
+        """Work of mean forces of contact on the nodes in a step (J). Collective."""
+        done, pressed = 0.0, self._pressed(operator)
+        for one in self.nodes:
+            owned = operator.here.unknowns.fields[one.k].owned_nodes
+            done += float(np.sum((pressed[one.k] * operator.increments[one.k])[owned]))
+        return self._points.comm.allreduce(done, op=MPI.SUM)
 
     def _from_nodes(
         self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
@@ -342,31 +370,30 @@ class Motion:
         return plain.load_work() + plain.held_work(forces)
 
     def _count(
-        self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float, scale: float
-    ) -> None:
+        self, work: Work, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float,
+        scale: float,
+    ) -> float:  # fmt: skip
         """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
 
-        Collective. Of the forces at the end of a step a share γ acts in it, where it begins with
-        accelerations of its own.
+        Collective. Returns what penalties on changes of velocity take (J).
         """
-        mass, losses, here = one.mass, self.ledger.work.losses, operator.here
+        mass, losses, here = one.mass, work.losses, operator.here
         found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
-        self.ledger.work.grid += found[1][0] - found[0][0]
+        work.grid += found[1][0] - found[0][0]
         losses["ghost mass"] += found[1][1] - found[0][1]
         u = motion.u
         assert u is not None
-        share = self.rule.gamma if self.rule.by_forces else 1.0
-        expected = dt * one.V
+        share, expected = self._ghost_share / scale, self.reserve.share * dt * one.V
         plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
-        changes = [b for b in here.changes if b.row_field == one.k]
-        taken = mass.inner(u, plain, u) / scale + mass.inner(u, changes, u - expected) / scale
-        losses["ghost stiffness"] += share * taken
+        stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
+        losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
         faces = self._sides.on(here.fields[one.k].basis)
         if faces is not None and faces.dashpots is not None:
             owned = here.unknowns.fields[one.k].owned_nodes
             mean = 0.5 * (motion.V + motion.V_end)
             done = float(np.sum((faces.dashpots * mean * u)[owned]))
             losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
+        return stored
 
     def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.
@@ -401,11 +428,14 @@ class Motion:
             "wanted part": self.wanted,
             "starting": int(self._starting),
             "largest": self._largest,
+            "reserve": self.reserve.energy,
+            "gained": self._gains.made,
         }
 
     def remember(self, state: dict[str, Any]) -> None:
         """Take what `memory` returned."""
         self.time, self.last = state["time"], state["last part"]
         self.wanted, self._largest = state["wanted part"], state["largest"]
-        self._starting = bool(state["starting"])
+        self._starting, self.reserve.energy = bool(state["starting"]), state["reserve"]
+        self._gains.made = state["gained"]
         self.set_time(self.time)

@@ -33,6 +33,7 @@ from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
+from dolfinmpm.dynamics.gains import LEAST
 from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
@@ -65,7 +66,7 @@ class InertialOperator(Operator):
         masses: The masses of the fields that move points, in the order of `here.movers`.
         factor: Derivative of the accelerations by the increments (1/s²).
         known: The rest of them (m/s²), shape (nodes, d) each.
-        expected: Increments by the velocities at the start of the step (m), likewise.
+        expected: Increments that penalties on changes of velocity leave free (m), likewise.
         dashpots: Dashpots on the nodes by the increments, and forces of the velocities that do
             not depend on these (N), shape (nodes, d); or None.
     """
@@ -267,8 +268,9 @@ class TimeStepping(QuasiStatic):
             level = self._held.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = replace(here, prescribed=level)
         self._free(step)
+        share = motion.reserve.share * (1 - rule.alpha_f) * step.dt
         known = [rule.known(one.V, one.A, step.dt) for one in motion.nodes]
-        expected = [(1 - rule.alpha_f) * step.dt * one.V for one in motion.nodes]
+        expected = [share * one.V for one in motion.nodes]
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
         self.points.inertia.value = factor
         for field in self.form.parts.carried:
@@ -326,7 +328,8 @@ class TimeStepping(QuasiStatic):
         if isinstance(state, str):
             return state
         self._load_at(step, 0.5)
-        reason = motion.to_points(operator, state, step, x, scale)
+        parts = step.share >= 2 * 0.5**self.max_halvings
+        reason = motion.to_points(operator, state, step, x, scale, parts and step.share > LEAST)
         if reason is None:
             self._move_free(operator, step.dt)
         self._load_at(step, 1.0)
@@ -403,7 +406,8 @@ class Newmark(TimeStepping):
             Coombs (2023) has 1/4. By default there is none. Nodes that the points hardly support
             are tied to well-filled cells instead, as "aggregation" ties them, whatever the
             stabilisation; and the ghost penalty of `stabilisation="ghost"` acts on what a step
-            changes of the velocity, on u − Δt v, not on u. So neither takes energy from the body.
+            changes of the velocity, on u − Δt v, not on u, and gives back no more energy than it
+            has taken (`dolfinmpm.dynamics.reserve`). So neither takes energy from the body.
             A penalty of the mass takes some in every step, the more the smaller the steps. With a
             `prolongation`, contact, and beside weak aggregation, the default is 1/4, and on
             quadratic and cubic splines 100 and 10⁴ times that. With 0 nodes with small shares of

@@ -1,0 +1,89 @@
+"""What bounds energy that nothing has brought: of penalties, of steps, of explicit contact."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from dolfinmpm.contact.penalty import lessened
+from dolfinmpm.contact.starts import held_back, stored_by
+from dolfinmpm.dynamics.gains import Gains
+from dolfinmpm.dynamics.ledger import Work
+from dolfinmpm.dynamics.reserve import Reserve
+
+
+def begun(energy, stiffness, V):
+    """A reserve of so much energy at the start of a step of 2 s, with Φ(v) = stiffness v·v."""
+    reserve = Reserve()
+    reserve.energy = energy
+    mass = SimpleNamespace(inner=lambda v, blocks, w: stiffness * float(np.sum(v * w)))
+    here = SimpleNamespace(changes=[SimpleNamespace(row_field=0)])
+    reserve.begin(here, [(0, mass, V)], 2.0, 1.0)
+    return reserve
+
+
+@pytest.mark.parametrize("energy", [0.0, 0.3, 2.0])
+def test_a_penalty_gives_back_no_more_than_it_has_taken(energy):
+    V, K = np.array([[0.6, -0.8]]), 1.5
+    reserve = begun(energy, K, V)
+    assert reserve.share == pytest.approx(min(1.0, np.sqrt(energy / K)))
+    # the increment that it gives most for
+    for u in (reserve.share * V, 2 * V, -V):
+        given = -K * float(np.sum(u * (u - 2 * reserve.share * V)))
+        assert given <= energy + 1e-12
+
+
+def test_a_reserve_of_rounding_is_none():
+    assert begun(-1e-20, 1.0, np.zeros((1, 2))).share == 1.0
+    assert begun(-1e-20, 1.0, np.ones((1, 2))).share == 0.0
+
+
+def test_a_step_that_makes_energy_is_parted():
+    gains, works = Gains(), [Work(internal=x) for x in (0.3, -0.2, 0.3)]
+    assert "makes 0.3 J" in gains.judge(works[0], 0.0, 100.0, True)
+    assert gains.made == 0.0
+    # one that may not be parted counts, and one that loses is always taken
+    assert gains.judge(works[0], 0.0, 100.0, False) is None
+    assert gains.judge(works[1], 0.0, 100.0, True) is None
+    assert gains.made == pytest.approx(0.1)
+    # what contact does is no gain
+    assert gains.judge(works[2], 0.3, 100.0, True) is None
+
+
+@pytest.mark.parametrize("spare", [0.0, 0.4, 1e3])
+def test_places_start_with_no_more_than_they_had(spare):
+    k, q = np.array([2.0, 3.0, 4.0]), np.array([1.0, -5.0, 4.0])
+    none = np.zeros((3, 2))
+    stored = stored_by(q, none, k, 0.0)
+    assert stored == pytest.approx([0.25, 0.0, 2.0])
+    held = held_back(q, stored, np.zeros(3), 1.5, spare, MPI.COMM_SELF)
+    started = stored_by(q + held, none, k, 0.0).sum()
+    assert started == pytest.approx(min(2.25, 1.5 + spare))
+    assert held[1] == 0.0
+
+
+def bounced(dt, offset, corrects):
+    """Energy kept by a mass of 1 kg that leapfrogs against a penalty of 1 N/m at 1 m/s."""
+    x, v, last = 3.0 * dt + offset * dt, -1.0, 0.0
+    while x > 0.0 or v < 0.0 or last > 0.0:
+        p = max(-x, 0.0)
+        last = p
+        if corrects:
+            p -= float(lessened(np.array([x]), np.array([-v * dt]), np.array([p]))[0])
+        v += dt * p
+        x += dt * v
+        if x > 4.0 * dt and v > 0.0:
+            break
+    return v * v
+
+
+def test_explicit_contact_that_begins_within_a_step_keeps_energy():
+    """Wherever in a step it begins: without the share of time inside some is made or lost."""
+    errors = {}
+    for corrects in (False, True):
+        found = [bounced(0.2, offset, corrects) for offset in np.linspace(0.0, 1.0, 11)]
+        errors[corrects] = max(abs(one - 1.0) for one in found)
+    assert errors[True] < 0.3 * errors[False]
