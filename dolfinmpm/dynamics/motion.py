@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import Tags
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
@@ -22,7 +20,15 @@ from dolfinmpm.dynamics.gains import Gains
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
-from dolfinmpm.dynamics.reserve import Reserve, changes_of
+from dolfinmpm.dynamics.reserve import Reserve
+from dolfinmpm.dynamics.rule import Rule
+from dolfinmpm.dynamics.stepwork import (
+    MovingNodes,
+    count,
+    pressed,
+    work_of_contact,
+    work_of_loads,
+)
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.advance import NewState
@@ -30,77 +36,9 @@ from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Motion", "Rule"]
+__all__ = ["Motion"]
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Rule:
-    """Parameters of a rule of Newmark's family, with α_m = α_f = 0 Newmark's own.
-
-    Attributes:
-        beta, gamma, alpha_m, alpha_f: See `dolfinmpm.dynamics.newmark`.
-        by_forces: Whether each step begins with the accelerations that the forces give, M a = f.
-            Else these are means of those that the points have from the last step, which have lost
-            what does not vary smoothly, and energy with it.
-    """
-
-    beta: float
-    gamma: float
-    alpha_m: float = 0.0
-    alpha_f: float = 0.0
-    by_forces: bool = False
-
-    def acceleration(self, u: Array, V: Array, A: Array, dt: float) -> Array:
-        """a' at the nodes (m/s²)."""
-        return (u - dt * V) / (self.beta * dt**2) - (0.5 / self.beta - 1.0) * A
-
-    def velocity(self, V: Array, A: Array, A_end: Array, dt: float) -> Array:
-        """v' at the nodes (m/s)."""
-        return V + dt * ((1 - self.gamma) * A + self.gamma * A_end)
-
-    def pushed(self, V_end: Array, A_end: Array, push: Array, dt: float) -> tuple[Array, Array]:
-        """v' and a' where contact has pushed besides, by its mean accelerations (m/s²).
-
-        Its impulse is that of the whole step, and accelerations go on without it.
-
-        Args:
-            V_end, A_end: Those that `velocity` and `acceleration` give of the increment.
-            push: M⁻¹ times the mean forces.
-            dt: Length of the step (s).
-        """
-        V_end = V_end + dt * (1.0 - 0.5 * self.gamma / self.beta) * push
-        return V_end, A_end - 0.5 / self.beta * push
-
-    def known(self, V: Array, A: Array, dt: float) -> Array:
-        """What of the accelerations at the level of balance does not depend on the increment."""
-        start = V / (self.beta * dt) + (0.5 / self.beta - 1.0) * A
-        return self.alpha_m * A - (1 - self.alpha_m) * start
-
-    def factor(self, dt: float) -> float:
-        """Its derivative by the increment at that level (1/s²)."""
-        return (1 - self.alpha_m) / (self.beta * dt**2 * (1 - self.alpha_f))
-
-
-@dataclass
-class MovingNodes:
-    """The nodes of a field that moves points, at the start of a step.
-
-    Attributes:
-        k: Number of the field.
-        tags: Tags of the points that it moves, or None for all.
-        mass: Their mass.
-        momenta: Momenta that the points gave them (kg m/s), shape (nodes, d).
-        V, A: Their velocities (m/s) and accelerations (m/s²), likewise.
-    """
-
-    k: int
-    tags: Tags
-    mass: Mass
-    momenta: Array
-    V: Array
-    A: Array
 
 
 class Motion:
@@ -279,12 +217,17 @@ class Motion:
         if reason is not None:
             return reason
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
-        work, stored = Work(external=self._external(operator, x, scale, motions, dt)), 0.0
+        moved, varying = list(zip(self.nodes, motions)), self.varying
+        work, stored = Work(external=work_of_loads(operator, x, scale, moved, dt, varying)), 0.0
         work.add_stresses(points, state.fields, operator)
-        for one, motion in zip(self.nodes, motions):
-            stored += self._count(work, one, motion, operator, dt, scale)
+        for one, motion in moved:
+            share, expected = self._ghost_share / scale, self.reserve.share * dt * one.V
+            faces = self._sides.on(operator.here.fields[one.k].basis)
+            stored += count(work, one, motion, operator, share, expected, faces)
         if operator.touches:
-            reason = self._gains.judge(work, self._by_contact(operator), self.ledger.whole, parts)
+            reason = self._gains.judge(
+                work, work_of_contact(operator, self.nodes), self.ledger.whole, parts
+            )
             if reason is not None:
                 return reason
         self.ledger.work.add(work)
@@ -302,25 +245,8 @@ class Motion:
     def _push(self, one: MovingNodes, operator: Operator) -> Array:
         """Accelerations of the nodes of a field by mean forces of contact (m/s²). Collective."""
         forces = one.mass.nodal()
-        forces.arrays[0][:] = self._pressed(operator)[one.k]
+        forces.arrays[0][:] = pressed(operator)[one.k]
         return one.mass.solve(forces, np.zeros_like(one.V)).arrays[0]
-
-    @staticmethod
-    def _pressed(operator: Operator) -> list[Array]:
-        """Mean forces of contact on the nodes of each field (N). Collective."""
-        means = operator.form.means
-        assert means is not None
-        out = [np.zeros_like(u) for u in operator.increments]
-        operator.contact_forces(out)
-        return [np.asarray(-force / means.weight) for force in out]
-
-    def _by_contact(self, operator: Operator) -> float:
-        """Work of mean forces of contact on the nodes in a step (J). Collective."""
-        done, pressed = 0.0, self._pressed(operator)
-        for one in self.nodes:
-            owned = operator.here.unknowns.fields[one.k].owned_nodes
-            done += float(np.sum((pressed[one.k] * operator.increments[one.k])[owned]))
-        return self._points.comm.allreduce(done, op=MPI.SUM)
 
     def _from_nodes(
         self, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float
@@ -339,61 +265,6 @@ class Motion:
         return self.mapping.to_points(
             points, s, x_node, motion, one.mass, dt, self.rule.gamma, gradient
         )
-
-    def _external(
-        self,
-        operator: Operator,
-        x: Array,
-        scale: float,
-        motions: Sequence[NodalMotion],
-        dt: float,
-    ) -> float:
-        """Work of loads, and of what moves prescribed components, in a step (J). Collective.
-
-        What moves them gives the nodes momentum, and the body forces that are the mean of those
-        before and after, at the velocity u/Δt: the work is of second order.
-        """
-        here = operator.here
-        if not (here.driven or self.varying):
-            return operator.load_work()
-        plain = Operator(operator.form, here)
-        if not here.driven:
-            plain.move(x, scale)
-            return plain.load_work()
-        plain.start()
-        start = plain.forces(contacts=False)
-        plain.move(x, scale)
-        both = zip(start, plain.forces(contacts=False), self._pressed(operator))
-        forces = [0.5 * (f + g) - pressed for f, g, pressed in both]
-        for one, motion in zip(self.nodes, motions):
-            forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
-        return plain.load_work() + plain.held_work(forces)
-
-    def _count(
-        self, work: Work, one: MovingNodes, motion: NodalMotion, operator: Operator, dt: float,
-        scale: float,
-    ) -> float:  # fmt: skip
-        """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
-
-        Collective. Returns what penalties on changes of velocity take (J).
-        """
-        mass, losses, here = one.mass, work.losses, operator.here
-        found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
-        work.grid += found[1][0] - found[0][0]
-        losses["ghost mass"] += found[1][1] - found[0][1]
-        u = motion.u
-        assert u is not None
-        share, expected = self._ghost_share / scale, self.reserve.share * dt * one.V
-        plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
-        stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
-        losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
-        faces = self._sides.on(here.fields[one.k].basis)
-        if faces is not None and faces.dashpots is not None:
-            owned = here.unknowns.fields[one.k].owned_nodes
-            mean = 0.5 * (motion.V + motion.V_end)
-            done = float(np.sum((faces.dashpots * mean * u)[owned]))
-            losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
-        return stored
 
     def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
         """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.

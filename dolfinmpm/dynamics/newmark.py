@@ -37,7 +37,8 @@ from dolfinmpm.dynamics.gains import LEAST
 from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
 from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
-from dolfinmpm.dynamics.motion import Motion, Rule
+from dolfinmpm.dynamics.motion import Motion
+from dolfinmpm.dynamics.rule import Rule
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.declarations import rows_within

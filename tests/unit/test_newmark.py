@@ -15,7 +15,7 @@ from scenes import disc, vibrating_bar
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, DolfinMPMError, ParameterError
-from dolfinmpm.dynamics.motion import Rule
+from dolfinmpm.dynamics.rule import Rule
 
 QUADRILATERAL = mesh.CellType.quadrilateral
 RULES = [

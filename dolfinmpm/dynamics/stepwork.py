@@ -1,0 +1,140 @@
+"""What a step in time does: work of loads and contacts, and what penalties and dashpots take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.checks import Tags
+from dolfinmpm.dynamics.ledger import Work
+from dolfinmpm.dynamics.mappings import NodalMotion
+from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.reserve import changes_of
+from dolfinmpm.solve.operator import Operator
+
+__all__ = ["MovingNodes", "count", "pressed", "work_of_contact", "work_of_loads"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class MovingNodes:
+    """The nodes of a field that moves points, at the start of a step.
+
+    Attributes:
+        k: Number of the field.
+        tags: Tags of the points that it moves, or None for all.
+        mass: Their mass.
+        momenta: Momenta that the points gave them (kg m/s), shape (nodes, d).
+        V, A: Their velocities (m/s) and accelerations (m/s²), likewise.
+    """
+
+    k: int
+    tags: Tags
+    mass: Mass
+    momenta: Array
+    V: Array
+    A: Array
+
+
+def pressed(operator: Operator) -> list[Array]:
+    """Mean forces of contact on the nodes of each field (N). Collective."""
+    means = operator.form.means
+    assert means is not None
+    out = [np.zeros_like(u) for u in operator.increments]
+    operator.contact_forces(out)
+    return [np.asarray(-force / means.weight) for force in out]
+
+
+def work_of_contact(operator: Operator, nodes: Sequence[MovingNodes]) -> float:
+    """Work of mean forces of contact on the nodes in a step (J). Collective."""
+    done, forces, unknowns = 0.0, pressed(operator), operator.here.unknowns
+    for one in nodes:
+        owned = unknowns.fields[one.k].owned_nodes
+        done += float(np.sum((forces[one.k] * operator.increments[one.k])[owned]))
+    return unknowns.comm.allreduce(done, op=MPI.SUM)
+
+
+def work_of_loads(
+    operator: Operator,
+    x: Array,
+    scale: float,
+    moved: Sequence[tuple[MovingNodes, NodalMotion]],
+    dt: float,
+    varying: bool,
+) -> float:
+    """Work of loads, and of what moves prescribed components, in a step (J). Collective.
+
+    What moves them gives the nodes momentum, and the body forces that are the mean of those
+    before and after, at the velocity u/Δt: the work is of second order.
+
+    Args:
+        operator: The step's equations, at their solution.
+        x: Unknowns at the level where forces balance, shape (owned,).
+        scale: What they are multiplied by at the end.
+        moved: The nodes that move points, and how they moved.
+        dt: Length of the step (s).
+        varying: Whether any load changes in it.
+    """
+    here = operator.here
+    if not (here.driven or varying):
+        return operator.load_work()
+    plain = Operator(operator.form, here)
+    if not here.driven:
+        plain.move(x, scale)
+        return plain.load_work()
+    plain.start()
+    start = plain.forces(contacts=False)
+    plain.move(x, scale)
+    both = zip(start, plain.forces(contacts=False), pressed(operator))
+    forces = [0.5 * (f + g) - push for f, g, push in both]
+    for one, motion in moved:
+        forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
+    return plain.load_work() + plain.held_work(forces)
+
+
+def count(
+    work: Work,
+    one: MovingNodes,
+    motion: NodalMotion,
+    operator: Operator,
+    share: float,
+    expected: Array,
+    faces: Any,
+) -> float:
+    """Add what the nodes' kinetic energy changes by, and what penalties and dashpots take.
+
+    Collective.
+
+    Args:
+        work: Added to.
+        one, motion: The nodes, and how they moved.
+        operator: The step's equations, at their solution.
+        share: Share of the penalties' forces in the step's mean forces.
+        expected: Increments (m) that penalties on changes of the velocity do not resist, shape
+            (nodes, d).
+        faces: Faces of the grid that act on the nodes, or None.
+
+    Returns:
+        What penalties on changes of the velocity take (J).
+    """
+    mass, losses, here = one.mass, work.losses, operator.here
+    found = [mass.kinetic(V) for V in (motion.V, motion.V_end)]
+    work.grid += found[1][0] - found[0][0]
+    losses["ghost mass"] += found[1][1] - found[0][1]
+    u = motion.u
+    assert u is not None
+    plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
+    stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
+    losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
+    if faces is not None and faces.dashpots is not None:
+        owned = here.unknowns.fields[one.k].owned_nodes
+        mean = 0.5 * (motion.V + motion.V_end)
+        done = float(np.sum((faces.dashpots * mean * u)[owned]))
+        losses["damping"] += mass.comm.allreduce(done, op=MPI.SUM)
+    return stored
