@@ -15,11 +15,9 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import at_time, choice, number, shown, truth, whole
 from dolfinmpm._platform.errors import (
-    IdleConditionWarning,
     ParameterError,
     call_together,
     raise_together,
-    warn,
 )
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.space import Space
@@ -29,13 +27,11 @@ from dolfinmpm.grid.positions import ask, choose
 __all__ = [
     "Condition",
     "fixed",
-    "free_motions",
-    "idle",
     "moving",
+    "node_coordinates",
     "prescribed",
     "rollers",
     "side_of",
-    "warn_idle",
 ]
 
 Where = str | Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
@@ -116,7 +112,8 @@ def _side(where: str, gdim: int) -> str:
         raise ParameterError(f"{error}; or a function of positions") from None
 
 
-def _node_coordinates(space: Space) -> npt.NDArray[np.float64]:
+def node_coordinates(space: Space) -> npt.NDArray[np.float64]:
+    """Positions of the nodes that conditions number (m), shape (nodes, gdim)."""
     return space.basis.node_coordinates()[:, : space.grid.geometry.dim]
 
 
@@ -130,13 +127,13 @@ def _check_space(space: Any) -> None:
 
 def _chosen(space: Space, where: Callable) -> npt.NDArray[np.int32]:
     """Nodes at which a function of positions holds."""
-    chosen = choose("the function of places", where, _node_coordinates(space))
+    chosen = choose("the function of places", where, node_coordinates(space))
     return np.flatnonzero(chosen).astype(np.int32)
 
 
 def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[np.int32], str]:
     """Nodes at a place, and its name; `none` says whether there may be no node. Collective."""
-    x = _node_coordinates(space)
+    x = node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
         name = _side(where, gdim)
@@ -254,7 +251,7 @@ def _value(space: Space, nodes, name: str, value: Any) -> Any:
         )
     comm = space.grid.comm
     if callable(value):
-        at = _node_coordinates(space)[nodes]
+        at = node_coordinates(space)[nodes]
         given = call_together(comm, lambda: ask(what, value, at))
     elif np.ndim(value) == 0:
         return np.asarray(number(what, value))
@@ -263,7 +260,7 @@ def _value(space: Space, nodes, name: str, value: Any) -> Any:
     error = None
     if not np.isfinite(given).all():
         k = int(np.flatnonzero(~np.isfinite(given))[0])
-        at = _node_coordinates(space)[nodes[k]]
+        at = node_coordinates(space)[nodes[k]]
         error = ParameterError(f"{what} is {given[k]} at the node at {at} m and must be finite")
     raise_together(comm, error)
     return given
@@ -338,98 +335,3 @@ def _check_places(what: str, places: Sequence[Any]) -> None:
                 f"{what}: {shown(place)} is no place; give the places one by one, as in "
                 f'mpm.{what}(space, "left", "bottom")'
             )
-
-
-def idle(
-    conditions: Sequence[Condition],
-    spaces: Sequence[Space],
-    active: Sequence[npt.NDArray[np.int32]],
-) -> list[str]:
-    """Places at which no condition holds an active node, on any rank. Collective.
-
-    Args:
-        conditions: The conditions.
-        spaces: Spaces of the fields.
-        active: For each space its active nodes, as the conditions number them.
-
-    Returns:
-        Names of the places, each once, but for those that follow something.
-    """
-    conditions = [condition for condition in conditions if condition.place is None]
-    if not conditions:
-        return []
-    holds = np.zeros(len(conditions), np.int32)
-    for space, nodes in zip(spaces, active):
-        moved = np.zeros(space.basis.nodes.size, bool)
-        moved[nodes] = True
-        for k, condition in enumerate(conditions):
-            if condition.space is space:
-                holds[k] = moved[condition.nodes].any()
-    spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, holds, op=MPI.MAX)
-    return list(dict.fromkeys(c.where for c, held in zip(conditions, holds) if not held))
-
-
-def warn_idle(
-    conditions: Sequence[Condition],
-    spaces: Sequence[Space],
-    active: Sequence[npt.NDArray[np.int32]],
-) -> None:
-    """Warn on rank 0 of conditions that hold nothing; see `idle`. Collective."""
-    names = idle(conditions, spaces, active)
-    if names:
-        places = ", ".join(f"'{name}'" for name in names)
-        warn(
-            spaces[0].grid.comm,
-            f"the conditions at {places} hold no node that the body moves: it does not reach there "
-            "now, and they do nothing until it does. Names of sides mean those of the grid; give a "
-            "function of positions to hold the body elsewhere",
-            IdleConditionWarning,
-        )
-
-
-def free_motions(
-    conditions: Sequence[Condition],
-    space: Space,
-    active: npt.NDArray[np.int32],
-    axisymmetric: bool = False,
-) -> list[str]:
-    """Rigid motions that no condition holds, in words. Collective.
-
-    Args:
-        conditions: The conditions.
-        space: Space of the displacement.
-        active: Its active nodes.
-        axisymmetric: Whether the body is one of revolution, which along its axis alone moves
-        rigidly.
-    """
-    x, gdim, comm = _node_coordinates(space), space.grid.geometry.dim, space.grid.comm
-    moved = np.zeros(len(x), bool)
-    moved[active] = True
-    sums = comm.allreduce(np.append(x[moved].sum(axis=0), moved.sum()), op=MPI.SUM)
-    middle = sums[:-1] / max(sums[-1], 1.0)
-    spread = np.abs(x[moved] - middle).max(initial=0.0)
-    size = max(comm.allreduce(spread, op=MPI.MAX), np.finfo(float).tiny)
-    turns = [(i, j) for i in range(gdim) for j in range(i + 1, gdim)]
-    square = np.zeros((gdim + len(turns),) * 2)
-    for condition in conditions:
-        if condition.space is not space:
-            continue
-        held = condition.nodes[moved[condition.nodes]]
-        rows = np.zeros((held.size, len(square)))
-        k, r = condition.component, (x[held] - middle) / size
-        rows[:, k] = 1.0
-        for at, (i, j) in enumerate(turns):
-            if k in (i, j):
-                rows[:, gdim + at] = -r[:, j] if k == i else r[:, i]
-        square += rows.T @ rows
-    square = comm.allreduce(square, op=MPI.SUM)
-    if axisymmetric:
-        return ["along y"] if square[1, 1] == 0.0 else []
-    values, vectors = np.linalg.eigh(square)
-    free = vectors[:, values <= 1e-12 * max(values.max(), 1.0)].T
-    if not len(free):
-        return []
-    # axes along which a free motion can go without another
-    along = [f"along {'xyz'[i]}" for i in range(gdim) if abs(np.linalg.norm(free[:, i]) - 1) < 1e-9]
-    turning = len(free) - len(along)
-    return along + ([f"{turning} with a turn"] if turning else [])

@@ -21,7 +21,8 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_function, check_kind, choice, number, shown, whole
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
-from dolfinmpm.basis.conditions import Condition, free_motions
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.heldmotions import free_motions
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import bounds

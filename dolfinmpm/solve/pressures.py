@@ -8,7 +8,8 @@ import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError, raise_together
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.basis.conditions import Condition, idle
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.heldmotions import idle
 from dolfinmpm.body.points import PointField
 from dolfinmpm.cut.activation import active_on_grid
 from dolfinmpm.cut.participants import Activation

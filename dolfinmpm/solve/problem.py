@@ -26,7 +26,8 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.basis.conditions import Condition, warn_idle
+from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.basis.heldmotions import warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints

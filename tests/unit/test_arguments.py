@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
     IdleConditionWarning,
     ParameterError,
 )
-from dolfinmpm.basis.conditions import free_motions, idle
+from dolfinmpm.basis.heldmotions import free_motions, idle
 from dolfinmpm.forms.formchecks import check_signs
 
 COMM = MPI.COMM_WORLD

@@ -1,0 +1,110 @@
+"""What essential conditions hold: rigid motions that stay free, and conditions without nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.errors import IdleConditionWarning, warn
+from dolfinmpm.basis.conditions import Condition, node_coordinates
+from dolfinmpm.basis.space import Space
+
+__all__ = ["free_motions", "idle", "warn_idle"]
+
+
+def idle(
+    conditions: Sequence[Condition],
+    spaces: Sequence[Space],
+    active: Sequence[npt.NDArray[np.int32]],
+) -> list[str]:
+    """Places at which no condition holds an active node, on any rank. Collective.
+
+    Args:
+        conditions: The conditions.
+        spaces: Spaces of the fields.
+        active: For each space its active nodes, as the conditions number them.
+
+    Returns:
+        Names of the places, each once, but for those that follow something.
+    """
+    conditions = [condition for condition in conditions if condition.place is None]
+    if not conditions:
+        return []
+    holds = np.zeros(len(conditions), np.int32)
+    for space, nodes in zip(spaces, active):
+        moved = np.zeros(space.basis.nodes.size, bool)
+        moved[nodes] = True
+        for k, condition in enumerate(conditions):
+            if condition.space is space:
+                holds[k] = moved[condition.nodes].any()
+    spaces[0].grid.comm.Allreduce(MPI.IN_PLACE, holds, op=MPI.MAX)
+    return list(dict.fromkeys(c.where for c, held in zip(conditions, holds) if not held))
+
+
+def warn_idle(
+    conditions: Sequence[Condition],
+    spaces: Sequence[Space],
+    active: Sequence[npt.NDArray[np.int32]],
+) -> None:
+    """Warn on rank 0 of conditions that hold nothing; see `idle`. Collective."""
+    names = idle(conditions, spaces, active)
+    if names:
+        places = ", ".join(f"'{name}'" for name in names)
+        warn(
+            spaces[0].grid.comm,
+            f"the conditions at {places} hold no node that the body moves: it does not reach there "
+            "now, and they do nothing until it does. Names of sides mean those of the grid; give a "
+            "function of positions to hold the body elsewhere",
+            IdleConditionWarning,
+        )
+
+
+def free_motions(
+    conditions: Sequence[Condition],
+    space: Space,
+    active: npt.NDArray[np.int32],
+    axisymmetric: bool = False,
+) -> list[str]:
+    """Rigid motions that no condition holds, in words. Collective.
+
+    Args:
+        conditions: The conditions.
+        space: Space of the displacement.
+        active: Its active nodes.
+        axisymmetric: Whether the body is one of revolution, which along its axis alone moves
+        rigidly.
+    """
+    x, gdim, comm = node_coordinates(space), space.grid.geometry.dim, space.grid.comm
+    moved = np.zeros(len(x), bool)
+    moved[active] = True
+    sums = comm.allreduce(np.append(x[moved].sum(axis=0), moved.sum()), op=MPI.SUM)
+    middle = sums[:-1] / max(sums[-1], 1.0)
+    spread = np.abs(x[moved] - middle).max(initial=0.0)
+    size = max(comm.allreduce(spread, op=MPI.MAX), np.finfo(float).tiny)
+    turns = [(i, j) for i in range(gdim) for j in range(i + 1, gdim)]
+    square = np.zeros((gdim + len(turns),) * 2)
+    for condition in conditions:
+        if condition.space is not space:
+            continue
+        held = condition.nodes[moved[condition.nodes]]
+        rows = np.zeros((held.size, len(square)))
+        k, r = condition.component, (x[held] - middle) / size
+        rows[:, k] = 1.0
+        for at, (i, j) in enumerate(turns):
+            if k in (i, j):
+                rows[:, gdim + at] = -r[:, j] if k == i else r[:, i]
+        square += rows.T @ rows
+    square = comm.allreduce(square, op=MPI.SUM)
+    if axisymmetric:
+        return ["along y"] if square[1, 1] == 0.0 else []
+    values, vectors = np.linalg.eigh(square)
+    free = vectors[:, values <= 1e-12 * max(values.max(), 1.0)].T
+    if not len(free):
+        return []
+    # axes along which a free motion can go without another
+    along = [f"along {'xyz'[i]}" for i in range(gdim) if abs(np.linalg.norm(free[:, i]) - 1) < 1e-9]
+    turning = len(free) - len(along)
+    return along + ([f"{turning} with a turn"] if turning else [])
