@@ -5,27 +5,26 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import at_time, number, shown
+from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.given import ReadOnce
+from dolfinmpm.contact.course import Course, Motion, first_rate
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.passing import half_thickness, travelled
 from dolfinmpm.contact.pose import Pose, rotation_of
 from dolfinmpm.contact.surfaces import RigidSurface
-from dolfinmpm.grid.constants import begin_at_zero
 
 __all__ = ["RigidBody", "check_bodies"]
 
 Array = npt.NDArray[np.float64]
-Motion = Callable[[float], Any]
 
 _numbers = itertools.count(1)
 
@@ -112,14 +111,14 @@ class RigidBody(ReadOnce):
             raise ParameterError("velocity and displacement are both given; leave one out")
         if angular_velocity is not None and rotation is not None:
             raise ParameterError("angular_velocity and rotation are both given; leave one out")
-        self._shift = _Course("displacement", displacement, "velocity", velocity, d)
-        self._turn = _Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
+        self._shift = Course("displacement", displacement, "velocity", velocity, d)
+        self._turn = Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
         # a rotation vector is not the sum of small ones
         self._turn.absolute = d == 3 and rotation is not None
         loads = mass, inertia, gravity, force, moment
         self.freedom: Freedom | None = None
         if free is not None or any(load is not None for load in loads):
-            rates = [_first_rate(c) for c in (self._shift, self._turn)]
+            rates = [first_rate(c) for c in (self._shift, self._turn)]
             self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
@@ -134,7 +133,7 @@ class RigidBody(ReadOnce):
             ParameterError: It is free to go across the axis x[0] = 0 or to turn, or begins to.
         """
         across = [c for c in ([] if self.freedom is None else self.freedom.free) if c != 1]
-        first = np.concatenate([_first_rate(self._shift), _first_rate(self._turn)])
+        first = np.concatenate([first_rate(self._shift), first_rate(self._turn)])
         if across or first[0] != 0.0 or first[2] != 0.0:
             raise ParameterError(
                 f"'{self.name}' would go across the axis or turn (velocity {first[:2]} m/s, "
@@ -366,62 +365,6 @@ def check_bodies(bodies: Any, gdim: int) -> None:
     for body in bodies:
         if not isinstance(body, RigidBody) or body.gdim != gdim:
             raise ParameterError(f"bodies holds {shown(body)}, no mpm.RigidBody in {gdim}D")
-
-
-class _Course:
-    """One prescribed motion: a displacement or a rotation, by itself or by its rate."""
-
-    def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
-        self.size, self.given, self.rate, self.absolute = size, given, rate, False
-        self._name = name if given is not None else rate_name
-        self._first: Array = np.zeros(size)
-        if isinstance(given, fem.Constant):
-            if given.value.size != size:
-                raise ParameterError(
-                    f"{name} has {given.value.size} components and must have {size}"
-                )
-            begin_at_zero(name, given)
-        elif given is not None:
-            if not callable(given):
-                raise ParameterError(
-                    f"{name} = {shown(given)} must be a function of time or a dolfinx.fem.Constant"
-                )
-            self._first = self.value(given, 0.0)
-        elif rate is not None and not callable(rate):
-            constant: Array = vector(rate_name, rate, size)
-            self.rate = lambda t: constant
-        if callable(self.rate):
-            self.value(self.rate, 0.0)
-
-    def check_start(self) -> None:
-        """Raise ParameterError where it is not zero at first."""
-        if self._first.any():
-            raise ParameterError(
-                f"{self._name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
-                "got since it was made; make the shape where the body is at first"
-            )
-
-    def value(self, function: Motion, t: float) -> Array:
-        answer = np.atleast_1d(np.asarray(at_time(self._name, function, t)))
-        return vector(f"{self._name}({t:g})", answer, self.size)
-
-    def change(self, start: Array, t: float, dt: float) -> Array:
-        """Change from the start of a step, at t, to dt later."""
-        if isinstance(self.given, fem.Constant):
-            # the solver has set it to what belongs to the part of the step
-            return np.array(self.given.value, float).ravel() - self._first - start
-        if self.given is not None:
-            return self.value(self.given, t + dt) - self._first - start
-        if self.rate is None or dt == 0.0:
-            return np.zeros(self.size)
-        first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
-        # Simpson's rule
-        return np.asarray(dt / 6 * (first + 4 * middle + last))
-
-
-def _first_rate(course: _Course) -> Array:
-    """What a velocity is at first; zero where there is none."""
-    return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
 
 
 def _middle(surface: RigidSurface) -> Array:

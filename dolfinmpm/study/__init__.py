@@ -1,15 +1,14 @@
 """Studies: condition numbers, critical steps, sweeps, convergence, safety; tables and plots."""
 
-from dolfinmpm.io.tables import (
+from dolfinmpm.io.studyplots import (
     draw_convergence,
     draw_reduction,
     draw_sweep,
     plot_convergence,
     plot_reduction,
     plot_sweep,
-    read_table,
-    write_table,
 )
+from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
 from dolfinmpm.study.condition import Conditioning, conditioning
 from dolfinmpm.study.reduction import factor_of_safety, reduced_strength

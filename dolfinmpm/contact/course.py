@@ -1,0 +1,86 @@
+"""Prescribed motions of rigid bodies: displacements and rotations, or their rates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from dolfinmpm._platform.checks import at_time, shown
+from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm.contact.freedom import vector
+from dolfinmpm.grid.constants import begin_at_zero
+
+__all__ = ["Course", "Motion", "first_rate"]
+
+Array = npt.NDArray[np.float64]
+Motion = Callable[[float], Any]
+
+
+class Course:
+    """One prescribed motion: a displacement or a rotation, by itself or by its rate.
+
+    Args:
+        name, given: The motion by its name: a function of time (s), a constant, or None.
+        rate_name, rate: The same of its rate.
+        size: Number of its components.
+
+    Raises:
+        ParameterError: A motion or a rate is not what it may be.
+    """
+
+    def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
+        self.size, self.given, self.rate, self.absolute = size, given, rate, False
+        self._name = name if given is not None else rate_name
+        self._first: Array = np.zeros(size)
+        if isinstance(given, fem.Constant):
+            if given.value.size != size:
+                raise ParameterError(
+                    f"{name} has {given.value.size} components and must have {size}"
+                )
+            begin_at_zero(name, given)
+        elif given is not None:
+            if not callable(given):
+                raise ParameterError(
+                    f"{name} = {shown(given)} must be a function of time or a dolfinx.fem.Constant"
+                )
+            self._first = self.value(given, 0.0)
+        elif rate is not None and not callable(rate):
+            constant: Array = vector(rate_name, rate, size)
+            self.rate = lambda t: constant
+        if callable(self.rate):
+            self.value(self.rate, 0.0)
+
+    def check_start(self) -> None:
+        """Raise ParameterError where it is not zero at first."""
+        if self._first.any():
+            raise ParameterError(
+                f"{self._name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
+                "got since it was made; make the shape where the body is at first"
+            )
+
+    def value(self, function: Motion, t: float) -> Array:
+        """What a function of time gives at t, shape (size,)."""
+        answer = np.atleast_1d(np.asarray(at_time(self._name, function, t)))
+        return vector(f"{self._name}({t:g})", answer, self.size)
+
+    def change(self, start: Array, t: float, dt: float) -> Array:
+        """Change from the start of a step, at t, to dt later."""
+        if isinstance(self.given, fem.Constant):
+            # the solver has set it to what belongs to the part of the step
+            return np.array(self.given.value, float).ravel() - self._first - start
+        if self.given is not None:
+            return self.value(self.given, t + dt) - self._first - start
+        if self.rate is None or dt == 0.0:
+            return np.zeros(self.size)
+        first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
+        # Simpson's rule
+        return np.asarray(dt / 6 * (first + 4 * middle + last))
+
+
+def first_rate(course: Course) -> Array:
+    """What a velocity is at first; zero where there is none."""
+    return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
