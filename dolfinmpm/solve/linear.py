@@ -243,9 +243,9 @@ class LinearSolver:
         """Let what solutions have cost decide on incomplete factors. Collective."""
         if self.reuse is None or self._tangent.symmetric or self._tangent.softened:
             return
-        seconds, solutions, iterations = self.reuse.taken()
+        cost, solutions, iterations = self.reuse.taken()
         if solutions:
-            self._excluded.rivals.weigh(seconds, solutions, iterations / solutions)
+            self._excluded.rivals.weigh(cost / solutions, iterations / solutions)
 
     def _take(self, here: Activation) -> None:
         """Take the matrix of an activation. Collective."""

@@ -27,21 +27,20 @@ class Rivals:
 
     def __init__(self) -> None:
         self.incomplete = True
-        # seconds a solution, of incomplete factors and of the other method
+        # of a solution (ns, see `dolfinmpm.solve.costs`), of incomplete factors and of the other method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time
         self._wait, self._next = 0, _FIRST
 
-    def weigh(self, seconds: float, solutions: int, iterations: float) -> None:
+    def weigh(self, cost: float, iterations: float) -> None:
         """Take what solutions with the present one cost, and decide on the next ones.
 
         Args:
-            seconds: Their time with all set-ups, the same on all ranks.
-            solutions: How many there were, at least one.
+            cost: Their mean cost with all set-ups, the same on all ranks.
             iterations: Their mean number of iterations.
         """
         present = self.incomplete
-        self._cost[present] = seconds / solutions
+        self._cost[present] = cost
         if present and iterations <= _FEW:
             return
         mine, other = self._cost[present], self._cost[not present]
