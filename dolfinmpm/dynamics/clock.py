@@ -64,7 +64,7 @@ def as_yielded(t: Any, now: float) -> Any:
         t: What a step was given.
         now: Time of the state (s).
     """
-    if isinstance(t, Time) or not isinstance(t, numbers.Real) or t > now:
+    if isinstance(t, Time) or not isinstance(t, numbers.Real) or float(t) > now:
         return t
     return next((one for one in reversed(_waiting) if one == t), t)
 

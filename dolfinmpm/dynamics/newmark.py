@@ -30,7 +30,14 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, check_clock, end_of, mean_increment
+from dolfinmpm.dynamics.clock import (
+    MotionRecord,
+    Time,
+    as_yielded,
+    check_clock,
+    end_of,
+    mean_increment,
+)
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.ledger import Energies, Ledger

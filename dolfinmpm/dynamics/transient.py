@@ -18,7 +18,14 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, check_clock, end_of, mean_increment
+from dolfinmpm.dynamics.clock import (
+    MotionRecord,
+    Time,
+    as_yielded,
+    check_clock,
+    end_of,
+    mean_increment,
+)
 from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step

@@ -27,7 +27,7 @@ class Rivals:
 
     def __init__(self) -> None:
         self.incomplete = True
-        # of a solution (ns, see `dolfinmpm.solve.costs`), of incomplete factors and of the other method
+        # ns a solution, see `dolfinmpm.solve.costs`, of incomplete factors and of the other method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time
         self._wait, self._next = 0, _FIRST
