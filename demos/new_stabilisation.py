@@ -2,7 +2,7 @@
 
 A body overlaps some cells of the grid by a sliver. The functions of such cells carry next to no
 stiffness and mass, so that condition numbers and the critical time step 2/√λ_max hang on where the
-body happens to lie. A remedy is a term of the weak form over `points.dS`, the facets beside cut
+body happens to lie. A stabilisation is a term of the weak form over `points.dS`, the facets beside cut
 cells, which follow the body. A new one is written down in UFL, as here:
 
     j(u, v) = γ E/(90 h²) · h³ ∫ [[∇u]]·[[∇v]] dS   for the stiffness,

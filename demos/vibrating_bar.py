@@ -31,9 +31,15 @@ def swing(mass):
     points.add_field("velocity", (1,), "m/s", lambda x: 0.1 * np.sin(np.pi * x.T / 50))
 
     # the same form as in statics; the integrator adds the inertia of the points
-    remedy = "ghost" if mass == "consistent" else "none"
+    stabilisation = "ghost" if mass == "consistent" else "none"
     problem = mpm.Newmark(
-        F, V.increment, points, mpm.fixed(V, "left"), mass=mass, mapping="pic", stabilisation=remedy
+        F,
+        V.increment,
+        points,
+        mpm.fixed(V, "left"),
+        mass=mass,
+        mapping="pic",
+        stabilisation=stabilisation,
     )
     history = mpm.History()
     for t in mpm.times(30.0, dt=0.1, label=f"{mass} mass"):  # progress bar in simulated time

@@ -73,23 +73,25 @@ def displacement_orders(*answers: Answer) -> list[float]:
     return [order["displacement"] for answer in answers for order in answer["overall"].values()]
 
 
-def column_errors(basis: str, remedy: str) -> Callable[[Answer], list[float]]:
-    """Reads the errors of the column under one basis and one remedy."""
+def column_errors(basis: str, stabilisation: str) -> Callable[[Answer], list[float]]:
+    """Reads the errors of the column under one basis and one stabilisation."""
     return lambda answer: [
-        run["error"] for run in answer["runs"] if (run["basis"], run["remedy"]) == (basis, remedy)
+        run["error"]
+        for run in answer["runs"]
+        if (run["basis"], run["stabilisation"]) == (basis, stabilisation)
     ]
 
 
-def kappa_of(*remedies: str) -> Callable[[Answer], list[float]]:
-    """Reads κ(K) of the remedies of `new_stabilisation.py`."""
+def kappa_of(*stabilisations: str) -> Callable[[Answer], list[float]]:
+    """Reads κ(K) of the stabilisations of `new_stabilisation.py`."""
     return lambda answer: [
-        next(row["kappa_K"] for row in answer["table"] if row["remedy"] == remedy)
-        for remedy in remedies
+        next(row["kappa_K"] for row in answer["table"] if row["stabilisation"] == stabilisation)
+        for stabilisation in stabilisations
     ]
 
 
 def finished(answer: Answer) -> list[float]:
-    """How many slopes came to the end with ghost penalty, with aggregation, without a remedy."""
+    """How many slopes came to the end: ghost penalty, aggregation, no stabilisation."""
     return [
         sum(run["completed"] for run in answer["runs"] if run["stabilisation"] == name)
         for name in ("ghost", "aggregation", "none")
@@ -168,12 +170,12 @@ ROWS = (
         "{:.3e}, {:.3e}", "without: 4.357e-4", quick=True),
     Row("column-splines", COLUMN, "error, quadratic splines, ghost penalty, 8, 16, 32 elements",
         each("compaction_compared",
-             "--elements 8,16,32 --bases gimp,bspline2 --remedies none,ghost,aggregation"),
+             "--elements 8,16,32 --bases gimp,bspline2 --stabilisations none,ghost,aggregation"),
         column_errors("bspline2", "ghost"), "{:.2e}, {:.2e}, {:.1e}",
         "GIMP with it: 1.13e-2, 3.15e-3, 9.7e-4", quick=True),
     Row("column-splines-aggregation", COLUMN, "the same with aggregation",
         each("compaction_compared",
-             "--elements 8,16,32 --bases gimp,bspline2 --remedies none,ghost,aggregation"),
+             "--elements 8,16,32 --bases gimp,bspline2 --stabilisations none,ghost,aggregation"),
         column_errors("bspline2", "aggregation"), "{:.2e}, {:.1e}, {:.1e}", quick=True),
     Row("cantilever", BEAM, "cantilever at PL²/EI = 10, h = 0.25 m: u/L, v/L",
         each("cantilever", ""), lambda a: [a["u_L"][-1], a["v_L"][-1]], "{:.4f}, {:.4f}",
@@ -197,7 +199,7 @@ ROWS = (
         "quadratic splines; cubic",
         each("manufactured_solution", "--basis bspline2", "--basis bspline3"),
         displacement_orders, "{:.2f}, {:.2f}, {:.2f}; {:.2f}, {:.2f}, {:.2f}", "at least 1.9"),
-    Row("cuts-none", CUTS, "bar pushed through a 1D grid, worst of 14 places, no remedy: κ(K), "
+    Row("cuts-none", CUTS, "bar pushed through a 1D grid, worst of 14 places, none: κ(K), "
         "κ(M), Δt c/h", each("conditioning", "--stabilisation none"),
         worst("kappa_K", "kappa_M", "dt_consistent"), "{:.1e}, {:.1e}, {:.1e}",
         "exact: 3e12, 3e25, 2e-7", quick=True),
@@ -213,11 +215,11 @@ ROWS = (
         worst("kappa_K"), "{:.1f}, {:.1e}", "287, 2.7e6", quick=True),
     *(
         Row(f"cuts-2d-{basis}", CUTS, f"block in 200 places of a 2D grid, worst over best κ(K), "
-            f"{words}: {', '.join(remedies)}",
+            f"{words}: {', '.join(stabilisations)}",
             each("conditioning",
-                 *(f"{TWO_D} --basis {basis} --stabilisation {r}" for r in remedies)),
-            spread, ", ".join(["{:.3g}"] * len(remedies)), "at most 20")
-        for basis, words, remedies in (
+                 *(f"{TWO_D} --basis {basis} --stabilisation {r}" for r in stabilisations)),
+            spread, ", ".join(["{:.3g}"] * len(stabilisations)), "at most 20")
+        for basis, words, stabilisations in (
             ("linear", "linear functions", ("ghost", "aggregation", "soft")),
             ("gimp", "GIMP", ("ghost", "aggregation", "weak-aggregation", "soft")),
             ("bspline2", "quadratic splines", ("ghost", "aggregation", "weak-aggregation", "soft")),
@@ -242,18 +244,18 @@ ROWS = (
     Row("cuts-3d", CUTS, "elastic block in 3D, 20³ cells, cut at 1e-6, 0.001, 0.1, 0.5, 0.9 of a "
         "cell, CG with multigrid: most iterations of a solution, at the worst cut, at the best: "
         "ghost penalty; aggregation",
-        each("solid_3d", *(f"--cells 20 --cuts 1e-6,1e-3,0.1,0.5,0.9 --stabilisation {remedy}"
-                           for remedy in ("ghost", "aggregation"))),
+        each("solid_3d", *(f"--cells 20 --cuts 1e-6,1e-3,.1,.5,.9 --stabilisation {stabilisation}"
+                           for stabilisation in ("ghost", "aggregation"))),
         linear_iterations, "{:.0f}, {:.0f}; {:.0f}, {:.0f}", "the same wherever the cut"),
-    Row("cuts-cost", CUTS, "calls of the remedies' code a step, no remedy",
-        each("benchmark", f"--repeat 1 --cases 1x64 --bases gimp --remedies none {ALONE}"),
-        lambda a: [a["remedies"]["gimp 1x64 none"]["remedy_calls_per_step"]], "{:.0f}",
+    Row("cuts-cost", CUTS, "calls of the stabilisations' code a step, no stabilisation",
+        each("benchmark", f"--repeat 1 --cases 1x64 --bases gimp --stabilisations none {ALONE}"),
+        lambda a: [a["stabilisations"]["gimp 1x64 none"]["stabilisation_calls_per_step"]], "{:.0f}",
         quick=True),
     Row("collapse", PLASTIC, "collapse of a block, 9216 points, 40 steps: Newton iterations a "
         "step, median observed order", each("elastoplastic_collapse", ""),
         keys("max_newton_iterations", "newton_order"), "at most {:.0f}, {:.2f}", "8, 2"),
     Row("slope", PLASTIC, "slope failure, 9 runs each: finished with ghost penalty, aggregation, "
-        "no remedy (where rounding decides)", each("slope_failure", "--table"), finished,
+        "no stabilisation (where rounding decides)", each("slope_failure", "--table"), finished,
         "{:.0f}, {:.0f}, {:.0f}", "Coombs (2023): all with ghost stabilisation, some without"),
     Row("safety", PLASTIC, "factor of safety of a slope of two to one, φ = 20°, c/γH = 0.05, GIMP, "
         "F-bar, h = 1 m", each("factor_of_safety", ""), keys("factor"), "{:.3f}",

@@ -111,7 +111,7 @@ ROWS = (
         quick=True),
     Row("inf-sup", WATER, "inf-sup constant, displacement on cells of half the size: bodies of 4, "
         "8, 12 whole cells; least of 24 cut ones with ghost penalties",
-        each("inf_sup", "--pairs nested --remedies ghost"),
+        each("inf_sup", "--pairs nested --stabilisations ghost"),
         lambda a: [*(w["beta"] for w in a["whole"]["nested"]), a["rows"][0]["beta_least"]],
         "{:.3f}, {:.3f}, {:.3f}; {:.3f}", "0.411, 0.407, 0.406"),
     Row("first-steps", WATER, "overshoot of first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 "

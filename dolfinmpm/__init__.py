@@ -21,7 +21,7 @@ with _idle_collector():
     from dolfinmpm.body.surface import Surface
     from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
     from dolfinmpm.cut.penalties import ghost, soft
-    from dolfinmpm.cut.remedies import Stabilisation
+    from dolfinmpm.cut.stabilisations import Stabilisation
     from dolfinmpm.dynamics import (
         Collision,
         Explicit,
@@ -50,7 +50,7 @@ with _idle_collector():
         stress,
     )
     from dolfinmpm.porous import Fluid, kozeny_carman, poromechanics
-    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrade
+    from dolfinmpm.solve import ArcLength, QuasiStatic, equilibrate, regrid
 
 __version__ = "0.1.0"
 
@@ -114,7 +114,7 @@ __all__ = [
     "poromechanics",
     "prescribed",
     "probe",
-    "regrade",
+    "regrid",
     "rollers",
     "set_stress",
     "signorini",

@@ -21,7 +21,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).resolve().parents[1]

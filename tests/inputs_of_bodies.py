@@ -171,12 +171,12 @@ INPUTS = {
     'mpm.zoned_line("0", 4.0, (1.0, 2.0), (2, 2, 2))': "low = '0' must be a number (m)",
     "mpm.zoned_line(0.0, 4.0, 1.0, (2, 2, 2))": "zone = 1.0 must be 2 numbers, first and last",
     "mpm.zoned_line(0.0, 4.0, (1.0, 2.0), 6)": "cells = 6 must be 3 numbers, before, in and after",
-    "mpm.regrade(s.solver(), [np.linspace(0, 1, 5), np.linspace(0, 2, 9)])":
+    "mpm.regrid(s.solver(), [np.linspace(0, 1, 5), np.linspace(0, 2, 9)])":
         "lines have [5, 9] coordinates, and the grid [9, 5]",
-    "mpm.regrade(s.solver(), [np.linspace(4, 0, 17), np.linspace(0, 2, 9)])":
+    "mpm.regrid(s.solver(), [np.linspace(4, 0, 17), np.linspace(0, 2, 9)])":
         "lines[0] = a ndarray must be two or more increasing",
-    "mpm.regrade(s.solver(), [np.linspace(0, 4, 17)])": "lines = [a ndarray] must be two or three",
-    "mpm.regrade(s.solver(), [np.full(9, nan), np.linspace(0, 2, 9)])":
+    "mpm.regrid(s.solver(), [np.linspace(0, 4, 17)])": "lines = [a ndarray] must be two or three",
+    "mpm.regrid(s.solver(), [np.full(9, nan), np.linspace(0, 2, 9)])":
         "lines[0] = array([nan, nan, nan, nan, nan, nan,",
     # -- conditions
     's.solver(bcs=s.bcs + mpm.prescribed(s.V, "left", 0, 0.1)).step()':

@@ -57,9 +57,9 @@ RAW = {
     # -- forms
     "gradient: a number": (lambda s: mpm.gradient(s.points, 3.0), r"w = 3\.0 must be a field of U"),
     "gradient: no points": (lambda s: mpm.gradient(None, s.u), "points = None must be material p"),
-    "gradient: of rings": (
+    "gradient: of axisymmetric bodies": (
         lambda s: mpm.gradient(rings()[0], mpm.Space(rings()[0].grid, shape=(3,)).increment),
-        r"the shape \(3,\), and at points that are rings",
+        r"the shape \(3,\), and at axisymmetric points",
     ),
     "cell_size: points": (lambda s: mpm.cell_size(s.points), "grid = a MaterialPoints must be a M"),
     "cell_size: none": (lambda s: mpm.cell_size(None), r"give the background grid, points\.grid"),

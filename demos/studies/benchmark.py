@@ -3,7 +3,7 @@
 #
 # - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
 #   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
-#   itself — in all bases, refinements, points a cell and remedies: processor time of the steps
+#   itself — in all bases, refinements, points a cell and stabilisations: processor time of the steps
 #   against the error, and what a step's time consists of.
 # - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
 #   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
@@ -13,8 +13,8 @@
 #   the variable `PEERS` names it. For explicit steps see `explicit_speed.py --peers`.
 # - **Cases** (`--cases`): the column in 40 steps, one element wide and 64 high, and 16 wide and
 #   256 high. Memory is the largest that the process ever held less what it held after a small
-#   run, for each point. `--remedies all` solves each case with every remedy against small cuts as
-#   well, and counts how often a step calls the code of the remedies: an unused one costs a scene
+#   run, for each point. `--stabilisations all` solves each case with every stabilisation against small cuts as
+#   well, and counts how often a step calls the code of the stabilisations: an unused one costs a scene
 #   one question a step, whether any nodes follow others. `--laws` and `--facets` time parts,
 #   `--plastic 80` implicit steps of Mohr–Coulomb sand, stage by stage.
 #
@@ -53,7 +53,8 @@ options.add_argument(
 )
 options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
 options.add_argument(
-    "--remedies", help='remedies to time against each other, by commas, or "all"; none by default'
+    "--stabilisations",
+    help='stabilisations to time against each other, by commas, or "all"; none by default',
 )
 options.add_argument("--laws", action="store_true", help="million points a second of each law")
 options.add_argument("--facets", action="store_true", help="assembly of the ghost penalty a facet")
@@ -100,7 +101,7 @@ if args.quick:
 # %%
 figures = {
     "cases": costs.time_cases(args),
-    "remedies": costs.time_remedies(args),
+    "stabilisations": costs.time_stabilisations(args),
     "laws": costs.time_laws(args),
     "facets": costs.time_facets(args),
     "plastic": benchmark_plastic.time_plastic(args),

@@ -1,4 +1,4 @@
-"""What parts cost: whole cases of the column, remedies, laws, facets of the ghost penalty."""
+"""What parts cost: whole cases of the column, stabilisations, laws, facets of the ghost penalty."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from scene import say
 
 import dolfinmpm as mpm
 
-REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
+STABILISATIONS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 # where all of their own work is done
-MODULES = {"remedies.py", "penalties.py", "aggregation.py", "fractions.py", "prolongation.py"}
+MODULES = {"stabilisations.py", "penalties.py", "aggregation.py", "fractions.py", "prolongation.py"}
 
 
-def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profile=None):
+def column(columns, elements, basis, ghost=None, steps=40, stabilisation="none", profile=None):
     """Solve the column; returns seconds, Newton iterations and points."""
-    problem, gravity = compaction(columns, elements, basis, remedy=remedy, ghost=ghost)
+    problem, gravity = compaction(
+        columns, elements, basis, stabilisation=stabilisation, ghost=ghost
+    )
     # what measures stages is no part of a step
     mpm.measure_stages(False)
     started = time.perf_counter()
@@ -38,10 +40,10 @@ def column(columns, elements, basis, ghost=None, steps=40, remedy="none", profil
     return seconds, sum(record.iterations for record in problem.history), problem.points.total
 
 
-def remedy_calls(columns, elements, basis, remedy, steps=40):
-    """Python-level calls a step: of the remedies' code, and of everything."""
+def stabilisation_calls(columns, elements, basis, stabilisation, steps=40):
+    """Python-level calls a step: of the stabilisations' code, and of everything."""
     profile = cProfile.Profile()
-    column(columns, elements, basis, steps=steps, remedy=remedy, profile=profile)
+    column(columns, elements, basis, steps=steps, stabilisation=stabilisation, profile=profile)
     stats = pstats.Stats(profile)
     package = Path(mpm.__file__).parent
     own = 0
@@ -97,33 +99,39 @@ def time_cases(args):
     return figures
 
 
-def time_remedies(args):
-    """What remedies cost; runs of all take turns, so that what else goes on meets all."""
-    remedies = REMEDIES if args.remedies == "all" else (args.remedies or "").split(",")
+def time_stabilisations(args):
+    """What stabilisations cost; runs of all take turns, so that what else goes on meets all."""
+    stabilisations = (
+        STABILISATIONS if args.stabilisations == "all" else (args.stabilisations or "").split(",")
+    )
     costs: dict[str, dict] = {}
-    for basis in args.bases.split(",") if args.remedies else ():
+    for basis in args.bases.split(",") if args.stabilisations else ():
         for case in args.cases.split(","):
             columns, elements = (int(n) for n in case.split("x"))
-            calls = {r: remedy_calls(columns, elements, basis, r) for r in remedies}  # compiles
-            timed: dict[str, list] = {remedy: [] for remedy in remedies}
+            calls = {
+                r: stabilisation_calls(columns, elements, basis, r) for r in stabilisations
+            }  # compiles
+            timed: dict[str, list] = {stabilisation: [] for stabilisation in stabilisations}
             for _ in range(args.repeat):
-                for remedy in remedies:
-                    timed[remedy].append(column(columns, elements, basis, remedy=remedy))
-            for remedy in remedies:
-                iterations = timed[remedy][0][1]
-                each = [1e3 * seconds / iterations for seconds, *_ in timed[remedy]]
-                own, every = calls[remedy]
-                costs[f"{basis} {case} {remedy}"] = {
+                for stabilisation in stabilisations:
+                    timed[stabilisation].append(
+                        column(columns, elements, basis, stabilisation=stabilisation)
+                    )
+            for stabilisation in stabilisations:
+                iterations = timed[stabilisation][0][1]
+                each = [1e3 * seconds / iterations for seconds, *_ in timed[stabilisation]]
+                own, every = calls[stabilisation]
+                costs[f"{basis} {case} {stabilisation}"] = {
                     "milliseconds_per_iteration": statistics.median(each),
                     "milliseconds_per_iteration_least": min(each),
                     "newton_iterations": iterations,
-                    "remedy_calls_per_step": own,
+                    "stabilisation_calls_per_step": own,
                     "calls_per_step": every,
                 }
                 say(
-                    f"{basis:7s} {case:>7s} {remedy:17s} {statistics.median(each):7.3f} ms an "
+                    f"{basis:7s} {case:>7s} {stabilisation:17s} {statistics.median(each):7.3f} ms "
                     f"iteration (least {min(each):.3f}), {iterations} iterations, {own:g} calls of "
-                    f"remedies a step of {every:.0f}"
+                    f"stabilisations a step of {every:.0f}"
                 )
     return costs
 

@@ -75,8 +75,8 @@ def block(kind: str, count: int, room: int):
             return explicit.step(explicit.time + (STEPS_A_CALL - 0.01) * dt).parts
 
         return explicit, go
-    remedy = "aggregation" if aggregated else "none"
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy)
+    stabilisation = "aggregation" if aggregated else "none"
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation)
 
     def load() -> int:
         gravity.value[1] -= 0.2

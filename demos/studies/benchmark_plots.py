@@ -39,14 +39,14 @@ def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any
             least = min((run.per_cell for run in own if run.basis != "bspline3"), default=2)
             series: dict[tuple, list[Run]] = {}
             for run in own:
-                series.setdefault((run.basis, run.remedy, run.per_cell), []).append(run)
-            for (basis, remedy, per_cell), members in series.items():
+                series.setdefault((run.basis, run.stabilisation, run.per_cell), []).append(run)
+            for (basis, stabilisation, per_cell), members in series.items():
                 members.sort(key=lambda run: run.points)
                 solid = per_cell <= max(least, 3 if basis == "bspline3" else 0)
                 colour = COLOURS[basis]
                 ax.loglog(
                     [run.seconds for run in members], [run.error for run in members],
-                    marker=MARKERS[remedy], color=colour, mfc=colour if solid else "white",
+                    marker=MARKERS[stabilisation], color=colour, mfc=colour if solid else "white",
                     lw=0.8 if solid else 0.5, ls="-" if solid else ":", ms=3.5, mew=0.7,
                 )  # fmt: skip
             for code, (marker, _) in PEERS.items():
@@ -68,12 +68,16 @@ def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any
                     axis.set_major_formatter("{x:g}")
                 axis.set_minor_formatter(NullFormatter())
         bases = [basis for basis in BASES if any(run.basis == basis for run in runs)]
-        remedies = [r for r in MARKERS if any(run.remedy == r for run in runs)]
+        stabilisations = [r for r in MARKERS if any(run.stabilisation == r for run in runs)]
         handles = [Line2D([], [], color=COLOURS[b], lw=2, label=NAMES[b]) for b in bases]
-        words = {"none": "no remedy", "ghost": "ghost penalty", "explicit": "explicit, lumped"}
+        words = {
+            "none": "no stabilisation",
+            "ghost": "ghost penalty",
+            "explicit": "explicit, lumped",
+        }
         handles += [
             Line2D([], [], ls="", marker=MARKERS[r], color="0.3", label=words.get(r, r))
-            for r in remedies
+            for r in stabilisations
         ]
         if any(
             len(SCENES[name].per_cell) > 1

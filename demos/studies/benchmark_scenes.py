@@ -1,6 +1,6 @@
 """Scenes with a known result, each as one function: what it errs by, and what that took.
 
-They are those of the studies of the same names, at any size, with any basis and remedy.
+They are those of the studies of the same names, at any size, with any basis and stabilisation.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Run:
     """One run of a scene.
 
     Attributes:
-        scene, basis, level, per_cell, remedy: What was run; the level is the study's own measure
+        scene, basis, level, per_cell, stabilisation: What was run; the level is the study's own measure
             of refinement, cells or their size (m).
         error: Relative error, None where the run did not come to its end.
         seconds: Processor time of the steps, the median of repetitions (s).
@@ -45,7 +45,7 @@ class Run:
     basis: str
     level: float
     per_cell: int
-    remedy: str
+    stabilisation: str
     error: float | None = None
     seconds: float = 0.0
     seconds_all: list[float] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Run:
         try:
             error = go()
         except DolfinMPMError as stopped:
-            # which remedy carries a run to its end is part of what is asked
+            # which stabilisation carries a run to its end is part of what is asked
             self.reason = f"{type(stopped).__name__}: {str(stopped)[:160]}"
         else:
             self.error = abs(float(error))
@@ -85,7 +85,7 @@ class Run:
 # -- the scenes ------------------------------------------------------------------------------
 
 
-def compaction(columns, elements, basis, per_cell=2, remedy="none", law=None, ghost=None):
+def compaction(columns, elements, basis, per_cell=2, stabilisation="none", law=None, ghost=None):
     """The column of `column_compaction.py`: its problem, and its gravity (m/s²)."""
     h, E = 50.0 / elements, 10e3
     grid = mesh.create_rectangle(
@@ -104,7 +104,7 @@ def compaction(columns, elements, basis, per_cell=2, remedy="none", law=None, gh
     if ghost:
         F += mpm.ghost(points, u, v, gamma=E / 30, scaling=ghost)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    return mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy), gravity
+    return mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation), gravity
 
 
 def compaction_error(points: Any) -> float:
@@ -117,7 +117,7 @@ def compaction_error(points: Any) -> float:
 
 def column(run: Run) -> None:
     """Self-weight compaction; error of the stress."""
-    problem, gravity = compaction(1, int(run.level), run.basis, run.per_cell, run.remedy)
+    problem, gravity = compaction(1, int(run.level), run.basis, run.per_cell, run.stabilisation)
 
     def go() -> float:
         for k in range(40):
@@ -132,7 +132,7 @@ def cantilever(run: Run) -> None:
     """Large deflection; distance of the tip from that of conforming elements, by the length."""
     steps = 25
     words = ["--h", str(run.level), "--points-per-cell", str(run.per_cell)]
-    beam = beams.Beam(beams.arguments([*words, "--basis", run.basis]), run.remedy)
+    beam = beams.Beam(beams.arguments([*words, "--basis", run.basis]), run.stabilisation)
 
     def go() -> float:
         for k in range(steps):
@@ -146,7 +146,7 @@ def cantilever(run: Run) -> None:
 def footing(run: Run) -> None:
     """Prandtl's limit load."""
     words = ["--law", "tresca-perfect", "--h", str(run.level), "--basis", run.basis]
-    words += ["--points-per-cell", str(run.per_cell), "--stabilisation", run.remedy]
+    words += ["--points-per-cell", str(run.per_cell), "--stabilisation", run.stabilisation]
     args = footings.arguments(words)
     scene = footings.Scene(args)
 
@@ -160,7 +160,7 @@ def footing(run: Run) -> None:
 
 def collapse(run: Run) -> None:
     """Explicit collapse of sand; the surface at rest against the measured one, by the height."""
-    words = ["--h", str(run.level), "--basis", run.basis, "--stabilisation", run.remedy]
+    words = ["--h", str(run.level), "--basis", run.basis, "--stabilisation", run.stabilisation]
     args = collapses.arguments([*words, "--points-per-cell", str(run.per_cell)])
     points, problem = collapses.problem_of(args, "explicit", run.basis, True, "large")
 
@@ -175,8 +175,8 @@ def collapse(run: Run) -> None:
 def vortex(run: Run) -> None:
     """A ring turns within itself, by the implicit consistent mass or explicitly; positions."""
     words = ["--points-per-cell", str(run.per_cell), "--cells", str(int(run.level))]
-    explicit = run.remedy == "explicit"
-    args = vortices.arguments(words + ([] if explicit else ["--remedy", run.remedy]))
+    explicit = run.stabilisation == "explicit"
+    args = vortices.arguments(words + ([] if explicit else ["--stabilisation", run.stabilisation]))
     kind = "explicit" if explicit else "implicit"
     figures, _ = vortices.ring(args, kind, run.basis, int(run.level))
     run.error, run.stages = figures["displacement"], figures["stages"]
@@ -193,7 +193,7 @@ class Scene:
         act: The function.
         error: What its error is of.
         levels: Refinements, coarse to fine.
-        bases, per_cell, remedies: What is varied.
+        bases, per_cell, stabilisations: What is varied.
         quick: Refinements of a quick run.
     """
 
@@ -202,7 +202,7 @@ class Scene:
     levels: Sequence[float]
     bases: Sequence[str]
     per_cell: Sequence[int]
-    remedies: Sequence[str]
+    stabilisations: Sequence[str]
     quick: Sequence[float]
 
 
@@ -248,9 +248,11 @@ def runs_of(
                 for per_cell in scene.per_cell[: 1 if quick else densities]:
                     # three functions of a cubic spline's cell need three points
                     at_least = max(per_cell, 3) if basis == "bspline3" else per_cell
-                    for remedy in scene.remedies:
-                        found.append(Run(name, basis, level, at_least, remedy))
-    return list({(r.scene, r.basis, r.level, r.per_cell, r.remedy): r for r in found}.values())
+                    for stabilisation in scene.stabilisations:
+                        found.append(Run(name, basis, level, at_least, stabilisation))
+    return list(
+        {(r.scene, r.basis, r.level, r.per_cell, r.stabilisation): r for r in found}.values()
+    )
 
 
 def measure(runs: Sequence[Run], repeat: int) -> None:
@@ -258,9 +260,9 @@ def measure(runs: Sequence[Run], repeat: int) -> None:
     # what compiles, or loads what is compiled, is not counted
     first: dict[tuple, Run] = {}
     for run in runs:
-        first.setdefault((run.scene, run.basis, run.remedy, run.per_cell), run)
+        first.setdefault((run.scene, run.basis, run.stabilisation, run.per_cell), run)
     for run in first.values():
-        SCENES[run.scene].act(Run(run.scene, run.basis, run.level, run.per_cell, run.remedy))
+        SCENES[run.scene].act(Run(run.scene, run.basis, run.level, run.per_cell, run.stabilisation))
     for turn in range(repeat):
         for run in runs:
             if turn and run.error is None:
@@ -275,7 +277,7 @@ def measure(runs: Sequence[Run], repeat: int) -> None:
 
 def describe(run: Run) -> str:
     """A line on a run."""
-    name = f"{run.scene:10s} {run.basis:8s} {run.level:g}, {run.per_cell}², {run.remedy:11s}"
+    name = f"{run.scene:10s} {run.basis:8s} {run.level:g}, {run.per_cell}², {run.stabilisation:11s}"
     seconds = float(np.median(run.seconds_all))
     if run.error is None:
         return f"{name} stopped after {seconds:.2f} s: {run.reason[:90]}"

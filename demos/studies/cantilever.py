@@ -121,13 +121,13 @@ class Beam:
 
     Args:
         args: The command line, or a variation of it.
-        remedy: One of the remedies besides the penalty that `args.ghost` writes into the form.
+        stabilisation: One of the stabilisations besides the penalty that `args.ghost` writes into the form.
 
     Attributes:
         full: PL²/EI at the end.
     """
 
-    def __init__(self, args, remedy="none"):
+    def __init__(self, args, stabilisation="none"):
         h, self.length, depth = args.h, args.length, args.depth
         self.full = abs(args.load) * self.length**2 / (args.modulus * depth**3 / 12)
         self.args = args
@@ -170,7 +170,7 @@ class Beam:
             return (np.abs(x[0]) < 0.6 * h) & (np.abs(x[1]) < slack)
 
         bcs = mpm.rollers(V, "left") + mpm.prescribed(V, support, 1)
-        self.problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=remedy)
+        self.problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=stabilisation)
 
     def step(self, share):
         """Bring the load to a share of the whole; returns u/L and v/L of the tip. Collective.

@@ -186,7 +186,7 @@ say(f"energy that is missing: {figures['energy_gap']:.2%} of the work of gravity
 # gravity has put in is missing. The sudden start sends waves through the beam, of which a ghost
 # penalty of the mass takes out 1.4 % (`--ghost-mass 0.25`, as published). A lumped mass
 # (`--mass lumped`) loses 9 % on the way of the velocities to the grid and back; without any
-# remedy the beam is softer, and turns 1.2 % lower and 3 % later.
+# stabilisation the beam is softer, and turns 1.2 % lower and 3 % later.
 
 # %% [markdown]
 # ## Picture

@@ -197,8 +197,10 @@ def problem_of(args, integrator, basis, fbar, strain):
     bcs = mpm.fixed(V, lambda x: x[1] < 1e-6 * h)
     bcs += mpm.prescribed(V, lambda x: x[0] < 1e-6 * h, 0)
     kind = args.stabilisation
-    remedy = mpm.Stabilisation(kind, E=args.modulus, nu=args.poisson) if kind != "none" else "none"
-    options = {"stabilisation": remedy}
+    stabilisation = (
+        mpm.Stabilisation(kind, E=args.modulus, nu=args.poisson) if kind != "none" else "none"
+    )
+    options = {"stabilisation": stabilisation}
     if args.mapping is not None:
         options["mapping"] = args.mapping
     if integrator == "explicit":

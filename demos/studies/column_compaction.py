@@ -160,20 +160,20 @@ u, v = V.increment, V.test
 # %% [markdown]
 # ## The weak form
 # Internal forces minus weight, both summed over the material points, and if asked for
-# a remedy against small cuts: the ghost penalty, say, acts on the step's increment across
+# a stabilisation against small cuts: the ghost penalty, say, acts on the step's increment across
 # the facets of cells at the body's boundary.
 
 # %%
 soil = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
 gravity = fem.Constant(grid, (0.0,) * d)
 F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
-remedy = stabilisation(
+stabilisation = stabilisation(
     args.stabilisation, E=args.modulus, gamma=args.gamma, scaling=args.ghost or "scaled"
 )
 
 sides = ("left", "right") if d == 2 else ("left", "right", "front", "back")
 bcs = mpm.rollers(V, *sides) + mpm.fixed(V, "bottom")
-problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=remedy)
+problem = mpm.QuasiStatic(F, u, points, bcs=bcs, stabilisation=stabilisation)
 
 # %% [markdown]
 # ## Forty steps

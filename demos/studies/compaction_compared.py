@@ -1,10 +1,10 @@
 # %% [markdown]
-# # The compacting column under every basis and every remedy
+# # The compacting column under every basis and every stabilisation
 #
-# The column of `column_compaction.py`, solved with each basis and each remedy against
+# The column of `column_compaction.py`, solved with each basis and each stabilisation against
 # small cuts at several resolutions: error of the stress, Newton iterations and time. A
 # run that does not finish is recorded as such. Soft stiffness is in the tangent only: its
-# errors are those of no remedy at all. Cubic splines get 3² points a cell: across
+# errors are those of no stabilisation at all. Cubic splines get 3² points a cell: across
 # the column, one cell wide, 2² points leave some of their functions without stiffness.
 
 # %%
@@ -23,11 +23,11 @@ from dolfinmpm import study
 from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
-REMEDIES = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
+STABILISATIONS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
 
 # %%
-def column(elements, basis, remedy, per_cell, steps):
+def column(elements, basis, stabilisation, per_cell, steps):
     """Solve; returns the figures of the run."""
     E, rho, g, height = 10e3, 80.0, 10.0, 50.0
     h = height / elements
@@ -40,7 +40,9 @@ def column(elements, basis, remedy, per_cell, steps):
     F = mpm.momentum(mpm.materials.Hencky(E=E, nu=0.0), points, V.increment, V.test)
     F -= ufl.inner(points.density * gravity, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy, max_halvings=4)
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, bcs, stabilisation=stabilisation, max_halvings=4
+    )
     started = time.perf_counter()
     finished = True
     try:
@@ -54,7 +56,7 @@ def column(elements, basis, remedy, per_cell, steps):
     total = grid.comm.allreduce(np.array([deviation, V0.sum()]))
     return {
         "basis": basis,
-        "remedy": remedy,
+        "stabilisation": stabilisation,
         "elements": elements,
         "h": h,
         "completed": finished,
@@ -66,10 +68,10 @@ def column(elements, basis, remedy, per_cell, steps):
 
 
 # %%
-options = parser("The compacting column under every basis and every remedy.")
+options = parser("The compacting column under every basis and every stabilisation.")
 options.add_argument("--elements", default="4,8,16,32", help="cells over the height, by commas")
 options.add_argument("--bases", default=",".join(BASES))
-options.add_argument("--remedies", default=",".join(REMEDIES))
+options.add_argument("--stabilisations", default=",".join(STABILISATIONS))
 options.add_argument("--points-per-cell", type=int, help="2, and 3 for cubic splines")
 options.add_argument("--steps", type=int, default=40)
 args = options.parse_args()
@@ -78,14 +80,14 @@ sizes = [int(n) for n in args.elements.split(",")]
 runs = []
 for basis in args.bases.split(","):
     per_cell = args.points_per_cell or (3 if basis == "bspline3" else 2)
-    for remedy in args.remedies.split(","):
-        column(sizes[0], basis, remedy, per_cell, 1)  # compiles
-        mine = [column(n, basis, remedy, per_cell, args.steps) for n in sizes]
+    for stabilisation in args.stabilisations.split(","):
+        column(sizes[0], basis, stabilisation, per_cell, 1)  # compiles
+        mine = [column(n, basis, stabilisation, per_cell, args.steps) for n in sizes]
         runs += mine
         errors = " ".join(f"{r['error']:.2e}" if r["completed"] else " stopped" for r in mine)
         last = mine[-1]
         say(
-            f"{basis:9s} {remedy:17s} {errors}  {last['newton_iterations']:4d} iterations, "
+            f"{basis:9s} {stabilisation:17s} {errors}  {last['newton_iterations']:4d} iterations, "
             f"{last['seconds']:.2f} s at {sizes[-1]} elements"
         )
 
@@ -94,17 +96,19 @@ for basis in args.bases.split(","):
 
 # %%
 if not args.no_plot and MPI.COMM_WORLD.rank == 0:
-    names, remedies = args.bases.split(","), args.remedies.split(",")
+    names, stabilisations = args.bases.split(","), args.stabilisations.split(",")
     path = args.output / "compaction_compared.png"
     with mpm.figure(path, 6.8, 2.8, ncols=len(names), sharey=True, squeeze=False) as (whole, axes):
         for ax, basis in zip(axes[0], names):
             curves = {
-                remedy: [r for r in runs if (r["basis"], r["remedy"]) == (basis, remedy)]
-                for remedy in remedies
+                stabilisation: [
+                    r for r in runs if (r["basis"], r["stabilisation"]) == (basis, stabilisation)
+                ]
+                for stabilisation in stabilisations
             }
-            # some remedies end in the same state
+            # some stabilisations end in the same state
             study.draw_convergence(ax, curves, nested=True)
-            h = [r["h"] for r in curves[remedies[0]]]
+            h = [r["h"] for r in curves[stabilisations[0]]]
             ax.set(title=basis, xlabel="cell size h (m)", xlim=(0.75 * min(h), 1.33 * max(h)))
         axes[0][0].set_ylabel("relative error of stress")
         handles, labels = axes[0][0].get_legend_handles_labels()

@@ -53,12 +53,12 @@ def block(args, dimension, offset, angle=0.0):
         body = mpm.TurnedBox(corner, corner + length, angle)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
-    remedy = stabilisation(
+    chosen = stabilisation(
         args.stabilisation, E=E, nu=NU, gamma=args.gamma_k, threshold=args.threshold,
         scaling=args.scaling, eta=args.eta,
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=E, nu=NU), points, V.increment, V.test)
-    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=chosen)
     return study.conditioning(problem, RHO, args.gamma_m)
 
 

@@ -29,7 +29,7 @@
 # h = R/2 10.1 % and 8.3 % too much for I_r = 50 and 200. Newton's method takes 5 to 8 iterations a
 # step, 14 at most, and no step is halved. Sand 4 m deep: 2.4 and 2.5 MPa with ghost penalties in
 # cells of R/4 and R/2; aggregation comes as far with R/3, not with R/2, where ground that was
-# pushed up beside the cone turns inside out; without a remedy the first steps fail.
+# pushed up beside the cone turns inside out; without stabilisation the first steps fail.
 #
 # With `--drained`, `--undrained`, `--partly` or `--velocity` the ground is saturated Cam-Clay,
 # normally consolidated (`--ratio`) under an even stress (`cone_in_water.py`). What counts is
@@ -227,12 +227,12 @@ class Scene:
             bcs += mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0)
         else:
             bcs += mpm.rollers(V, "left", "right", "front", "back")
-        remedy = args.stabilisation
-        if remedy == "ghost":
-            remedy = mpm.Stabilisation("ghost", gamma=args.ghost)
+        stabilisation = args.stabilisation
+        if stabilisation == "ghost":
+            stabilisation = mpm.Stabilisation("ghost", gamma=args.ghost)
         kind = mpm.Transient if self.wet else mpm.QuasiStatic
         self.problem = kind(
-            F, fields, points, bcs + mpm.fixed(V, "bottom"), stabilisation=[remedy] * len(fields),
+            F, fields, points, bcs + mpm.fixed(V, "bottom"), stabilisation=[stabilisation] * len(fields),
             tolerance=args.tolerance,
         )  # fmt: skip
         if self.wet:

@@ -185,9 +185,9 @@ class Slope:
             mpm.set_stress(self.points, self.soil.law, -SUCTION * np.eye(3))
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         kind = mpm.Transient if self.coupled else mpm.QuasiStatic
-        remedies = [args.stabilisation] * len(fields)
+        stabilisations = [args.stabilisation] * len(fields)
         self.problem = kind(
-            F, fields, self.points, bcs, stabilisation=remedies, tolerance=1e-7
+            F, fields, self.points, bcs, stabilisation=stabilisations, tolerance=1e-7
         )  # fmt: skip
         if self.coupled:
             self.points["pressure"] = -SUCTION

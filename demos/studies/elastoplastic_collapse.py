@@ -36,7 +36,7 @@ def arguments():
     options.add_argument("--steps", type=int, default=40)
     bases = "linear", "gimp", "bspline2", "bspline3"
     options.add_argument("--basis", choices=bases, default="gimp")
-    options.add_argument("--stabilisation", default="ghost", help="name of a remedy")
+    options.add_argument("--stabilisation", default="ghost", help="name of a stabilisation")
     given = options.parse_args()
     if not given.h > 0 or abs(SIDE / given.h - round(SIDE / given.h)) > 1e-9:
         options.error(f"h = {given.h} m must divide {SIDE:g} m")

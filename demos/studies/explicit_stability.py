@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Explicit steps through the grid: what each remedy does to step, energy and stress
+# # Explicit steps through the grid: what each stabilisation does to step, energy and stress
 #
 # A square block flies obliquely through the grid and vibrates. Seen from the block nothing depends
 # on how fast it flies: the same block at rest, on a grid that it fits, vibrates alike, and its
@@ -12,7 +12,7 @@
 # together; lumping then keeps the step. With the consistent mass it is the inverse that is without
 # bound, wherever the body lies badly, and in any basis.
 #
-# **Remedies.** The order of the stress update ("musl" against "usl" and "usf") decides whether
+# **Stabilisations.** The order of the stress update ("musl" against "usl" and "usf") decides whether
 # energy is lost or gained; the ghost penalty on a consistent mass and aggregation of
 # the nodes keep what small cuts spoil. Cut-off and redistribution of forces act at nodes that have
 # less than a hundredth of the largest mass: their critical step is no eigenvalue, the flight tells.
@@ -24,7 +24,7 @@
 # blow the block up in a single step. "usl" loses a third of the energy in six cells of GIMP, with
 # the consistent mass too; "musl" and "usf" keep it.
 #
-# Quadratic splines need a remedy least: "musl" with the lumped mass keeps 1.2 h/c at the worst
+# Quadratic splines need a stabilisation least: "musl" with the lumped mass keeps 1.2 h/c at the worst
 # place and has a third of the spurious stress of GIMP. Aggregated or extended they keep the same.
 # Cut-off of light nodes adds a third to the energy of the elastic block, redistribution of
 # forces no more than "musl" has without it.
@@ -53,7 +53,7 @@ ACROSS = 6
 
 PLAIN = {"scheme": "usl", "mass": "consistent", "mapping": "pic", "ghost_mass": 0.0}
 GHOST = {"scheme": "usl", "mass": "consistent", "mapping": "pic"}
-# by name: the basis, options of `Explicit`, and the remedy
+# by name: the basis, options of `Explicit`, and the stabilisation
 METHODS = {
     "linear, usl": ("linear", {"scheme": "usl"}, "none"),
     "linear, musl": ("linear", {"scheme": "musl"}, "none"),
@@ -113,7 +113,7 @@ def arguments():
 # %%
 def block(args, method, law, offset, kind, travel=0.0):
     """Points and problem of a block; `kind` chooses the explicit problem or a static one."""
-    basis, options, remedy = METHODS[method]
+    basis, options, stabilisation = METHODS[method]
     n = ACROSS + 6 + int(np.ceil(travel))
     grid = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
@@ -125,10 +125,10 @@ def block(args, method, law, offset, kind, travel=0.0):
     if law == "elastoplastic":
         material = mpm.materials.VonMises(E, NU, YIELD)
     F = mpm.momentum(material, points, V.increment, V.test)
-    remedy = mpm.Stabilisation(remedy, E=E, nu=NU)
+    stabilisation = mpm.Stabilisation(stabilisation, E=E, nu=NU)
     if kind == "static":
-        return points, mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
-    return points, mpm.Explicit(F, V.increment, points, stabilisation=remedy, **options)
+        return points, mpm.QuasiStatic(F, V.increment, points, stabilisation=stabilisation)
+    return points, mpm.Explicit(F, V.increment, points, stabilisation=stabilisation, **options)
 
 
 def set_off(args, points, velocity):
@@ -140,11 +140,11 @@ def set_off(args, points, velocity):
 
 def step_of(args, method, offset):
     """Critical step of the block at an offset, by the method's own mass, in h/c."""
-    _, options, remedy = METHODS[method]
+    _, options, stabilisation = METHODS[method]
     points, problem = block(args, method, "elastic", offset, "static")
     consistent = options.get("mass") == "consistent"
     gamma = 1.0 if consistent and options.get("ghost_mass") is None else 0.0
-    if gamma and remedy == "none":
+    if gamma and stabilisation == "none":
         # the same penalty that the explicit problem puts on the mass, none on the stiffness
         extra = mpm.ghost(
             points, problem.fields[0].space.increment, problem.fields[0].space.test,

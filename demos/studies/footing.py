@@ -81,7 +81,7 @@ def arguments(words=None):
     """The command line; what is not given takes the law's value in DEFAULTS."""
     options = parser("A strip footing on a layer of clay.")
     bases = "linear", "gimp", "bspline2", "bspline3"
-    remedies = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
+    stabilisations = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
     options.add_argument("--law", choices=tuple(DEFAULTS), default="cam-clay")
     options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
     options.add_argument("--basis", choices=bases, help="by the law")
@@ -100,7 +100,7 @@ def arguments(words=None):
         "--settlement", type=float, help="last one of a rigid footing (m); 75 c B/E by default"
     )
     options.add_argument("--modulus", type=float, help="Young's modulus (Pa) of Tresca's clay")
-    options.add_argument("--stabilisation", choices=remedies, default="aggregation")
+    options.add_argument("--stabilisation", choices=stabilisations, default="aggregation")
     options.add_argument(
         "--integrator", choices=("static", "explicit"), default="static",
         help="explicit: a flexible footing loaded in time by explicit steps after the weight",

@@ -217,11 +217,11 @@ def deflection(depth, g, cut, **options):
     u, v = V.increment, V.test
     E = 1.0
     law = mpm.materials.Hencky(E=E, nu=0.2)
-    remedy = mpm.Stabilisation("ghost", gamma=90 * g, E=E) if g is not None else None
-    remedy = remedy or mpm.Stabilisation("ghost", **options)
+    stabilisation = mpm.Stabilisation("ghost", gamma=90 * g, E=E) if g is not None else None
+    stabilisation = stabilisation or mpm.Stabilisation("ghost", **options)
     F = mpm.momentum(law, points, u, v, strain="small")
     F -= ufl.inner(ufl.as_vector((0.0, -1e-7)), v) * points.dX
-    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "left"), stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "left"), stabilisation=stabilisation)
     problem.step()
     moved = points["x"] - points["x0"]
     end = points["x0"][:, 0] > 10 - h

@@ -126,7 +126,7 @@ class Elastic:
             surface=faces,
         )  # fmt: skip
         F += term
-        remedy = "ghost" if args.integrator != "explicit" else "none"
+        stabilisation = "ghost" if args.integrator != "explicit" else "none"
         if block and args.friction > 0:
             # friction holds it as far as it goes
             held = min(self.along, 0.95 * args.friction * self.down)
@@ -135,7 +135,7 @@ class Elastic:
                 self.gravity.value[:] = part * held, -part * self.down
                 static.step()
         self.gravity.value[:] = self.along, -self.down
-        options = {} if args.integrator == "explicit" else {"stabilisation": remedy}
+        options = {} if args.integrator == "explicit" else {"stabilisation": stabilisation}
         self.problem = INTEGRATORS[args.integrator](F, u, points, (), **options)
         (self.contact,) = self.problem.form.parts.contacts
         self.taken = self.contact.dissipated

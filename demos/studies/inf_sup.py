@@ -47,7 +47,7 @@ PAIRS = {
     "linear-linear-projected": ("linear", "linear", 1, 1.0),
 }
 # of displacement and pressure
-REMEDIES = {
+STABILISATIONS = {
     "none": ("none", "none"),
     "ghost": ("ghost", "ghost"),
     "ghost on u": ("ghost", "none"),
@@ -65,7 +65,9 @@ def arguments():
     add = options.add_argument
     words = lambda text: text.split(",")  # noqa: E731
     add("--pairs", type=words, default=list(PAIRS), help=", ".join(PAIRS))
-    add("--remedies", type=words, default=list(REMEDIES), help=", ".join(REMEDIES))
+    add(
+        "--stabilisations", type=words, default=list(STABILISATIONS), help=", ".join(STABILISATIONS)
+    )
     add("--cells", type=int, default=4, help="of the pressure a direction, in cut bodies")
     add("--uncut", type=numbers(int), default=[4, 8, 12], help="of the pressure, in whole bodies")
     add("--places", type=int, default=24, help="of cut bodies")
@@ -107,10 +109,10 @@ def points_in(grid, ends, h, cells, gimp):
     return mpm.MaterialPoints.from_arrays(grid, x, np.prod(w, axis=1), 1.0, half_length=half)
 
 
-def matrices(pair, remedy, cells, ends, around):
+def matrices(pair, kind, cells, ends, around):
     """K of both fields, M of the pressure, and the number of the displacement's unknowns."""
     basis_u, basis_p, parts, factor = PAIRS[pair]
-    of_u, of_p = REMEDIES[remedy]
+    of_u, of_p = STABILISATIONS[kind]
     # cells beyond the body, without which none is at its boundary
     beyond = 0 if around else 1
     n, h = (cells + beyond) * parts, 1.0 / parts
@@ -132,8 +134,10 @@ def matrices(pair, remedy, cells, ends, around):
         F -= projected(points, factor, ufl.grad(p), p, q, one, none, 1.0) * points.dX
     sides = ("left", "right", "bottom", "top") if around else ("left", "bottom")
     tied = of_p if of_p == "aggregation" else "none"
-    u_remedy = stabilisation(of_u, E=1.0, nu=0.0, gamma=args.gamma_u)
-    K = mpm.QuasiStatic(F, [u, p], points, mpm.fixed(V, *sides), stabilisation=[u_remedy, tied])
+    u_stabilisation = stabilisation(of_u, E=1.0, nu=0.0, gamma=args.gamma_u)
+    K = mpm.QuasiStatic(
+        F, [u, p], points, mpm.fixed(V, *sides), stabilisation=[u_stabilisation, tied]
+    )
     M = mpm.QuasiStatic(mass, p, points, stabilisation=tied)
     whole, of_pressure = dense(K.stiffness()), dense(M.stiffness())
     return whole, of_pressure, len(whole) - len(of_pressure)
@@ -147,9 +151,9 @@ def dense(matrix):
     return 0.5 * (entries + entries.T)
 
 
-def constants(pair, remedy, cells, ends, around=False):
+def constants(pair, stabilisation, cells, ends, around=False):
     """Inf-sup constant and condition numbers of a body."""
-    K, M, n = matrices(pair, remedy, cells, ends, around)
+    K, M, n = matrices(pair, stabilisation, cells, ends, around)
     A, B, C = K[:n, :n], K[n:, :n], -K[n:, n:]
     # of rows without support nothing can be told
     used = np.diag(M) > 0
@@ -209,27 +213,33 @@ places = shares(args.places)
 rows = []
 if args.places:
     head = "β whole", "least", "largest", "κ(M)", "κ(K) whole", "largest"
-    say("\n{:26} {:14} {:>7} {:>7} {:>8} {:>9} {:>11} {:>8}".format("cut bodies", "remedy", *head))
-for pair, remedy in itertools.product(args.pairs if args.places else (), args.remedies):
+    say(
+        "\n{:26} {:14} {:>7} {:>7} {:>8} {:>9} {:>11} {:>8}".format(
+            "cut bodies", "stabilisation", *head
+        )
+    )
+for pair, stabilisation in itertools.product(
+    args.pairs if args.places else (), args.stabilisations
+):
     n = args.cells
     mine = [
-        constants(pair, remedy, n, [n - 1 + c for c in place])
+        constants(pair, stabilisation, n, [n - 1 + c for c in place])
         for place in places[comm.rank :: comm.size]
     ]
     every = comm.allgather(mine)
     cut = [every[k % comm.size][k // comm.size] for k in range(len(places))]
     # the body that fills its cells
-    uncut = constants(pair, remedy, n, (n, n))
+    uncut = constants(pair, stabilisation, n, (n, n))
     beta = [one["beta"] for one in cut]
     rows.append({
-        "pair": pair, "remedy": remedy, "beta_uncut": uncut["beta"], "beta_least": min(beta),
+        "pair": pair, "stabilisation": stabilisation, "beta_uncut": uncut["beta"], "beta_least": min(beta),
         "beta_largest": max(beta), "kappa_M": max(one["kappa_M"] for one in cut),
         "kappa_K_uncut": uncut["kappa_K"], "kappa_K": max(one["kappa_K"] for one in cut),
         "betas": beta, "kappas": [one["kappa_K"] for one in cut],
     })  # fmt: skip
     row = rows[-1]
     say(
-        f"{pair:26} {remedy:14} {row['beta_uncut']:7.3f} {row['beta_least']:7.3f} "
+        f"{pair:26} {stabilisation:14} {row['beta_uncut']:7.3f} {row['beta_least']:7.3f} "
         f"{row['beta_largest']:8.3f} {row['kappa_M']:9.2g} {row['kappa_K_uncut']:11.2g} "
         f"{row['kappa_K']:8.2g}"
     )
@@ -260,7 +270,7 @@ if not args.no_plot and rows and comm.rank == 0:
         own = [row for row in rows if row["pair"] == args.pairs[0]]
         for axes, name in ((middle, "betas"), (right, "kappas")):
             for mark, row in zip(itertools.cycle(marks), own):
-                axes.plot(least, row[name], mark, ms=3, mfc="none", label=row["remedy"])
+                axes.plot(least, row[name], mark, ms=3, mfc="none", label=row["stabilisation"])
             axes.set(xscale="log", xlabel="smaller filled share")
         most = max(max(row["betas"]) for row in own)
         middle.set(ylabel=f"β of cut bodies, {args.pairs[0]}", ylim=(0, 1.15 * most))

@@ -160,8 +160,8 @@ def block(basis, cells, cut=None):
     force = ufl.as_vector(Solution(nu, points.x0, t, ufl).force())
     form -= ufl.inner(force, V.test) * points.dX
     bcs = mpm.rollers(V, *(("left", "right", "bottom", "top") if full else ("left", "bottom")))
-    remedy = mpm.Stabilisation(args.stabilisation, E=E, nu=nu)
-    problem = mpm.QuasiStatic(form, V.increment, points, bcs, stabilisation=remedy)
+    stabilisation = mpm.Stabilisation(args.stabilisation, E=E, nu=nu)
+    problem = mpm.QuasiStatic(form, V.increment, points, bcs, stabilisation=stabilisation)
     number = args.steps or max(5, int(np.ceil(abs(args.amplitude) / (0.2 * h))))
     figures = {
         "h": h,

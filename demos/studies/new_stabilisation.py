@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Your own stabilisation against the library's
 #
-# A remedy against small cuts adds a term to the weak form: an integral over the facets
+# A stabilisation against small cuts adds a term to the weak form: an integral over the facets
 # beside cut cells, `points.dS`, or over the whole of all active cells, `points.dC`, both
 # of which follow the body. A new one is a function of three or four lines of UFL. This
-# script states some, puts them to the tests that the built-in remedies are put to, and
+# script states some, puts them to the tests that the built-in stabilisations are put to, and
 # prints one table: condition numbers and the critical time step, at worst over many places
 # of a block on the grid, and the error of a large deformation with a known solution. To
 # try another penalty, add it to `OWN`.
@@ -75,11 +75,11 @@ OWN = {
 # %%
 def arguments():
     """The command line."""
-    options = parser("New penalties in UFL against the built-in remedies.")
+    options = parser("New penalties in UFL against the built-in stabilisations.")
     options.add_argument(
         "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
     )
-    options.add_argument("--remedies", default=",".join((*BUILT_IN, *OWN)), help="by commas")
+    options.add_argument("--stabilisations", default=",".join((*BUILT_IN, *OWN)), help="by commas")
     options.add_argument("--offsets", type=int, default=20, help="number of places")
     options.add_argument("--gamma", type=float, default=1.0, help="factor of the new jumps")
     options.add_argument("--eta", type=float, default=1e-3, help="share in whole cells")
@@ -88,22 +88,24 @@ def arguments():
     )
     options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
     given = options.parse_args()
-    for remedy in given.remedies.split(","):
-        if remedy not in BUILT_IN and remedy not in OWN:
-            options.error(f"remedy {remedy!r} must be one of {', '.join((*BUILT_IN, *OWN))}")
+    for stabilisation in given.stabilisations.split(","):
+        if stabilisation not in BUILT_IN and stabilisation not in OWN:
+            options.error(
+                f"stabilisation {stabilisation!r} must be one of {', '.join((*BUILT_IN, *OWN))}"
+            )
     return given
 
 
 args = arguments()
-remedies = args.remedies.split(",")
+stabilisations = args.stabilisations.split(",")
 
 
-def stabilised(form, remedy, points, u, v):
+def stabilised(form, stabilisation, points, u, v):
     """The form with a new penalty, if it is one, and what the solver adds by itself."""
-    if remedy in OWN:
+    if stabilisation in OWN:
         h = mpm.cell_size(points.grid)
-        return form + OWN[remedy](points, u, v, h, E), mpm.Stabilisation("none")
-    return form, mpm.Stabilisation(remedy, E=E, nu=NU)
+        return form + OWN[stabilisation](points, u, v, h, E), mpm.Stabilisation("none")
+    return form, mpm.Stabilisation(stabilisation, E=E, nu=NU)
 
 
 # %% [markdown]
@@ -112,7 +114,7 @@ def stabilised(form, remedy, points, u, v):
 
 
 # %%
-def conditioning(remedy, offset, angle):
+def conditioning(stabilisation, offset, angle):
     """Condition numbers and critical step of the block at an offset (cells) and an angle."""
     n = 10
     grid = mesh.create_rectangle(
@@ -123,11 +125,13 @@ def conditioning(remedy, offset, angle):
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     form = mpm.momentum(mpm.materials.Hencky(E=E, nu=NU), points, u, v)
-    form, built_in = stabilised(form, remedy, points, u, v)
+    form, built_in = stabilised(form, stabilisation, points, u, v)
     problem = mpm.QuasiStatic(form, u, points, stabilisation=built_in)
     h = mpm.cell_size(grid)
     # 90/12: the mass gets as much of the jumps as from the library's ghost penalty
-    own_mass = OWN[remedy](points, u, v, h, 7.5 * RHO * h**2) if remedy in OWN else None
+    own_mass = (
+        OWN[stabilisation](points, u, v, h, 7.5 * RHO * h**2) if stabilisation in OWN else None
+    )
     return study.conditioning(problem, RHO, extra=own_mass)
 
 
@@ -139,7 +143,7 @@ def conditioning(remedy, offset, angle):
 
 
 # %%
-def error(remedy, cells):
+def error(stabilisation, cells):
     """Relative error of the displacement, and what it took."""
     h = 0.5 / (cells // 2 + 1e-3)
     across = int(np.ceil((0.5 + 1.5 * AMPLITUDE) / h)) + 1
@@ -160,7 +164,7 @@ def error(remedy, cells):
     ])  # fmt: skip
     form = mpm.momentum(mpm.materials.Hencky(E=E, nu=NU), points, u, v)
     form -= ufl.inner(force, v) * points.dX
-    form, built_in = stabilised(form, remedy, points, u, v)
+    form, built_in = stabilised(form, stabilisation, points, u, v)
     bcs = mpm.rollers(V, "left", "bottom")
     problem = mpm.QuasiStatic(form, u, points, bcs, stabilisation=built_in)
     finished = True
@@ -169,7 +173,7 @@ def error(remedy, cells):
             t.value = share
             problem.step()
     except DolfinMPMError as stopped:
-        say(f"{remedy} with {cells} cells stopped: {stopped}")
+        say(f"{stabilisation} with {cells} cells stopped: {stopped}")
         finished = False
     x0, V0 = points["x0"], points["V0"]
     exact = AMPLITUDE * np.sin(np.pi * x0)
@@ -191,17 +195,22 @@ places[: min(3, args.offsets)] = [(1e-6, 0.0), (1e-3, 0.0), (0.02, 0.0)][: args.
 sizes = [1 / int(n) for n in args.cells.split(",")]
 table, swept, curves = [], {}, {}
 say(f"{args.basis:17s}    κ(K)     κ(M)  Δt c/h   error of displacement (order)")
-for remedy in remedies:
-    swept[remedy] = study.sweep(
-        lambda place, remedy=remedy: conditioning(remedy, *place), places, remedy
+for stabilisation in stabilisations:
+    swept[stabilisation] = study.sweep(
+        lambda place, stabilisation=stabilisation: conditioning(stabilisation, *place),
+        places,
+        stabilisation,
     )
-    curves[remedy] = study.convergence(
-        lambda h, remedy=remedy: error(remedy, round(1 / h)), sizes, remedy, errors=["error"]
+    curves[stabilisation] = study.convergence(
+        lambda h, stabilisation=stabilisation: error(stabilisation, round(1 / h)),
+        sizes,
+        stabilisation,
+        errors=["error"],
     )
-    worst = study.worst(swept[remedy])
-    rows = curves[remedy]
+    worst = study.worst(swept[stabilisation])
+    rows = curves[stabilisation]
     table.append({
-        "remedy": remedy, "own": remedy in OWN, **worst,
+        "stabilisation": stabilisation, "own": stabilisation in OWN, **worst,
         "errors": [row["error"] for row in rows],
         "orders": [row["error_order"] for row in rows[1:]],
         "newton_iterations": [row["newton_iterations"] for row in rows],
@@ -212,17 +221,17 @@ for remedy in remedies:
         for row in rows
     )  # fmt: skip
     say(
-        f"{remedy:17s} {worst['kappa_K']:8.3g} {worst['kappa_M']:8.3g} "
+        f"{stabilisation:17s} {worst['kappa_K']:8.3g} {worst['kappa_M']:8.3g} "
         f"{worst['dt_consistent']:7.3g}  ", *errors,
     )  # fmt: skip
 
 # %% [markdown]
 # ## What comes out
 # With GIMP and nothing else half of the matrices are singular in floating-point numbers, and
-# every remedy bounds them. The jumps of all derivatives give half the condition number of
+# every stabilisation bounds them. The jumps of all derivatives give half the condition number of
 # the ghost penalty, from the same facets. The jumps of traction see only half of a jump of
 # shear and give four times that of the ghost penalty. The errors of these three are the same
-# to two digits, and smaller than without a remedy. The gradient in cells is the simplest and
+# to two digits, and smaller than without stabilisation. The gradient in cells is the simplest and
 # bounds both matrices too, at the price of almost twice their error on the finest grid.
 # Aggregation has by far the smallest condition numbers, and one and a half to two times the
 # error of the ghost penalty. Under splines tractions do not jump: with `--basis bspline2` a
@@ -238,8 +247,8 @@ if not args.no_plot:
     study.write_table(table, args.output / f"{name}.csv")
     if MPI.COMM_WORLD.rank == 0:
         with mpm.figure(args.output / f"{name}.png", 6.6, 3.0, ncols=2) as (whole, (left, right)):
-            for k, remedy in enumerate(remedies):
-                kappa = np.array([row["kappa_K"] for row in swept[remedy]])
+            for k, stabilisation in enumerate(stabilisations):
+                kappa = np.array([row["kappa_K"] for row in swept[stabilisation]])
                 found = kappa[np.isfinite(kappa)]
                 left.semilogx(found, np.full(found.size, k), "|", markersize=9)
                 if found.size < kappa.size:
@@ -248,13 +257,15 @@ if not args.no_plot:
                         xycoords=("axes fraction", "data"), xytext=(-4, 9), va="center",
                         ha="right", textcoords="offset points", fontsize=7,
                     )  # fmt: skip
-            left.set_yticks(range(len(remedies)), labels=remedies)
+            left.set_yticks(range(len(stabilisations)), labels=stabilisations)
             left.set(xlabel="condition number κ(K), a stroke for each place")
-            left.set_ylim(len(remedies) - 0.5, -0.7)
+            left.set_ylim(len(stabilisations) - 0.5, -0.7)
             study.draw_convergence(right, curves, nested=True)
             right.set(xlabel="cell size h (m)", ylabel="relative error of displacement")
             whole.legend(
-                *right.get_legend_handles_labels(), loc="outside upper center", ncols=len(remedies)
+                *right.get_legend_handles_labels(),
+                loc="outside upper center",
+                ncols=len(stabilisations),
             )
 
 finish(args, {"table": table, "places": len(places), "ranks": MPI.COMM_WORLD.size})

@@ -13,7 +13,7 @@
 #
 # $$\int_\Gamma |\sigma(v)\,n|^2\,\mathrm da \le k\,a(v, v).$$
 #
-# A cell of which the ring fills next to nothing has only the energy that a remedy gives it: with
+# A cell of which the ring fills next to nothing has only the energy that a stabilisation gives it: with
 # the ghost penalty of $\gamma = M/30$ the constant is up to a hundred times $M/h$, in whole cells
 # a few times. The solver finds it cell by cell. `--beta` takes one number of $M/h$ for all
 # instead: what is too small for the worst cell makes the tangent indefinite, what is large
@@ -210,7 +210,7 @@ finish(
 
 # %% [markdown]
 # ## What to expect
-# With linear functions and either remedy the error falls by four when cells are halved, and the
+# With linear functions and either stabilisation the error falls by four when cells are halved, and the
 # penalty goes from 6 to some 30 times $M/h$. With a penalty alone of $10^3 M/h$ it is four to six
 # times as large, and ten times where cells are large: what the penalty holds too well cannot
 # follow the circle. κ stays below 3·10⁴ with the ghost penalty and 10³ with aggregation. With

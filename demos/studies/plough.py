@@ -68,7 +68,7 @@ def arguments(words=None):
     add("--points-per-cell", type=int, default=2)
     add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
-    add("--ghost", type=float, help="factor of the remedy's penalty; see above")
+    add("--ghost", type=float, help="factor of the stabilisation's penalty; see above")
     add("--penalty", type=float, help="κ/E (1/m); 1.25 a cell by default")
     add("--domains", choices=("stretch", "volume"), default="volume")
     add("--corners", choices=("domains", "material"), default="domains")
@@ -230,9 +230,9 @@ class Scene:
             "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},
             "iterative": {"ksp_type": "gmres", "pc_type": "gamg"},
         }[args.solver]  # fmt: skip
-        remedy = mpm.Stabilisation(args.stabilisation, gamma=args.ghost)
+        stabilisation = mpm.Stabilisation(args.stabilisation, gamma=args.ghost)
         problem = mpm.QuasiStatic(
-            F, u, points, bcs, stabilisation=remedy, tolerance=args.tolerance,
+            F, u, points, bcs, stabilisation=stabilisation, tolerance=args.tolerance,
             petsc_options=options,
         )  # fmt: skip
         return problem, plough
@@ -242,7 +242,7 @@ class Scene:
         way = float(self.plough.position[0] - self.first) / self.h
         if math.floor(way + 1e-6) > self.laid:
             self.laid = math.floor(way + 1e-6)
-            mpm.regrade(self.problem, self.lines())
+            mpm.regrid(self.problem, self.lines())
         started = time.perf_counter()
         record = self.problem.step()
         top = (self.points["x"] + self.points["l"])[:, 2].max(initial=0.0)

@@ -78,7 +78,7 @@ class Block:
             self.after()
 
 
-def block(cells, dimension=2, law=None, fbar=False, remedy="none", tags=False) -> Block:
+def block(cells, dimension=2, law=None, fbar=False, stabilisation="none", tags=False) -> Block:
     """A block with a feature, or with none."""
     if dimension == 3:
         cells = max(2, round(cells ** (2 / 3)))
@@ -102,7 +102,7 @@ def block(cells, dimension=2, law=None, fbar=False, remedy="none", tags=False) -
     gravity = fem.Constant(grid, (0.0,) * dimension)
     F -= ufl.inner(points.density * gravity, v) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    return Block(mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy), gravity)
+    return Block(mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation), gravity)
 
 
 # %% [markdown]
@@ -131,7 +131,7 @@ class Feature:
 
 
 def without_ties():
-    """No field is asked whether a remedy ties its nodes."""
+    """No field is asked whether a stabilisation ties its nodes."""
     return mock.patch.object(activation.Field, "ties_nodes", False)
 
 
@@ -214,10 +214,10 @@ def yielding() -> Any:
 
 
 FEATURES = (
-    Feature("ghost penalty", lambda n: block(n, remedy="ghost"),
-            own=("remedies.py", "penalties.py", "active.py:select", "facettensors.py",
+    Feature("ghost penalty", lambda n: block(n, stabilisation="ghost"),
+            own=("stabilisations.py", "penalties.py", "active.py:select", "facettensors.py",
                  "splinefacets.py")),
-    Feature("aggregation", lambda n: block(n, remedy="aggregation"), without_ties,
+    Feature("aggregation", lambda n: block(n, stabilisation="aggregation"), without_ties,
             ("aggregation.py", "fractions.py", "prolongation.py")),
     Feature("F-bar", lambda n: block(n, fbar=True), without_means, ("fbar.py", "cellmeans.py")),
     Feature("yielding", lambda n: block(n, law=yielding()),

@@ -3,7 +3,7 @@
 #
 # Coombs (2023, doi 10.1002/nme.7332) brings a slope of soft clay with a weak zone to failure with
 # GIMP, on three grids and with three densities of points, and counts the runs that finish. Without
-# a remedy against small cuts several do not; with ghost stabilisation all do. Material, number of
+# a stabilisation against small cuts several do not; with ghost stabilisation all do. Material, number of
 # steps and the table are published, the shape of the slope only as a picture. The one here is
 #
 # - ground 24 m wide and 2 m thick, on a rough base between smooth walls;
@@ -39,7 +39,7 @@ E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
 DENSITY, GRAVITY = 2400.0, 10.0
 WIDTH, BASE, TOP, TOE, GRID_TOP = 24.0, 2.0, 8.0, 12.0, 9.0
 ZONE = (4.0, 12.0), (2.0, 3.0)
-REMEDIES = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
+STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
 
 
 def arguments():
@@ -51,7 +51,8 @@ def arguments():
     options.add_argument("--h", help="size of the cells (m), divides 1; with --table 1,0.5,0.25")
     options.add_argument("--points-per-cell", help="in each direction; with --table 2,3,4")
     options.add_argument(
-        "--stabilisation", help=f"of {', '.join(REMEDIES)}; with --table none,ghost,aggregation"
+        "--stabilisation",
+        help=f"of {', '.join(STABILISATIONS)}; with --table none,ghost,aggregation",
     )
     options.add_argument("--ghost", choices=("on", "off"), help="ghost stabilisation or none")
     bases = "linear", "gimp", "bspline2", "bspline3"
@@ -78,8 +79,8 @@ def arguments():
         if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
             options.error(f"h = {h:g} m must divide 1 m")
     for name in given.stabilisation:
-        if name not in REMEDIES:
-            options.error(f"stabilisation = {name} must be one of {', '.join(REMEDIES)}")
+        if name not in STABILISATIONS:
+            options.error(f"stabilisation = {name} must be one of {', '.join(STABILISATIONS)}")
     if min(given.points_per_cell) < 1 or (given.steps is not None and given.steps < 1):
         options.error("points-per-cell and steps must be at least 1")
     return given
@@ -92,7 +93,7 @@ def arguments():
 # the share of gravity that was reached. The line search matters: for $h = 0.25$ m full steps go to
 # and fro between two states when the toe overhangs the ground, however small the load, with ghost
 # stabilisation too. With it all runs with ghost stabilisation or aggregation come to the end;
-# without a remedy most do not, and rounding decides which.
+# without stabilisation most do not, and rounding decides which.
 
 
 # %%
@@ -116,7 +117,7 @@ def law_of(name):
     return mpm.materials.VonMises(E, NU, lambda x: np.where(in_zone(x), WEAK, YIELD))
 
 
-def run(h, per_cell, remedy, args):
+def run(h, per_cell, stabilisation, args):
     """Bring the slope to failure; returns the figures of the run and its points. Collective."""
     started = time.perf_counter()
     grid = mesh.create_rectangle(
@@ -131,10 +132,10 @@ def run(h, per_cell, remedy, args):
     F = mpm.momentum(law_of(args.law), points, u, v)
     F -= ufl.inner(points.density * gravity, v) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     steps = args.steps or round(40 / h)
     reason = ""
-    for load in mpm.steps(steps, label=f"h = {h:g} m, {per_cell}², {remedy}"):
+    for load in mpm.steps(steps, label=f"h = {h:g} m, {per_cell}², {stabilisation}"):
         gravity.value[1] = -GRAVITY * load
         try:
             problem.step()
@@ -151,8 +152,8 @@ def run(h, per_cell, remedy, args):
     return {
         "h": h,
         "points_per_cell": per_cell,
-        "stabilisation": remedy,
-        "ghost": "on" if remedy == "ghost" else "off",
+        "stabilisation": stabilisation,
+        "ghost": "on" if stabilisation == "ghost" else "off",
         "completed": not reason,
         "steps": steps,
         "steps_done": len(history),
@@ -186,7 +187,7 @@ def describe(result):
 # %% [markdown]
 # ## Pictures
 # The deformed body with its plastic strain over its first outline; for a table, the outcomes, and
-# below them the states in which runs with a remedy came to their end.
+# below them the states in which runs with a stabilisation came to their end.
 
 
 # %%
@@ -216,7 +217,7 @@ def picture(path, rows, label):
 
 def table_picture(path, results, states, args):
     """Draw the outcomes of all runs, and one state for every size of cells."""
-    remedies, shown = args.stabilisation, sorted(states, reverse=True)
+    stabilisations, shown = args.stabilisation, sorted(states, reverse=True)
     # as high as the states are at the width that they have
     lower = 0.75 + 6.2 / len(shown) * GRID_TOP / WIDTH if shown else 0.0
     height = 0.95 + 0.3 * len(args.h) + lower
@@ -225,9 +226,11 @@ def table_picture(path, results, states, args):
         parts = [figure]
         if shown:
             parts = figure.subfigures(2, 1, height_ratios=(height - lower, lower))
-        for axes, remedy in zip(np.atleast_1d(parts[0].subplots(1, len(remedies))), remedies):
-            of_remedy = [r for r in results if r["stabilisation"] == remedy]
-            outcome = {(r["h"], r["points_per_cell"]): r for r in of_remedy}
+        for axes, stabilisation in zip(
+            np.atleast_1d(parts[0].subplots(1, len(stabilisations))), stabilisations
+        ):
+            of_stabilisation = [r for r in results if r["stabilisation"] == stabilisation]
+            outcome = {(r["h"], r["points_per_cell"]): r for r in of_stabilisation}
             for row, h in enumerate(args.h):
                 for column, n in enumerate(args.points_per_cell):
                     one = outcome[h, n]
@@ -237,7 +240,7 @@ def table_picture(path, results, states, args):
                     text = "✓" if one["completed"] else f"✗ {100 * one['gravity_reached']:.0f} %"
                     axes.text(column, row, text, ha="center", va="center")
             columns, lines = len(args.points_per_cell), len(args.h)
-            axes.set(xlim=(-0.5, columns - 0.5), ylim=(lines - 0.5, -0.5), title=remedy)
+            axes.set(xlim=(-0.5, columns - 0.5), ylim=(lines - 0.5, -0.5), title=stabilisation)
             axes.set_xticks(range(columns), labels=[f"{n}²" for n in args.points_per_cell])
             axes.set_yticks(range(lines), labels=[f"{h:g}" for h in args.h])
             axes.tick_params(length=0)
@@ -272,16 +275,16 @@ args = arguments()
 results, states = [], {}
 for h in args.h:
     for per_cell in args.points_per_cell:
-        for remedy in args.stabilisation:
-            result, points = run(h, per_cell, remedy, args)
+        for stabilisation in args.stabilisation:
+            result, points = run(h, per_cell, stabilisation, args)
             results.append(result)
             say(describe(result))
             if result["reason"]:
                 say(f"    {result['reason'][:160]} ...")
-            if not args.no_plot and (remedy == "ghost" or len(args.stabilisation) == 1):
+            if not args.no_plot and (stabilisation == "ghost" or len(args.stabilisation) == 1):
                 state = points.gather(*STATE)
                 if state is not None:
-                    states[h] = f"h = {h:g} m, {per_cell}², {remedy}", state
+                    states[h] = f"h = {h:g} m, {per_cell}², {stabilisation}", state
 
 if not args.table:
     result = results[0]
@@ -298,7 +301,7 @@ else:
     bare = [r["completed"] for r in results if r["stabilisation"] == "none"]
     say(
         f"with ghost penalty or aggregation {sum(stabilised)} of {len(stabilised)} runs came to "
-        f"the end, without a remedy {sum(bare)} of {len(bare)}"
+        f"the end, without stabilisation {sum(bare)} of {len(bare)}"
     )
     mpm.study.write_table(results, args.output / "slope_failure_table.csv")
     if not args.no_plot and MPI.COMM_WORLD.rank == 0:

@@ -95,9 +95,9 @@ def run(args, integrator, h):
     if integrator == "explicit":
         problem = mpm.Explicit(F, u, points, bcs)
     else:
-        remedy = mpm.Stabilisation("ghost", E=E, nu=NU)
+        stabilisation = mpm.Stabilisation("ghost", E=E, nu=NU)
         problem = mpm.Newmark(
-            F, u, points, bcs, mass="lumped", mapping="accel", stabilisation=remedy
+            F, u, points, bcs, mass="lumped", mapping="accel", stabilisation=stabilisation
         )
     rows, reason = [], ""
     started = time.perf_counter()

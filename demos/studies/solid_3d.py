@@ -35,7 +35,7 @@ options.add_argument("--cuts", type=numbers(float), default=[0.3], help="shares 
 options.add_argument(
     "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
 )
-options.add_argument("--stabilisation", default="ghost", help="a remedy against small cuts")
+options.add_argument("--stabilisation", default="ghost", help="a stabilisation against small cuts")
 options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
 options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
 options.add_argument(

@@ -62,7 +62,10 @@ def arguments(words=None):
         "--implicit", choices=("newmark", "generalised-alpha"), default="newmark", help="steps"
     )
     options.add_argument(
-        "--remedy", choices=("ghost", "aggregation"), default="ghost", help="of the implicit mass"
+        "--stabilisation",
+        choices=("ghost", "aggregation"),
+        default="ghost",
+        help="of the implicit mass",
     )
     options.add_argument("--law", choices=("neo-hookean", "hencky"), default="neo-hookean")
     options.add_argument("--amplitude", type=float, default=0.1, help="A (rad)")
@@ -185,8 +188,8 @@ def ring(args, integrator, basis, cells, steps=None):
     if integrator == "implicit":
         kind = mpm.Newmark if args.implicit == "newmark" else mpm.GeneralisedAlpha
         # without ties a consistent mass has its ghost penalty
-        remedy = "none" if args.remedy == "ghost" else args.remedy
-        problem = kind(F, u, points, mapping=args.mapping, time=t, stabilisation=remedy)
+        stabilisation = "none" if args.stabilisation == "ghost" else args.stabilisation
+        problem = kind(F, u, points, mapping=args.mapping, time=t, stabilisation=stabilisation)
         fastest = args.amplitude * np.pi / args.period
         step = args.share / cells / (np.sqrt((LAMBDA + 2 * MU) / RHO) + fastest)
     else:

@@ -168,9 +168,9 @@ def settle(law, weight, E):
     u, v = V.increment, V.test
     load = fem.Constant(grid, (0.0, 0.0))
     F = mpm.momentum(law, points, u, v) - ufl.inner(load, v) * points.dX
-    remedy = mpm.Stabilisation("ghost", E=E)
+    stabilisation = mpm.Stabilisation("ghost", E=E)
     bcs = mpm.rollers(V, "left", "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     for share in mpm.steps(args.steps, label=type(law).__name__):
         load.value[1] = -weight * share
         problem.step()

@@ -1,4 +1,4 @@
-"""Checks of single arguments; what they raise names the value, the limit and the remedy."""
+"""Checks of single arguments; what they raise names the value, the limit and what to do."""
 
 from __future__ import annotations
 
@@ -46,29 +46,31 @@ def shown(value: Any) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def check_kind(what: str, value: Any, kind: type, remedy: str) -> None:
+def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
     """Raise ParameterError unless a value is of a kind.
 
     Args:
         what: Name of the argument.
         value: What was given.
         kind: What it must be an instance of.
-        remedy: What to give instead.
+        advice: What to give instead.
     """
     if not isinstance(value, kind):
-        raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {remedy}")
+        raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
 
 
-def check_function(what: str, value: Any, remedy: str = "") -> None:
+def check_function(what: str, value: Any, stabilisation: str = "") -> None:
     """Raise ParameterError unless a value is a function.
 
     Args:
         what: Name of the argument.
         value: What was given.
-        remedy: What the function takes and returns.
+        stabilisation: What the function takes and returns.
     """
     if not callable(value):
-        raise ParameterError(f"{what} = {shown(value)} must be a function{remedy and f' {remedy}'}")
+        raise ParameterError(
+            f"{what} = {shown(value)} must be a function{stabilisation and f' {stabilisation}'}"
+        )
 
 
 def at_time(what: str, given: Any, t: float) -> Any:

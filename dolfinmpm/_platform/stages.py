@@ -32,7 +32,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _active = PETSc.Log.isActive
 
 
-class _Clock:
+class _StageClock:
     """What is entered now, and whether it is measured.
 
     Attributes:
@@ -75,7 +75,7 @@ class _Clock:
         return self.on
 
 
-_clock = _Clock()
+_clock = _StageClock()
 
 # `turn` is written out, as two calls more would take half as much again. Arguments keep their
 # names, so that they may be given by name; `*arguments, **options` would take more than all the

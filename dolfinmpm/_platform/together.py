@@ -24,10 +24,10 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform import slots
+from dolfinmpm._platform import sharedmemory
 from dolfinmpm._platform.alike import Told, difference, digest, in_words, nearly, told
 from dolfinmpm._platform.errors import DifferentCallsError, ParameterError
-from dolfinmpm._platform.slots import Memory
+from dolfinmpm._platform.sharedmemory import Memory
 
 __all__ = ["Ranks", "here", "line_of", "meet", "together"]
 
@@ -57,35 +57,39 @@ class Here:
         self.file = ""
         self._process = os.getpid()
         if MPI.COMM_WORLD.size > 1:
-            self.memory, self.file = slots.own_memory(MPI.COMM_WORLD.rank)
+            self.memory, self.file = sharedmemory.own_memory(MPI.COMM_WORLD.rank)
             atexit.register(self.end)
 
     def write(self) -> None:
         """Tell others that it came to a call, entered or left one."""
         if self.memory is not None:
             n = self.memory.numbers
-            n[slots.INSIDE], n[slots.SINCE] = self.inside, time.monotonic_ns()
-            n[slots.FAILED], n[slots.ENDED] = self.failed, 0
+            n[sharedmemory.INSIDE], n[sharedmemory.SINCE] = self.inside, time.monotonic_ns()
+            n[sharedmemory.FAILED], n[sharedmemory.ENDED] = self.failed, 0
 
     def come(self, ranks: Ranks, doors: int) -> None:
         """Come to a door."""
         self.door = ranks
         if self.memory is not None:
             n = self.memory.numbers
-            n[slots.GROUP], n[slots.DOORS], n[slots.AT_DOOR] = ranks.number, doors, 1
+            n[sharedmemory.GROUP], n[sharedmemory.DOORS], n[sharedmemory.AT_DOOR] = (
+                ranks.number,
+                doors,
+                1,
+            )
         self.write()
 
     def enter(self) -> None:
         """Go through the door, for all are here."""
         self.door = None
         if self.memory is not None:
-            self.memory.numbers[slots.AT_DOOR] = 0
+            self.memory.numbers[sharedmemory.AT_DOOR] = 0
 
     def end(self) -> None:
         """Tell others that the script has come to its end; not that of a copy of the process."""
         if self.memory is not None and os.getpid() == self._process:
-            self.memory.numbers[slots.ENDED] = 1
-            slots.remove_all()
+            self.memory.numbers[sharedmemory.ENDED] = 1
+            sharedmemory.remove_all()
 
 
 class Ranks:

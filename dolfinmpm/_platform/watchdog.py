@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.slots import Memory, Slot, find, remove_all
+from dolfinmpm._platform.sharedmemory import Memory, Slot, find, remove_all
 from dolfinmpm._platform.together import Ranks, here, line_of
 
 __all__ = ["Patience", "in_words", "watch"]

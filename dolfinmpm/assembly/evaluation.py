@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.assembly.functions import function_values
-from dolfinmpm.assembly.points import Entries
 from dolfinmpm.assembly.region import PointFailure, Region
+from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import ActiveRegion

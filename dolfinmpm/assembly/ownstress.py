@@ -30,7 +30,7 @@ from dolfinmpm.forms.densities import density_of
 from dolfinmpm.forms.pointterms import PointTerms, derive
 from dolfinmpm.forms.pointwise import compile_program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.terms import summands, tags_of
+from dolfinmpm.forms.termqueries import summands, tags_of
 
 __all__ = ["STORED", "OwnStress"]
 
@@ -91,7 +91,7 @@ class OwnStress:
         return self._slots.slot(("field", name), shape)
 
     def _flux(self, integrals: Sequence, movers: Sequence[int]) -> tuple[Expr, Expr]:
-        """Flux per first volume, and around the axis of rings."""
+        """Flux per first volume, and around the axis of axisymmetric bodies."""
         slots, gdim = self._slots, self._points.gdim
         flux, hoop = zero((gdim, gdim)), zero()
         for integral in expand_derivatives(ufl.Form(list(integrals))).integrals():
@@ -158,7 +158,7 @@ class OwnStress:
 
 
 def _full(tensor: Expr, around: Expr, points: MaterialPoints) -> Expr:
-    """A tensor of shape (gdim, gdim), with its component around the axis at rings."""
+    """A tensor of shape (gdim, gdim), with its component around the axis at axisymmetric points."""
     if not points.axisymmetric:
         return tensor
     rows = [[tensor[i, j] for j in range(2)] + [0] for i in range(2)]

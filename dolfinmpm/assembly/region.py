@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.functions import function_values
-from dolfinmpm.assembly.points import Entries, Slope, add_stiffness, add_vector
+from dolfinmpm.assembly.stencilsums import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.cellmeans import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
 from dolfinmpm.cut.participants import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
-from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, Kept, PointOperator, if_kept
+from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program
 
@@ -162,16 +162,16 @@ class Region:
             yield first, last, out
         self._known |= {k for k in asked if k in self._kept}
 
-    def _kept_in(self, k: int, first: int, last: int, known: bool) -> Kept | None:
+    def _kept_in(self, k: int, first: int, last: int, known: bool) -> KeptTangents | None:
         """What the k-th operator's law keeps of the points of some groups, or None."""
         law, s = self.terms.operators[k].law, self.part.stencils[0]
         if not (self.terms.sloped and isinstance(law, KeepingLaw) and law.keeps):
             return None
         if k not in self._kept:
             self._kept[k] = np.empty((s.order.size, law.keeps))
-        return Kept(self._kept[k][s.groups[first] : s.groups[last]], known)
+        return KeptTangents(self._kept[k][s.groups[first] : s.groups[last]], known)
 
-    def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: Kept | None) -> int:
+    def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: KeptTangents | None) -> int:
         """The k-th operator at some points, zero at those of other laws; the first that fails."""
         operator = self.terms.operators[k]
 
@@ -337,6 +337,6 @@ def _is_stress(operator: PointOperator) -> bool:
     return operator.declaration is not None and operator.declaration.operator is operator
 
 
-def _taken_of(kept: Kept | None, rows: npt.NDArray[np.integer]) -> Kept | None:
+def _taken_of(kept: KeptTangents | None, rows: npt.NDArray[np.integer]) -> KeptTangents | None:
     """What is kept of some of the points, copied."""
-    return None if kept is None else Kept(kept.values[rows], kept.known)
+    return None if kept is None else KeptTangents(kept.values[rows], kept.known)

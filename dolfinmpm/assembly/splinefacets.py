@@ -198,7 +198,7 @@ class FacetBlock:
         """Forget which facets were integrated over."""
         self._attached = False
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
         basis = self._space.basis
         assert isinstance(basis, LatticeBasis)

@@ -7,7 +7,7 @@ import functools
 import numba
 import numpy as np
 
-from dolfinmpm._platform.lanes import axpy, load, store, times
+from dolfinmpm._platform.simd import axpy, load, store, times
 from dolfinmpm.basis.incidence import by_nodes
 
 __all__ = ["stiffness_kernel"]

@@ -1,6 +1,6 @@
 """Bases: each turns material points into stencils of nodes, values and gradients."""
 
-from dolfinmpm.basis.lattice import LatticeBasis
+from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.linear import LinearBasis
 from dolfinmpm.basis.stencils import Placement, Stencils
 

@@ -391,7 +391,7 @@ def free_motions(
     conditions: Sequence[Condition],
     space: Space,
     active: npt.NDArray[np.int32],
-    rings: bool = False,
+    axisymmetric: bool = False,
 ) -> list[str]:
     """Rigid motions that no condition holds, in words. Collective.
 
@@ -399,7 +399,7 @@ def free_motions(
         conditions: The conditions.
         space: Space of the displacement.
         active: Its active nodes.
-        rings: Whether the body is one of revolution, which along its axis alone moves rigidly.
+        axisymmetric: Whether the body is one of revolution, which along its axis alone moves rigidly.
     """
     x, gdim, comm = _node_coordinates(space), space.grid.geometry.dim, space.grid.comm
     moved = np.zeros(len(x), bool)
@@ -422,7 +422,7 @@ def free_motions(
                 rows[:, gdim + at] = -r[:, j] if k == i else r[:, i]
         square += rows.T @ rows
     square = comm.allreduce(square, op=MPI.SUM)
-    if rings:
+    if axisymmetric:
         return ["along y"] if square[1, 1] == 0.0 else []
     values, vectors = np.linalg.eigh(square)
     free = vectors[:, values <= 1e-12 * max(values.max(), 1.0)].T

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.basis.gimp import domain_weights
-from dolfinmpm.basis.lattice import LatticeBasis
+from dolfinmpm.basis.latticebasis import LatticeBasis
 from dolfinmpm.basis.lineweights import line_weights, snapped
 
 __all__ = ["values_in_cells"]

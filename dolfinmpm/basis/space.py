@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
-from dolfinmpm.basis.lattice import first_parts
+from dolfinmpm.basis.latticebasis import first_parts
 from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import (
     Lattice,
@@ -157,10 +157,10 @@ def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
 
 def _check_grid(grid: Any) -> None:
     if not isinstance(grid, Mesh):
-        remedy = "give the mesh, such as dolfinx.mesh.create_rectangle makes"
+        stabilisation = "give the mesh, such as dolfinx.mesh.create_rectangle makes"
         if isinstance(grid, tuple) or hasattr(grid, "mesh") or hasattr(grid, "grid"):
-            remedy = "give the mesh of it"
-        raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {remedy}")
+            stabilisation = "give the mesh of it"
+        raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {stabilisation}")
     if grid.geometry.x.dtype != np.float64:
         raise UnsupportedGridError(
             f"the grid's coordinates are {grid.geometry.x.dtype} and must be float64; create the "

@@ -36,19 +36,19 @@ class Placement:
         half: Half-lengths of their domains (m), likewise.
         volume: Volumes (m^gdim), shape (n,).
         cell: Local cells, shape (n,).
-        rings: Whether they are rings about x[0] = 0; averages of gradients are those over rings.
+        axisymmetric: Whether they are those of a body of revolution; averages of gradients are those around the axis.
     """
 
     x: npt.NDArray[np.float64]
     half: npt.NDArray[np.float64]
     volume: npt.NDArray[np.float64]
     cell: npt.NDArray[np.int32]
-    rings: bool = False
+    axisymmetric: bool = False
 
     def of(self, rows: npt.NDArray[np.integer]) -> Placement:
         """Some of the points."""
         return Placement(
-            self.x[rows], self.half[rows], self.volume[rows], self.cell[rows], self.rings
+            self.x[rows], self.half[rows], self.volume[rows], self.cell[rows], self.axisymmetric
         )
 
 
@@ -60,7 +60,7 @@ def together(placements: Sequence[Placement]) -> Placement:
         np.concatenate([getattr(p, name) for p in placements])
         for name in ("x", "half", "volume", "cell")
     )
-    return Placement(x, half, volume, cell, any(p.rings for p in placements))
+    return Placement(x, half, volume, cell, any(p.axisymmetric for p in placements))
 
 
 @dataclass(frozen=True)

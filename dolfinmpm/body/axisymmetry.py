@@ -1,4 +1,4 @@
-"""Bodies of revolution: points are rings about the axis x[0] = 0, and gradients have a hoop term.
+"""Bodies of revolution: points go around the axis x[0] = 0, and gradients have a hoop term.
 
 The coordinates are the radius r = x[0] and the height z = x[1]. A displacement (u_r, u_z) that is
 the same all around strains a ring by u_r/r around itself, so that its gradient is the tensor
@@ -9,10 +9,10 @@ in the axes r, z, θ. With that in the place of the plane gradient all kinematic
 three dimensions; r is that of the point at the start of the step, as gradients are by positions
 then. So the hoop component of F, a product of 1 + u_r/r over the steps, is the ratio of the
 present radius of the ring to its first one. Functions that are averaged over domains are averaged
-over rings: u_r/r has the mean of u_r over the section of the domain by the radius of its centre,
-and slopes along the radius are weighted with it (`dolfinmpm.basis.lattice.ring_slopes`).
+around the axis: u_r/r has the mean of u_r over the section of the domain by the radius of its centre,
+and slopes along the radius are weighted with it (`dolfinmpm.basis.latticebasis.ring_slopes`).
 
-Amounts are those of whole rings, 2π r times those of the section: volumes (m³), masses (kg), areas
+Amounts are those all around, 2π r times those of the section: volumes (m³), masses (kg), areas
 of faces (m²), forces (N), and energies (J).
 """
 
@@ -91,7 +91,7 @@ def ring(radius, amount):
 
 
 def section(points: MaterialPoints, volume: str, x: str) -> Array:
-    """What the points have of the grid: areas of rings' sections (m²), else volumes (m^d).
+    """What the points have of the grid: areas of axisymmetric sections (m²), else volumes (m^d).
 
     Args:
         points: Material points.
@@ -105,9 +105,9 @@ def section(points: MaterialPoints, volume: str, x: str) -> Array:
 def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
     """Gradient of a displacement or a test function at the points, in UFL.
 
-    Of shape (d, d), `ufl.grad(w)`; at points that are rings (3, 3), in the axes r, z, θ and with
+    Of shape (d, d), `ufl.grad(w)`; at axisymmetric points (3, 3), in the axes r, z, θ and with
     the hoop term w_r/r. What is written with it in the place of `ufl.grad` holds for both. That of
-    a scalar is `ufl.grad(w)`, of shape (d,), at rings too: it is the same all around.
+    a scalar is `ufl.grad(w)`, of shape (d,), at axisymmetric points too: it is the same all around.
 
     Args:
         points: Material points.
@@ -115,7 +115,7 @@ def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
         radius: r in terms that are not sums over the points; that of the points by default.
 
     Raises:
-        ParameterError: These are no points, or w is no field of UFL, or at rings of another shape.
+        ParameterError: These are no points, or w is no field of UFL, or at axisymmetric points of another shape.
     """
     if not hasattr(points, "strain_dim"):
         raise ParameterError(f"points = {shown(points)} must be material points, see mpm.fill")
@@ -130,7 +130,7 @@ def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
         return G
     if w.ufl_shape != (2,):
         raise ParameterError(
-            f"w has the shape {w.ufl_shape}, and at points that are rings it must be a vector of "
+            f"w has the shape {w.ufl_shape}, and at axisymmetric points it must be a vector of "
             "radius and height, (2,), or a scalar"
         )
     hoop = w[0] / (points.x[0] if radius is None else radius)
@@ -153,7 +153,7 @@ def in_section(points: MaterialPoints, F):
 
 
 def full_gradient(points: MaterialPoints, u: Array, H: Array) -> Array:
-    """∇ũ of an increment, or a velocity, at the points, with the hoop term of rings.
+    """∇ũ of an increment, or a velocity, at the points, with the hoop term of axisymmetric points.
 
     Args:
         points: Material points.

@@ -24,9 +24,9 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
 from dolfinmpm.body.acting import acting
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.markerplaces import (
     put_inside,
@@ -69,7 +69,7 @@ class Boundary:
         points: Material points of the body.
         x: Positions (m), shape (n, gdim). Each rank gives some of the markers, or all, or none;
             those that several ranks give alike count once.
-        area: Area vectors (m^(d-1)), area times outward unit normal, likewise; of rings the
+        area: Area vectors (m^(d-1)), area times outward unit normal, likewise; of axisymmetric bodies the
             whole ones (m²), 2π r times the length of the section. Other constructors find them.
         follows: Whether the markers move with the body; else they stay where they are.
         name: Name in messages and checkpoints.
@@ -397,7 +397,7 @@ class Boundary:
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
 
-        Of rings it is that all around, the first component being the sum of radial forces.
+        Of axisymmetric bodies it is that all around, the first component being the sum of radial forces.
         """
         sums = sum((self.markers[name].sum(axis=0) for name in self.forces), np.zeros(self.gdim))
         return self.points.comm.allreduce(np.asarray(sums), op=MPI.SUM)
@@ -410,5 +410,5 @@ class Boundary:
     @property
     @together
     def total_area(self) -> float:
-        """Area now (m^(d-1); of rings m²), on all ranks. Collective."""
+        """Area now (m^(d-1); of axisymmetric bodies m²), on all ranks. Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
-from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.meshfiles import read_mesh
+from dolfinmpm.body.validity import require_grid
 
 __all__ = ["from_csv", "from_mesh"]
 

@@ -21,12 +21,12 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.amounts import check_amount, check_per_cell
 from dolfinmpm.body.axisymmetry import require_axis, ring
-from dolfinmpm.body.checks import require_grid
 from dolfinmpm.body.exchange import numbers_in_order
 from dolfinmpm.body.location import bounds, destinations
 from dolfinmpm.body.parts import CellParts, LatticeParts, Parts
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
+from dolfinmpm.body.validity import require_grid
 from dolfinmpm.body.volumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
 from dolfinmpm.grid.positions import ask
@@ -79,7 +79,7 @@ def fill(
         tag: Number of the part of the body that these points are, from 0.
         exact: Whether parts that the surface cuts are filled with what is inside of them.
         axisymmetric: Whether the shape is the section of a body of revolution about the axis
-            x[0] = 0, and the points are rings: volumes are 2π r times those of the parts, and
+            x[0] = 0, and the volumes are are 2π r times those of the parts, and
             masses, forces and energies those of the whole body.
 
     Raises:
@@ -88,7 +88,7 @@ def fill(
         ShapeOutsideGridError: The shape reaches outside the grid.
         EmptyShapeError: No point falls into the shape.
         UnsupportedGridError: The cells are curved, coordinates of single precision, or
-            `aligned="body"` is asked for on a grid that is not rectangular; or a grid of rings
+            `aligned="body"` is asked for on a grid that is not rectangular; or a grid of axisymmetric points
             is not two-dimensional, or reaches beyond the axis.
 
     A box that ends in the middle of a row of cells is filled exactly:

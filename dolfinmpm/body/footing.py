@@ -14,8 +14,8 @@ from dolfinmpm._platform.checks import check_kind, number, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.given import ReadOnce
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import begin_at_zero, own_constant
@@ -147,7 +147,7 @@ class RigidFooting(ReadOnce):
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
-        On rings it is the whole force.
+        Of axisymmetric bodies it is the whole force.
         """
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)

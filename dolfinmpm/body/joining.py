@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.body.balance import beside
+from dolfinmpm.body.loadbalance import beside
 from dolfinmpm.body.room import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.grid.positions import choose
@@ -138,7 +138,7 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
         raise ParameterError("the bodies are on two grids; fill both on the same grid object")
     if a.axisymmetric != b.axisymmetric:
         raise ParameterError(
-            f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: rings "
+            f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: these "
             "and points of plane strain cannot be joined; fill both alike"
         )
     for name, field in b._ufl.items():

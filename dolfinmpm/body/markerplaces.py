@@ -31,7 +31,7 @@ _AXIS = 1e-6
 
 
 def revolved(points: Any, x: Array, area: Array) -> tuple[Array, Array]:
-    """Markers of a section as those of the body: of rings all around, 2π r times their lengths.
+    """Markers of a section as those of the whole body: 2π r times their lengths.
 
     Pieces on the axis weigh nothing and bound nothing: they are left out.
 

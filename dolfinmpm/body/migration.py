@@ -9,7 +9,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import MigrationError, PointsOutsideGridError
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import Destinations, cells_here
-from dolfinmpm.grid.graded import times_laid
+from dolfinmpm.grid.graded import times_regridded
 
 __all__ = ["migrate", "settle"]
 
@@ -71,7 +71,7 @@ def settle(points, configuration: str) -> None:
     Raises:
         PointsOutsideGridError: Some of these positions lie outside the grid.
     """
-    laid, kept = times_laid(points.grid), points.__dict__
+    laid, kept = times_regridded(points.grid), points.__dict__
     # the grid's lines may have been laid anew for other points
     if points.configuration == configuration and kept.get("_laid", 0) == laid:
         return

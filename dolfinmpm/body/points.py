@@ -28,13 +28,13 @@ from dolfinmpm.basis import Placement
 from dolfinmpm.body import files, joining, sources
 from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
-from dolfinmpm.body.checks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
 from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.validity import astray, checked_rows, fault, require_grid
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.partition import Partition
@@ -117,7 +117,7 @@ class MaterialPoints:
             shape (n,).
         id: Their numbers, different on all ranks, shape (n,); by default in the order of the
             ranks.
-        axisymmetric: Whether the points are rings about the axis x[0] = 0; volumes are those of
+        axisymmetric: Whether the body is one of revolution about x[0] = 0; volumes are those of
             whole rings then.
 
     Attributes:
@@ -144,7 +144,7 @@ class MaterialPoints:
         FieldShapeError: An array has another shape.
         PointsOutsideGridError: A point is not in its cell.
         UnsupportedGridError: The cells are curved, or coordinates of single precision; the grid of
-            rings is not two-dimensional, or reaches beyond the axis.
+            axisymmetric points is not two-dimensional, or reaches beyond the axis.
     """
 
     @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))
@@ -245,7 +245,7 @@ class MaterialPoints:
         Args:
             grid: Background grid.
             x: Positions (m), shape (n, gdim).
-            volume: Volumes (m^d), a number or shape (n,); of rings the whole ones (m³).
+            volume: Volumes (m^d), a number or shape (n,); of axisymmetric bodies the whole ones (m³).
             density: Mass per volume (kg/m^d): a number, shape (n,), or a function of
                 positions in DOLFINx's layout, shape (gdim, n), to n values.
             tag: Which part of the body the points belong to, a number or shape (n,).
@@ -256,7 +256,7 @@ class MaterialPoints:
                 the law of a problem takes as its initial stress.
             id: Numbers of the points, shape (n,); by default in the order of their
                 coordinates, whatever rank gave them.
-            axisymmetric: Whether they are rings about the axis x[0] = 0.
+            axisymmetric: Whether the body is one of revolution about x[0] = 0.
 
         Raises:
             FieldShapeError: An array has the wrong shape, or the ranks give different fields.

@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.lattice import largest_cell

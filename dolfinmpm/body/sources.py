@@ -19,9 +19,9 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring
-from dolfinmpm.body.checks import checked, checked_tag, require_grid
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.body.validity import checked, checked_tag, require_grid
 from dolfinmpm.grid.positions import ask
 
 __all__ = ["located", "outside"]

@@ -35,8 +35,8 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.acting import acting
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.loading import pressure_of, vector_of
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant
@@ -57,7 +57,7 @@ class Surface:
     both as they were at first, and zero for points that are not at the face. A
     point at an edge of the body may belong to several surfaces.
 
-    Faces of rings are rings themselves: their area is 2π r times the length of their section, with
+    Faces of axisymmetric bodies go around the axis: their area is 2π r times the length of their section, with
     r the radius of the centre of the face, and the forces of loads are those on the whole body.
 
     Args:
@@ -141,7 +141,7 @@ class Surface:
             offset: From the points' centres to their faces, as at first (m), shape
                 (points on this rank, gdim).
             area: Area times outward unit normal, as at first (m^(d-1)), likewise; zero
-                for points that are not at the face. Of rings the whole area (m²).
+                for points that are not at the face. Of axisymmetric bodies the whole area (m²).
             name: Name of the fields.
 
         Raises:
@@ -317,7 +317,7 @@ class Surface:
 
 
 def _on_axis(points: MaterialPoints, faces: Array, chosen) -> ParameterError | None:
-    """An error if chosen faces of rings, at these centres, lie on the axis."""
+    """An error if chosen faces of axisymmetric bodies, at these centres, lie on the axis."""
     radius = faces[:, 0]
     bad = np.flatnonzero(chosen & ~(radius > 1e-9 * points["x0"][:, 0]))
     if not bad.size:

@@ -15,8 +15,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height
@@ -209,7 +209,7 @@ def contact_between(
     points = first.points
     if points.axisymmetric:
         raise ParameterError(
-            "contact_between is of plane bodies and bodies in 3D, these points are rings; let a "
+            "contact_between is of plane and 3D bodies, and these points are axisymmetric; let a "
             "mpm.RigidBody touch them, or hold them with mpm.dirichlet"
         )
     require_lattice(points.grid, "contact_between")

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.passing import travelled
 from dolfinmpm.contact.rigid import RigidBody
-from dolfinmpm.contact.terms import Contact
 from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["Bodies"]

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import ALL, Rows, Sites, Which, longest
 from dolfinmpm.contact.passing import within
-from dolfinmpm.contact.terms import Contact
 
 __all__ = ["MARGIN", "candidates", "touchable"]
 

@@ -179,7 +179,7 @@ class Sites:
 
         Corners of a marked face share its area at first. A domain shows A·n = Σ |n_i| A_i of its
         first faces towards the normal, which its corners on that side share: exact for the sides
-        of a body that the grid's axes follow. Of rings it is that all around, at the radius of the
+        of a body that the grid's axes follow. Of axisymmetric bodies it is that all around, at the radius of the
         point, as its volume is: even pressure and even stress are then in balance.
 
         Args:

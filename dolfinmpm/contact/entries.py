@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.assembly.points import Entries
+from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.contact.motions import Seen
 
 __all__ = ["add_corners"]

@@ -15,7 +15,7 @@ from dolfinmpm.contact.facets import Facets
 from dolfinmpm.contact.fillets import filleted
 from dolfinmpm.contact.meshes import is_mesh, mesh_surface
 from dolfinmpm.contact.revolution import Revolved
-from dolfinmpm.contact.surfaces import HalfSpace, Round, Rounded, Surface
+from dolfinmpm.contact.surfaces import HalfSpace, RigidSurface, Round, Rounded
 from dolfinmpm.contact.tools import Cone, Plane
 
 __all__ = ["surface_of"]
@@ -29,7 +29,7 @@ _SIDES = np.array(
 _TRIANGLES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
 
 
-def surface_of(shape: Any, fillet: float) -> Surface:
+def surface_of(shape: Any, fillet: float) -> RigidSurface:
     """The surface of a shape; see `RigidBody`.
 
     Args:
@@ -74,7 +74,7 @@ def _ring(corners: Array) -> Facets:
     return Facets(corners, np.column_stack([at, np.roll(at, -1)]))
 
 
-def _polygon(vertices: Array, fillet: float) -> Surface:
+def _polygon(vertices: Array, fillet: float) -> RigidSurface:
     x = np.asarray(vertices, float)
     y = np.roll(x, -1, axis=0)
     if np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0:
@@ -97,7 +97,7 @@ def _polygon(vertices: Array, fillet: float) -> Surface:
     return Rounded(_ring(core), fillet)
 
 
-def _box(shape: Box | TurnedBox, fillet: float) -> Surface:
+def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
     box = shape.box if isinstance(shape, TurnedBox) else shape
     low, high = box.low, box.high
     assert low is not None

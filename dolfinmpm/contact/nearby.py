@@ -7,11 +7,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.candidates import MARGIN
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
 from dolfinmpm.contact.passing import travelled, within
-from dolfinmpm.contact.terms import Contact
 
 __all__ = ["Nearby"]
 

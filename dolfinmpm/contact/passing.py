@@ -14,7 +14,7 @@ import numpy.typing as npt
 from dolfinmpm.contact.facets import Facets, facet_normals
 from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.revolution import Revolved
-from dolfinmpm.contact.surfaces import Round, Rounded, Surface
+from dolfinmpm.contact.surfaces import RigidSurface, Round, Rounded
 
 __all__ = ["entered", "half_thickness", "passes", "suspected", "travelled", "within"]
 
@@ -30,7 +30,7 @@ _MOST = 10_000
 _UPPER = {d: np.indices((2,) * d).reshape(d, -1).T == 1 for d in (2, 3)}
 
 
-def half_thickness(surface: Surface) -> float:
+def half_thickness(surface: RigidSurface) -> float:
     """Volume of a body by its surface (m): half the thickness of a plate.
 
     Of a convex body it is at most the radius of the largest ball within it. Of a body of revolution
@@ -57,7 +57,7 @@ def _box_corners(low: Array, high: Array) -> Array:
     return np.where(_UPPER[len(low)], high, low)
 
 
-def travelled(surface: Surface, start: Pose, end: Pose) -> float:
+def travelled(surface: RigidSurface, start: Pose, end: Pose) -> float:
     """How far a body's parts are apart in two poses at most; of one without end its centre (m)."""
     if not np.isfinite(surface.low).all():
         return float(np.linalg.norm(end.shift - start.shift))
@@ -65,7 +65,7 @@ def travelled(surface: Surface, start: Pose, end: Pose) -> float:
     return float(np.linalg.norm(end.forth(corners) - start.forth(corners), axis=1).max())
 
 
-def within(poses: list[Pose], surface: Surface, x: Array, reach: Array | float) -> Chosen:
+def within(poses: list[Pose], surface: RigidSurface, x: Array, reach: Array | float) -> Chosen:
     """Which positions are within a reach of a box around a surface, in any pose.
 
     Args:
@@ -81,7 +81,7 @@ def within(poses: list[Pose], surface: Surface, x: Array, reach: Array | float) 
     return np.all((x + reach >= first) & (x - reach <= last), axis=1)
 
 
-def entered(surface: Surface, half: float, start: Array, end: Array) -> Chosen:
+def entered(surface: RigidSurface, half: float, start: Array, end: Array) -> Chosen:
     """Which straight paths get into a body, shape (n,).
 
     Args:
@@ -111,7 +111,7 @@ def suspected(half: float, gap: Array, way: Array) -> bool:
     return bool(gap.min() < -_THROUGH * half or way.max() > half)
 
 
-def passes(surface: Surface, half: float, start: Array, end: Array, gap: Array) -> str | None:
+def passes(surface: RigidSurface, half: float, start: Array, end: Array, gap: Array) -> str | None:
     """How corners pass through a body instead of touching it, or None.
 
     Args:
@@ -134,7 +134,7 @@ def passes(surface: Surface, half: float, start: Array, end: Array, gap: Array) 
     return f"get through it, whose mean thickness is {2 * half:.3g} m"
 
 
-def _along(surface: Surface, start: Array, end: Array, half: float) -> tuple[Array, Array]:
+def _along(surface: RigidSurface, start: Array, end: Array, half: float) -> tuple[Array, Array]:
     """Least gap along straight paths (m), shape (n,), and the normal where they get into the body.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.surfaces import Probe, Surface, revolved
+from dolfinmpm.contact.surfaces import Probe, RigidSurface, revolved
 
 __all__ = ["Revolved"]
 
@@ -23,7 +23,7 @@ class Revolved:
 
     gdim = 3
 
-    def __init__(self, profile: Surface, point: Array, axis: Array):
+    def __init__(self, profile: RigidSurface, point: Array, axis: Array):
         self.profile, self.point, self.axis = profile, point, axis
         radius = float(profile.high[0])
         ends = [point + z * axis for z in (profile.low[1], profile.high[1])]
@@ -33,7 +33,7 @@ class Revolved:
         self.high = np.maximum(*ends) + across
 
     def probe(self, x: Array) -> Probe:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         arm = x - self.point
         z = arm @ self.axis
         out = arm - z[:, None] * self.axis
@@ -54,7 +54,7 @@ class Revolved:
         return g, n, H
 
     def outline(self, low: Array, high: Array) -> Array:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         segments = self.profile.outline(low[:2], high[:2])
         half = segments[np.all(segments[:, :, 0] >= -1e-12, axis=1)]
         triangles = np.concatenate([revolved(np.maximum(s, [0.0, -np.inf])) for s in half])

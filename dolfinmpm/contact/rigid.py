@@ -19,7 +19,7 @@ from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.passing import half_thickness, travelled
 from dolfinmpm.contact.pose import Pose, rotation_of
-from dolfinmpm.contact.surfaces import Surface
+from dolfinmpm.contact.surfaces import RigidSurface
 from dolfinmpm.grid.constants import begin_at_zero
 
 __all__ = ["RigidBody", "check_bodies"]
@@ -99,7 +99,7 @@ class RigidBody(ReadOnce):
         moment: fem.Constant | float | Sequence[float] | Motion | None = None,
     ):
         number("fillet", fillet, 0.0, math.inf, "m", closed=True)
-        self.surface: Surface = surface_of(shape, fillet)
+        self.surface: RigidSurface = surface_of(shape, fillet)
         d = self.surface.gdim
         middle: Array = _middle(self.surface)
         if centre is not None:
@@ -355,7 +355,7 @@ class RigidBody(ReadOnce):
             self.freedom.acceleration = rest[n : 2 * n].copy() if rest[2 * n] else None
 
     def outline(self, low: Array, high: Array) -> Array:
-        """Facets that draw it where it is, shape (facets, gdim, gdim); see `Surface.outline`."""
+        """Facets that draw it there, shape (facets, gdim, gdim); see `RigidSurface.outline`."""
         return self.pose.forth(self.surface.outline(low, high))
 
 
@@ -424,7 +424,7 @@ def _first_rate(course: _Course) -> Array:
     return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
 
 
-def _middle(surface: Surface) -> Array:
+def _middle(surface: RigidSurface) -> Array:
     if np.isfinite(surface.low).all():
         return np.asarray(0.5 * (surface.low + surface.high))
     g, n, _ = surface.probe(np.zeros((1, surface.gdim)))

@@ -13,13 +13,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["HalfSpace", "Probe", "Round", "Rounded", "Surface"]
+__all__ = ["HalfSpace", "Probe", "Round", "Rounded", "RigidSurface"]
 
 Array = npt.NDArray[np.float64]
 Probe = tuple[Array, Array, Array]
 
 
-class Surface(Protocol):
+class RigidSurface(Protocol):
     """What contact asks of a surface.
 
     Attributes:
@@ -61,7 +61,7 @@ class HalfSpace:
         self.high: Array = np.full(self.gdim, math.inf)
 
     def probe(self, x: Array) -> Probe:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         d = self.gdim
         return (
             (x - self.point) @ self.normal,
@@ -70,7 +70,7 @@ class HalfSpace:
         )
 
     def outline(self, low: Array, high: Array) -> Array:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         # a basis of the plane, from the axis that the normal has least of
         n, middle = self.normal, 0.5 * (low + high)
         middle = middle - ((middle - self.point) @ n) * n
@@ -99,7 +99,7 @@ class Round:
         self.low, self.high = centre - radius, centre + radius
 
     def probe(self, x: Array) -> Probe:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         r = x - self.centre
         size = np.linalg.norm(r, axis=1)
         # the centre itself has no normal
@@ -110,7 +110,7 @@ class Round:
         return size - self.radius, n, H
 
     def outline(self, low: Array, high: Array) -> Array:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         if self.gdim == 2:
             at = np.linspace(0.0, 2 * np.pi, 97)
             x = self.centre + self.radius * np.column_stack([np.cos(at), np.sin(at)])
@@ -131,18 +131,18 @@ class Rounded:
         radius: The radius (m).
     """
 
-    def __init__(self, core: Surface, radius: float):
+    def __init__(self, core: RigidSurface, radius: float):
         self.core, self.radius = core, radius
         self.gdim = core.gdim
         self.low, self.high = core.low - radius, core.high + radius
 
     def probe(self, x: Array) -> Probe:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         g, n, H = self.core.probe(x)
         return g - self.radius, n, H
 
     def outline(self, low: Array, high: Array) -> Array:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         facets = self.core.outline(low, high)
         if self.gdim == 3:
             middle = facets.mean(axis=1)

@@ -11,7 +11,7 @@ import scipy
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.assembly.points import Entries
+from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.contact.between import Between
 from dolfinmpm.contact.corners import stencil_matrix

@@ -1,1 +1,1 @@
-"""Cut cells: what is active, fill fractions, aggregation, prolongation, unknowns, remedies."""
+"""Cut cells: what is active, fill fractions, aggregation, unknowns, stabilisations."""

@@ -25,7 +25,7 @@ from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
 from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
 from dolfinmpm.cut.cellmeans import CellMeans, layers_needed, sharing
-from dolfinmpm.cut.couplings import Kept, lists_of, pairs_of
+from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import (
     Activation,
@@ -38,7 +38,7 @@ from dolfinmpm.cut.participants import (
     Inertia,
     Later,
     Participants,
-    Region,
+    RegionTerms,
     Terms,
 )
 from dolfinmpm.cut.pattern import Blocks, Pattern
@@ -56,7 +56,7 @@ def activate(
     terms: Terms,
     share: float = 1.0,
     old: Activation | None = None,
-    kept: Kept | None = None,
+    kept: KeptCouplings | None = None,
     blocks: Callable[[int], bool] | None = None,
 ) -> Activation:
     """The activation for where the points are now. Collective.
@@ -153,7 +153,7 @@ def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], boo
     return blocks(numbering.comm.allreduce(int(np.count_nonzero(~fixed[0][owned]))))
 
 
-def region_on(region: Region, points: MaterialPoints, here: Participants) -> ActiveRegion:
+def region_on(region: RegionTerms, points: MaterialPoints, here: Participants) -> ActiveRegion:
     """Stencils and means of a part of the body. Collective if it takes means over cells.
 
     Args:
@@ -343,15 +343,15 @@ def _entities(points: MaterialPoints, keys, bases: Sequence[Basis], seen, moving
 
 def _field(
     field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    entities: Entities, rings: bool,
+    entities: Entities, axisymmetric: bool,
 ) -> ActiveField:  # fmt: skip
     """One field on the active cells. Collective."""
     tying, penalty, active = field.tying, None, nodes
     C = None if tying is None else tying.ties(where, basis, seen, nodes, fixed, roots)
-    if C is not None and field.remedy.kind == "weak-aggregation":
+    if C is not None and field.stabilisation.kind == "weak-aggregation":
         owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
-        radius = basis.node_coordinates()[:, 0] if rings else None
-        rows, columns, values = field.remedy.penalty(field.space, C, owned, radius)
+        radius = basis.node_coordinates()[:, 0] if axisymmetric else None
+        rows, columns, values = field.stabilisation.penalty(field.space, C, owned, radius)
         penalty, C = Blocks(number, number, rows, columns, values), None
     level = None if C is None or tying is None else tying.level(basis.degree)
     if field.prolongate is not None:

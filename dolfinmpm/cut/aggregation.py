@@ -6,9 +6,9 @@ Aggregated finite elements (Badia, Verdugo & Martín 2018, doi
 10.1137/S0036142900373208) are one mechanism: a node that the body supports too little
 is tied to a root cell, whose polynomial is continued. Linear functions are supported
 too little if all their active cells are filled to less than a threshold; the two
-remedies then differ in which cells may be roots. A spline reaches over several cells,
+stabilisations then differ in which cells may be roots. A spline reaches over several cells,
 and may have next to nothing in the only one that is full: it is judged by the share
-of its own integral that lies in the body, and both remedies are the same.
+of its own integral that lies in the body, and both stabilisations are the same.
 """
 
 from __future__ import annotations

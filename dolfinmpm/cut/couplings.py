@@ -16,11 +16,11 @@ from dolfinmpm.cut.unknowns import Unknowns
 if TYPE_CHECKING:
     from dolfinmpm.cut.participants import Activation, ActiveRegion
 
-__all__ = ["Kept", "lists_of", "pairs_of"]
+__all__ = ["KeptCouplings", "lists_of", "pairs_of"]
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptCouplings:
     """Couplings that a pattern had, by numbers that are the same in another run.
 
     Attributes:
@@ -33,12 +33,12 @@ class Kept:
     columns: npt.NDArray[np.int64]
 
     @staticmethod
-    def of(here: Activation) -> Kept:
+    def of(here: Activation) -> KeptCouplings:
         """Those of an activation."""
         number, active = _numbers(here.unknowns)
         rows = np.repeat(active, np.diff(here.pattern.start))
         columns = active[here.pattern.neighbours]
-        return Kept(np.sort(number[active]), number[rows], number[columns])
+        return KeptCouplings(np.sort(number[active]), number[rows], number[columns])
 
     def pairs(self, unknowns: Unknowns) -> list[tuple[npt.NDArray, npt.NDArray]]:
         """The coupled nodes here, if the active nodes of all ranks are the same. Collective."""

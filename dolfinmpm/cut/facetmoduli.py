@@ -5,7 +5,7 @@ modulus M and the shear modulus G of the isotropic tensor that is nearest to it.
 means over the points of its two cells, weighted with volumes. They are frozen in a step, so
 that the penalty stays linear in the increment.
 
-At points that are rings facets are rings too: a value has the factor 2π r, r being that of the
+Facets of axisymmetric points go around the axis: a value has the factor 2π r, r being that of the
 middle between the centres of the facet's cells.
 
 Not the tangent at the start of a step: there yielding points stand on the yield surface, where
@@ -73,7 +73,7 @@ class FacetModulus(fem.Function):
 
     Attributes:
         points, increment, target, scaling: The arguments.
-        moduli: M and G of each facet (Pa; of rings, times 2π r), in the order of the field's
+        moduli: M and G of each facet (Pa; of axisymmetric bodies, times 2π r), in the order of the field's
             entities, shape (facets, 2).
         values: Value at each facet (Pa), shape (facets,).
     """
@@ -89,7 +89,7 @@ class FacetModulus(fem.Function):
 
 
 class FacetRing(FacetModulus):
-    """2π r of ghost facets that are rings (m), in a term whose modulus is a number.
+    """2π r of axisymmetric ghost facets (m), in a term whose modulus is a number.
 
     Args:
         points: Material points.

@@ -15,7 +15,7 @@ from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 
-__all__ = ["Held", "handed_on"]
+__all__ = ["Held", "inherited"]
 
 Basis = LatticeBasis | LinearBasis
 Flags = npt.NDArray[np.bool_]
@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 _KEPT = 8
 
 
-def handed_on(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
+def inherited(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
     """Values of the nodes that a basis of a space owns, in all numberings of it. Collective.
 
     Args:
@@ -118,8 +118,8 @@ class Held:
             shape = (space.basis.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
             error = self._apply(space, share, flags, numbers) or error
-            fixed.append(handed_on(flags, space.basis, basis))
-            values.append(handed_on(numbers, space.basis, basis))
+            fixed.append(inherited(flags, space.basis, basis))
+            values.append(inherited(numbers, space.basis, basis))
         raise_together(self._spaces[0].grid.comm, error)
         while len(self._fixed) > _KEPT:
             del self._fixed[next(iter(self._fixed))]

@@ -19,7 +19,7 @@ from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.active import active_cells
 from dolfinmpm.cut.cellmeans import CellCouplings, CellMeans
 from dolfinmpm.cut.pattern import Blocks, Pattern
-from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.halo import Numbering
 
@@ -38,7 +38,7 @@ __all__ = [
     "Later",
     "Participants",
     "Prolongate",
-    "Region",
+    "RegionTerms",
     "Terms",
     "movers",
     "with_ties",
@@ -49,7 +49,7 @@ Prolongate = Callable[[Stencils, npt.NDArray[np.int32]], "sparse.spmatrix"]
 Entities = dict[int, npt.NDArray[np.int32]]
 
 
-class Region(Protocol):
+class RegionTerms(Protocol):
     """Points that are treated alike by a form."""
 
     @property
@@ -76,7 +76,7 @@ class BoundaryOf(Protocol):
         """The boundary."""
 
     @property
-    def regions(self) -> Sequence[Region]:
+    def regions(self) -> Sequence[RegionTerms]:
         """Parts of it with terms of their own."""
 
     def sees(self, u: Any) -> bool:
@@ -87,7 +87,7 @@ class Terms(Protocol):
     """What an activation must know of a weak form."""
 
     @property
-    def regions(self) -> Sequence[Region]:
+    def regions(self) -> Sequence[RegionTerms]:
         """Parts of the body with terms of their own."""
 
     @property
@@ -122,20 +122,20 @@ class Field:
 
     Attributes:
         space: The space.
-        remedy: The remedy.
+        stabilisation: The stabilisation.
         prolongate: Function of stencils and active nodes that returns a matrix C, or None.
-        beside: What ties nodes beside a remedy that ties none, or None.
+        beside: What ties nodes beside a stabilisation that ties none, or None.
     """
 
     space: Space
-    remedy: Stabilisation
+    stabilisation: Stabilisation
     prolongate: Prolongate | None = None
     beside: Stabilisation | None = None
 
     @functools.cached_property
     def tying(self) -> Stabilisation | None:
         """What ties nodes to others, or None."""
-        return self.remedy if self.remedy.ties_nodes else self.beside
+        return self.stabilisation if self.stabilisation.ties_nodes else self.beside
 
     @property
     def ties_nodes(self) -> bool:
@@ -144,7 +144,7 @@ class Field:
 
 
 def with_ties(field: Field) -> Field:
-    """A field whose nodes are tied where the points hardly support them, whatever its remedy."""
+    """A field whose hardly supported nodes are tied, whatever its stabilisation."""
     if field.ties_nodes or field.prolongate is not None:
         return field
     return replace(field, beside=Stabilisation("aggregation"))
@@ -168,7 +168,7 @@ class ActiveField:
         whole: Stencils of points and markers on all active nodes.
         of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
         level: Share to which a cell must be filled to have no nodes tied to others, or None if
-            no remedy ties any.
+            no stabilisation ties any.
     """
 
     space: Space

@@ -14,13 +14,13 @@ from ufl.domain import extract_unique_domain
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import (
+from dolfinmpm.body.axisymmetry import gradient, ring
+from dolfinmpm.body.formarguments import (
     check_displacement,
     check_increment,
     check_points,
     check_test,
 )
-from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
@@ -80,8 +80,8 @@ def ghost(
     Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
     (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
     increment, so that nothing accumulates. On splines of degree q, which are smooth
-    up to the derivative q − 1, only the term k = q is there. Of points that are rings facets
-    are rings too, with areas of 2π r times their lengths.
+    up to the derivative q − 1, only the term k = q is there. Of axisymmetric points facets
+    go around the axis, with areas of 2π r times their lengths.
 
     Args:
         points: Material points; the facets are those of their boundary cells.

@@ -7,7 +7,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.body.balance import balance
+from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.points import MaterialPoints
 
 __all__ = ["CellFinder", "extent"]

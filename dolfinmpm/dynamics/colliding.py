@@ -14,17 +14,17 @@ from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import Stencils, selected
-from dolfinmpm.body.balance import balance
+from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, collide
 from dolfinmpm.dynamics.energies import stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.fusable import Loads
+from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.dynamics.halfstep import lateness, taken
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.onebyone import OneByOne
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.advance import commit
@@ -45,7 +45,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     if not isinstance(field.space.basis, LatticeBasis):
         return ParameterError("Collision asks for room at the nodes; take a rectangular grid")
     if problem.points.axisymmetric:
-        return ParameterError("Collision is of plane bodies and bodies in 3D, these are rings")
+        return ParameterError("Collision is of plane and 3D bodies, and these are axisymmetric")
     if mass != "lumped" or settings.mapping.kind not in ("flip", "pic"):
         return ParameterError(
             f'mass = "{mass}" and mapping = "{settings.mapping.kind}" do not go with Collision: '
@@ -54,7 +54,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     if settings.scheme == "usf" or not settings.plain or field.ties_nodes or field.prolongate:
         return ParameterError(
             'Collision goes with scheme="musl" or "usl", without bulk viscosity, filters of light '
-            "nodes, or remedies that tie nodes"
+            "nodes, or stabilisations that tie nodes"
         )
     if parts.contacts or any(d.fbar for d in parts.declarations):
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
@@ -67,7 +67,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
         return FormError(
             "Collision goes with no internal forces but those of mpm.momentum; leave others out"
         )
-    if not Loads(problem.form).known or any(one is not None for one in parts.grid.external):
+    if not FusedLoads(problem.form).known or any(one is not None for one in parts.grid.external):
         return FormError(
             "Collision needs loads on the points, of their fields and constants alone, such as "
             "F -= ufl.inner(points.density * g, v) * points.dX"
@@ -75,7 +75,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     return None
 
 
-class Colliding(OneByOne):
+class Colliding(ExplicitBase):
     """Explicit steps of a problem whose bodies collide, one after the other.
 
     Args:
@@ -100,7 +100,7 @@ class Colliding(OneByOne):
         collision: Collision,
     ):
         super().__init__(problem, held, updates, settings, sides, "bodies collide")
-        self._collision, self._loads = collision, Loads(problem.form)
+        self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
 
     @stages.commit

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation

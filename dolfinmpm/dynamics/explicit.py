@@ -26,18 +26,19 @@ from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterErr
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.body.balance import balance, imbalance
+from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
-from dolfinmpm.dynamics.balance import Balance
-from dolfinmpm.dynamics.between import Between
+from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weighed
+from dolfinmpm.dynamics.callmemory import CallMemory
 from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, check_clock, end_of
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
+from dolfinmpm.dynamics.energybalance import EnergyBalance
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
-from dolfinmpm.dynamics.fusable import Laws, Loads, why_not
+from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
 from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.general import General
@@ -46,10 +47,9 @@ from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.snapshot import Snapshot
-from dolfinmpm.dynamics.traces import Stiffness, check_boundaries, weighed
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodies import refuse_bodies
+from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
@@ -177,9 +177,9 @@ class Explicit(Problem):
         self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
         self.settings, self.time = settings, 0.0
         ledger = Ledger(points, self.form, settings.scaling, by_points=True)
-        self.balance = Balance(ledger)
+        self.balance = EnergyBalance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
-        self._between = Between(Snapshot(points, self.bodies, markers))
+        self._between = CallMemory(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points, self.bcs)
         self._loop: Colliding | Fused | General
         if contact is not None:
@@ -223,7 +223,7 @@ class Explicit(Problem):
 
     def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
         """The fused loops, or why there are none."""
-        basis, remedy = self.fields[0].space.basis, self.fields[0].remedy
+        basis, stabilisation = self.fields[0].space.basis, self.fields[0].stabilisation
         settings = self.settings
         if not isinstance(basis, LatticeBasis):
             return "the grid is not rectangular"
@@ -234,14 +234,14 @@ class Explicit(Problem):
         domains = self.fields[0].space.domains
         if self._held.follows:
             return "conditions whose place follows something"
-        if remedy.ties_nodes or options.get("prolongation") or options.get("updates"):
+        if stabilisation.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
         if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
             return "the mapping filters velocities at the nodes"
         reason = why_not(self.form)
         if reason is not None:
             return reason
-        loads = Loads(self.form)
+        loads = FusedLoads(self.form)
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
@@ -289,7 +289,9 @@ class Explicit(Problem):
             return exact_step(self.form, self.terms, here, scaling)
         self.form.bind()
         field, declarations = self.fields[0], self.form.parts.declarations
-        tied = field.remedy.kind in ("aggregation", "extended") or field.prolongate is not None
+        tied = (
+            field.stabilisation.kind in ("aggregation", "extended") or field.prolongate is not None
+        )
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
         # a corner in contact is a spring on a light node
         springs = sum(contact.rate() for contact in self.form.parts.contacts)
@@ -418,8 +420,10 @@ class Explicit(Problem):
     def _check_speeds(self, dt: float) -> None:
         """Raise where steps of that length (s) do not follow a rigid body. Collective."""
         fault = self.bodies.fault(dt)
-        remedy = "give a smaller velocity, or a smaller courant number"
-        raise_together(self.comm, None if fault is None else ParameterError(f"{fault}; {remedy}"))
+        stabilisation = "give a smaller velocity, or a smaller courant number"
+        raise_together(
+            self.comm, None if fault is None else ParameterError(f"{fault}; {stabilisation}")
+        )
         # all ranks know alike where forces have driven the free ones
         fault = self.bodies.fault(dt, inertia=True) if self.bodies.free else None
         if fault is not None:

@@ -22,7 +22,7 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import handed_on
+from dolfinmpm.cut.held import inherited
 from dolfinmpm.grid.lattice import require_lattice
 
 __all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
@@ -184,13 +184,13 @@ class Faces:
         faces: The faces.
         basis: Basis with the overlap that steps need.
         d: Dimension of space.
-        rings: Whether the body's points are rings, and the faces with them.
+        axisymmetric: Whether the body's points are axisymmetric, and the faces with them.
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
     """
 
-    def __init__(self, faces: Sequence[Face], basis: Any, d: int, rings: bool = False):
+    def __init__(self, faces: Sequence[Face], basis: Any, d: int, axisymmetric: bool = False):
         self._d = d
         self._rubbing: list[tuple[npt.NDArray[np.intp], int, float, float]] = []
         self.dashpots: Array | None = None
@@ -198,7 +198,7 @@ class Faces:
             base = face.space.basis
             marks = np.zeros(base.nodes.size)
             marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(handed_on(marks, base, basis))
+            nodes = np.flatnonzero(inherited(marks, base, basis))
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))
@@ -206,7 +206,7 @@ class Faces:
                 if self.dashpots is None:
                     self.dashpots = np.zeros((basis.nodes.size, d))
                 area = _areas(basis, nodes, face.axis)
-                if rings:
+                if axisymmetric:
                     area = ring(_middles(basis, nodes, face), area)
                 for k in range(d):
                     rate = face.impedance[0 if k == face.axis else 1]
@@ -308,14 +308,14 @@ class Sides:
             for condition in conditions:
                 _refuse_held(face, condition)
             _refuse_stuck(face, conditions)
-        self._faces, self._d, self._rings = list(faces), points.gdim, points.axisymmetric
+        self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
         # a basis goes with the partition of the lattice that it is for
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
     def __len__(self):
         return len(self._faces)
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget areas of where the grid's lines were."""
         self._on.clear()
 
@@ -324,7 +324,7 @@ class Sides:
         if not self._faces:
             return None
         if basis not in self._on:
-            self._on[basis] = Faces(self._faces, basis, self._d, self._rings)
+            self._on[basis] = Faces(self._faces, basis, self._d, self._axisymmetric)
         return self._on[basis]
 
 

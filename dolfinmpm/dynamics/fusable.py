@@ -17,13 +17,13 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.forms.terms import contact_of, depends_on, summands
+from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Laws", "Loads", "why_not"]
+__all__ = ["Laws", "FusedLoads", "why_not"]
 
 Array = npt.NDArray[np.float64]
 # What a step changes: a load that depends on it is evaluated in every step
@@ -39,7 +39,7 @@ def why_not(form: WeakForm) -> str | None:
     if points.gdim == 1:
         return "they are written for two and three dimensions"
     if points.axisymmetric:
-        return "points that are rings about an axis"
+        return "axisymmetric points"
     if space.configuration == "total":
         return "functions that are taken at first positions"
     if space.coarsen > 1:
@@ -217,8 +217,8 @@ class Laws:
         return numbers
 
 
-class Loads:
-    """Loads of a form as forces at the points.
+class FusedLoads:
+    """FusedLoads of a form as forces at the points.
 
     Args:
         form: The weak form.

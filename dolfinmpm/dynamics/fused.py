@@ -21,7 +21,7 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
-from dolfinmpm.dynamics.fusable import Laws, Loads
+from dolfinmpm.dynamics.fusable import FusedLoads, Laws
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
 from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.ledger import Work
@@ -29,7 +29,7 @@ from dolfinmpm.dynamics.nodes import divide, move_nodes
 from dolfinmpm.dynamics.passes import COLUMNS, GROWTH, MEANS, NEO, PASSES, Pass, Switches
 from dolfinmpm.dynamics.pointarrays import PointArrays
 from dolfinmpm.dynamics.settings import Settings
-from dolfinmpm.dynamics.window import MARGIN, Means, Prescribed, Window
+from dolfinmpm.dynamics.window import MARGIN, Prescribed, Window, WindowMeans
 from dolfinmpm.solve.step import Step
 
 __all__ = ["Fused"]
@@ -81,7 +81,7 @@ class Fused:
     """
 
     at_once, instead = 20, ""
-    _means: Means | None = None
+    _means: WindowMeans | None = None
     _arrays: PointArrays
 
     def __init__(
@@ -90,7 +90,7 @@ class Fused:
         basis: LatticeBasis,
         held: Held,
         laws: Laws,
-        loads: Loads,
+        loads: FusedLoads,
         settings: Settings,
         sides: Sides,
         domains: str = "stretch",
@@ -156,7 +156,7 @@ class Fused:
         if self._window is None or self._window.basis.partition is not points.partition:
             self._window, self._worth.kept = Window(points, self._basis, self._sides), False
             if self._laws.fbar:
-                self._means = Means(self._window)
+                self._means = WindowMeans(self._window)
         self._window.cells.sort(points)
         self._prescribed.start(self._window, self._rate)
 

@@ -14,21 +14,9 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.pruned import pruned
+from dolfinmpm._platform.constantfolding import fold_constants
 from dolfinmpm.basis.lineweights import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
-from dolfinmpm.dynamics.lanes import (
-    add_at,
-    axpy,
-    exponential,
-    four,
-    lanes,
-    load,
-    logarithm,
-    number_at,
-    store,
-    times,
-)
 from dolfinmpm.dynamics.moments import drift, inverse_moments
 from dolfinmpm.dynamics.passes import (
     COLUMNS,
@@ -40,6 +28,18 @@ from dolfinmpm.dynamics.passes import (
     NEO,
     SMALL,
     Pass,
+)
+from dolfinmpm.dynamics.simdmath import (
+    add_at,
+    axpy,
+    exponential,
+    four,
+    lanes,
+    load,
+    logarithm,
+    number_at,
+    store,
+    times,
 )
 from dolfinmpm.materials.base import call_law
 
@@ -86,7 +86,7 @@ def kernel(
     usual = middle_count(degree, averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    @pruned
+    @fold_constants
     def run(
         grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
     ):  # fmt: skip

@@ -13,11 +13,14 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.pruned import pruned
+from dolfinmpm._platform.constantfolding import fold_constants
 from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
-from dolfinmpm.dynamics.lanes import (
+from dolfinmpm.dynamics.moments import drift, slopes
+from dolfinmpm.dynamics.passes import COLUMNS, FAST, GROWTH, JAUMANN, LAW, NEO, SMALL, Pass
+from dolfinmpm.dynamics.rates import carried, turned
+from dolfinmpm.dynamics.simdmath import (
     axpy,
     exponential,
     four,
@@ -27,9 +30,6 @@ from dolfinmpm.dynamics.lanes import (
     store,
     times,
 )
-from dolfinmpm.dynamics.moments import drift, slopes
-from dolfinmpm.dynamics.passes import COLUMNS, FAST, GROWTH, JAUMANN, LAW, NEO, SMALL, Pass
-from dolfinmpm.dynamics.rates import carried, turned
 from dolfinmpm.materials.base import call_law
 
 __all__ = ["kernel"]
@@ -65,7 +65,7 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
     cut = general and averaged
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    @pruned
+    @fold_constants
     def run(
         grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
     ):  # fmt: skip

@@ -1,7 +1,7 @@
 """Contact with rigid bodies in fused steps.
 
 Few points are near a body. They are listed once for many steps; in each of these the corners of
-those on the list feel what they feel in general steps, see `dolfinmpm.contact.active`, and their
+those on the list feel what they feel in general steps, see `dolfinmpm.contact.activecontact`, and their
 forces are added to what the loops have summed up at the nodes.
 """
 
@@ -18,12 +18,12 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.contact.candidates import MARGIN
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
-from dolfinmpm.contact.terms import Contact
 from dolfinmpm.dynamics.halfstep import late_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS

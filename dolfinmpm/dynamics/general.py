@@ -21,18 +21,18 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import raise_together
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
-from dolfinmpm.body.balance import balance
+from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
+from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
+from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.halfstep import late_by_contact, lateness, taken
-from dolfinmpm.dynamics.lightnodes import viscous_pressure
 from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
-from dolfinmpm.dynamics.onebyone import OneByOne
-from dolfinmpm.dynamics.traces import Stiffness, weighed
+from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.advance import NewState, commit
 from dolfinmpm.solve.method import only_momentum
@@ -44,7 +44,7 @@ __all__ = ["General"]
 Array = npt.NDArray[np.float64]
 
 
-class General(OneByOne):
+class General(ExplicitBase):
     """Explicit steps of a problem of any form, one after the other."""
 
     _stiffness: Stiffness | None = None

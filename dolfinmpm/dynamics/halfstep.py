@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.bodies import Bodies
 
 __all__ = ["late_by_contact", "lateness", "taken"]

@@ -42,7 +42,7 @@ _FIRST = ("kinetic", "strain", "bodies", "rubbed", "initial", "started")
 
 @dataclass
 class Work:
-    """Sums over steps (J; a metre across in 2D, the whole of rings).
+    """Sums over steps (J; a metre across in 2D, the whole of axisymmetric bodies).
 
     Attributes:
         external: Work of loads, prescribed motions and what drives rigid bodies.
@@ -128,7 +128,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies of a body (J; a metre across in 2D, the whole of rings).
+    """Energies of a body (J; a metre across in 2D, the whole of axisymmetric bodies).
 
     kinetic + bodies + strain + contact + dissipated − external = initial.
 

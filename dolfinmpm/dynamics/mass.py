@@ -21,7 +21,7 @@ from dolfinmpm._platform.errors import (
     raise_together,
     warn,
 )
-from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
@@ -155,7 +155,7 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
     """The ghost penalty of a field's mass, or None. Collective."""
     space = field.space
     if factor is None:
-        tied = field.ties_nodes and field.remedy.kind != "weak-aggregation"
+        tied = field.ties_nodes and field.stabilisation.kind != "weak-aggregation"
         factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None

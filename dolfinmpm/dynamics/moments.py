@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numba
 
-from dolfinmpm.dynamics.lanes import axpy, times
 from dolfinmpm.dynamics.passes import FAST
+from dolfinmpm.dynamics.simdmath import axpy, times
 
 __all__ = ["drift", "inverse_moments", "slopes"]
 

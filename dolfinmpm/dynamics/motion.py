@@ -158,11 +158,11 @@ class Motion:
         self.varying = varying or self._clock is not None
         self._starting |= jumped
 
-    def lay(self) -> None:
-        """Forget what belongs to where the grid's lines were; see `regrade`."""
+    def regrid(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrid`."""
         if self.terms.ghost is not None:
-            self.terms.ghost.lay()
-        self._sides.lay()
+            self.terms.ghost.regrid()
+        self._sides.regrid()
 
     def set_time(self, t: float) -> None:
         """Tell the form the time (s)."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from dolfinmpm.dynamics.lanes import logarithm, logarithm_near_one
 from dolfinmpm.dynamics.passes import FAST
+from dolfinmpm.dynamics.simdmath import logarithm, logarithm_near_one
 from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["kirchhoff", "stored_energy"]

@@ -24,7 +24,7 @@ from dolfinx import fem
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.points import add_product
+from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
@@ -46,12 +46,12 @@ from dolfinmpm.dynamics.mass import KINDS, Mass, mass_terms
 from dolfinmpm.dynamics.motion import Motion, Rule
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.forms.carriedfields import StartAcceleration
-from dolfinmpm.forms.checks import check_levels
 from dolfinmpm.forms.declarations import rows_within
+from dolfinmpm.forms.formchecks import check_levels
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodies import refuse_bodies
+from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial, check_masses
 from dolfinmpm.solve.operator import Operator
@@ -339,10 +339,10 @@ class TimeStepping(QuasiStatic):
         self._load_at(step, 1.0)
         return state if reason is None else reason
 
-    def lay(self) -> None:
-        """Forget what belongs to where the grid's lines were; see `regrade`."""
-        super().lay()
-        self.motion.lay()
+    def regrid(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrid`."""
+        super().regrid()
+        self.motion.regrid()
 
     @property
     def _means(self) -> Means:
@@ -449,7 +449,7 @@ class Newmark(TimeStepping):
 
 
 class GeneralisedAlpha(TimeStepping):
-    """A weak form in time, by the generalised-α method: second order, and damped where it rings.
+    """A weak form in time, by the generalised-α method: second order, with damping.
 
     Args:
         form, increment, points, bcs, options: See `Newmark`, also for what options there are.

@@ -10,8 +10,8 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import choice, number
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.dynamics.lightnodes import Filter, checked_viscosity, filters
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
+from dolfinmpm.dynamics.smallmass import Filter, checked_viscosity, filters
 
 __all__ = ["Settings", "checked_courant"]
 

@@ -195,7 +195,7 @@ def scatter_stress(s: Stencils, stress: Array, out: Array) -> None:
 
 
 def scatter_tensor(points: MaterialPoints, s: Stencils, stress: Array, out: Array) -> None:
-    """Add the forces (N) of stresses at the points to nodal sums, of rings with their hoop stress.
+    """Add the forces (N) of stresses at the points to nodal sums, with any hoop stress.
 
     Args:
         points: Material points.

@@ -43,7 +43,7 @@ _RATE = "rate"
 
 
 @dataclass
-class _Clock:
+class _TransientClock:
     """Where in time a problem is.
 
     Attributes:
@@ -110,7 +110,7 @@ class Transient(QuasiStatic):
         super().__init__(form, increment, points, conditions, **options)
         check_clock(time, points.grid)
         self._error, self._constant = error, time
-        self.clock = _Clock()
+        self.clock = _TransientClock()
         if error is not None:
             points.add_field(_RATE, (points.gdim,), "m/s")
 
@@ -201,6 +201,6 @@ class Transient(QuasiStatic):
     ) -> None:
         super()._remember(state, local, cells)
         time, last, wanted, largest, rates = (float(value) for value in state["clock"])
-        self.clock = _Clock(time, time, time, last, wanted, largest, bool(rates))
+        self.clock = _TransientClock(time, time, time, last, wanted, largest, bool(rates))
         if self._constant is not None:
             self._constant.value = time

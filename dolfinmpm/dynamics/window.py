@@ -22,7 +22,7 @@ from dolfinmpm.dynamics.passes import COLUMNS
 from dolfinmpm.dynamics.transfer import collect
 from dolfinmpm.grid.halo import Numbering
 
-__all__ = ["MARGIN", "Exchange", "Means", "Prescribed", "Window"]
+__all__ = ["MARGIN", "Exchange", "WindowMeans", "Prescribed", "Window"]
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
@@ -136,8 +136,8 @@ class Window:
         return collect(self.basis.stencils(points.placement()), known)
 
 
-class Means:
-    """Means of volume changes over cells, at the window's places of these. Collective.
+class WindowMeans:
+    """WindowMeans of volume changes over cells, at the window's places of these. Collective.
 
     Args:
         window: The window.
@@ -153,7 +153,7 @@ class Means:
         self._exchange = Exchange(own, known, at, 2) if own.comm.size > 1 else None
 
     def take(self, rows: tuple[int, ...]) -> None:
-        """Means from sums over the points of this rank, in their place. Collective."""
+        """WindowMeans from sums over the points of this rank, in their place. Collective."""
         if self._exchange is not None:
             self._exchange.add_up(self.sums)
         take_means(rows, self.sums)

@@ -15,7 +15,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.arguments import check_displacement, check_points
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints, PointField
 
 __all__ = [

@@ -22,7 +22,7 @@ from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm.basis.space import Space
-from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.forms.termqueries import depends_on, summands
 
 __all__ = ["density_of"]
 

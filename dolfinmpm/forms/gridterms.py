@@ -15,7 +15,7 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.acting import unmarked
-from dolfinmpm.forms.terms import depends_on, summands
+from dolfinmpm.forms.termqueries import depends_on, summands
 
 __all__ = ["GridTerms"]
 

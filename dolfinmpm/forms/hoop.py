@@ -1,4 +1,4 @@
-"""Gradients of vectors at points that are rings: in UFL they lack the hoop term."""
+"""Gradients of vectors at axisymmetric points: in UFL they lack the hoop term."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.terms import brief
+from dolfinmpm.forms.termqueries import brief
 
 __all__ = ["check_hoop", "check_hoops"]
 
 
 def check_hoops(form: ufl.Form, points: MaterialPoints) -> None:
-    """Refuse a form whose terms over points lack the hoop term of rings; see `check_hoop`.
+    """Refuse a form whose terms over points lack a hoop term; see `check_hoop`.
 
     Args:
         form: Weak form, as the user made it: UFL's lowering would hide what a gradient is part of.
@@ -27,13 +27,13 @@ def check_hoops(form: ufl.Form, points: MaterialPoints) -> None:
 
 
 def check_hoop(points: MaterialPoints, expression: Expr) -> None:
-    """Refuse gradients of vectors that lack the hoop term of rings.
+    """Refuse gradients of vectors that lack the hoop term of axisymmetric points.
 
     Single components, as in `ufl.grad(u)[0, 1]`, and slopes along a vector, as in
     `ufl.dot(ufl.grad(u), a)`, have no hoop term and pass.
 
     Args:
-        points: Material points that evaluate the expression; rings or not.
+        points: Material points that evaluate the expression, axisymmetric or not.
         expression: The expression before UFL's derivatives are expanded.
 
     Raises:
@@ -45,7 +45,7 @@ def check_hoop(points: MaterialPoints, expression: Expr) -> None:
         for operand in (expression,) if node is None else node.ufl_operands:
             if _of_vector(operand) and not _is_part(node, operand):
                 raise FormError(
-                    f"'{brief(operand)}' lacks the hoop term u_r/r at points that are rings "
+                    f"'{brief(operand)}' lacks the hoop term u_r/r at axisymmetric points "
                     "(axisymmetric=True): write mpm.gradient(points, u), of shape (3, 3), in the "
                     "place of ufl.grad(u) and ufl.nabla_grad(u).T, and its trace in that of "
                     "ufl.div(u)"

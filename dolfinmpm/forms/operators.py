@@ -16,7 +16,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints
 
-__all__ = ["AveragingLaw", "KeepingLaw", "Kept", "PointOperator", "PointwiseLaw", "if_kept"]
+__all__ = ["AveragingLaw", "KeepingLaw", "KeptTangents", "PointOperator", "PointwiseLaw", "if_kept"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -57,7 +57,7 @@ class PointwiseLaw(Protocol):
 class AveragingLaw(Protocol):
     """A `PointwiseLaw` that also needs a mean over the cells of a scalar made of its operand.
 
-    Its operand must be made of one increment: its gradient, with a hoop term at rings.
+    Its operand must be made of one increment: its gradient, with a hoop term at axisymmetric points.
     """
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
@@ -93,7 +93,7 @@ class AveragingLaw(Protocol):
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptTangents:
     """What is kept of a law's answers at some points.
 
     Attributes:
@@ -106,7 +106,7 @@ class Kept:
     known: bool
 
 
-def if_kept(kept: Kept | None) -> dict[str, Any]:
+def if_kept(kept: KeptTangents | None) -> dict[str, Any]:
     """The argument `kept` of a call, without which laws that keep nothing are called."""
     return {} if kept is None else {"kept": kept}
 
@@ -130,7 +130,7 @@ class KeepingLaw(Protocol):
         tangent: Array | None,
         rows: Rows,
         *,
-        kept: Kept | None = None,
+        kept: KeptTangents | None = None,
     ) -> int:
         """As `PointwiseLaw.evaluate`, or `AveragingLaw.evaluate`.
 
@@ -139,7 +139,9 @@ class KeepingLaw(Protocol):
             kept: What is kept of these points, written or read; or None.
         """
 
-    def commit(self, operand: Array, rows: Rows, kept: Kept | None = None) -> dict[str, Array]:
+    def commit(
+        self, operand: Array, rows: Rows, kept: KeptTangents | None = None
+    ) -> dict[str, Array]:
         """Fields of some points at the end of a converged step; see `PointwiseLaw.commit`."""
 
 

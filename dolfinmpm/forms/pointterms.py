@@ -30,7 +30,7 @@ from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointwise import Program, compile_program
 from dolfinmpm.forms.slots import Slots
-from dolfinmpm.forms.terms import brief, depends_on, operators_in, summands, tags_of
+from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
 __all__ = ["PointTerms", "TangentBlock", "component", "derive"]
 

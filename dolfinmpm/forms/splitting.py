@@ -29,7 +29,7 @@ from dolfinmpm.forms.gridterms import GridTerms
 from dolfinmpm.forms.operators import AveragingLaw, PointOperator
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagged import Tagged, tags_by_term
-from dolfinmpm.forms.terms import brief, contact_of, operators_in, tags_of
+from dolfinmpm.forms.termqueries import brief, contact_of, operators_in, tags_of
 from dolfinmpm.forms.throughlaws import through_laws
 
 SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)

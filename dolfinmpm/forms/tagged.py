@@ -18,7 +18,7 @@ from dolfinmpm.body.acting import MARK
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import in_order, tags_in_use
 from dolfinmpm.forms.declarations import Declaration, in_words
-from dolfinmpm.forms.terms import brief, depends_on, operators_in, summands, tags_of
+from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
 __all__ = ["Tagged", "tags_by_term"]
 

@@ -20,7 +20,7 @@ from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm._platform.together import together
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
-__all__ = ["create_lattice", "lay_lines", "times_laid", "zoned_line"]
+__all__ = ["create_lattice", "lay_lines", "times_regridded", "zoned_line"]
 
 Array = npt.NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
 
 
 def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
-    """Lay the lines of a rectangular grid anew; see `regrade` for problems on it. Collective.
+    """Place the lines of a rectangular grid anew; see `regrid` for problems on it. Collective.
 
     Args:
         grid: The grid.
@@ -159,11 +159,11 @@ def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
         sizes = values.x.array if isinstance(values, fem.Function) else float(values.value)
         found.x.array[:] = sizes
         kept[key] = found
-    grid.__dict__["_dolfinmpm_laid"] = times_laid(grid) + 1
+    grid.__dict__["_dolfinmpm_laid"] = times_regridded(grid) + 1
     assert lattice_of(grid) is not None
 
 
-def times_laid(grid: Any) -> int:
+def times_regridded(grid: Any) -> int:
     """How often the lines of a grid have been laid anew."""
     return int(grid.__dict__.get("_dolfinmpm_laid", 0))
 

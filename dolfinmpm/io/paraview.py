@@ -16,8 +16,8 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_points
-from dolfinmpm.body.balance import occupied
+from dolfinmpm.body.formarguments import check_points
+from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies

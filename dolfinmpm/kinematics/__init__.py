@@ -10,10 +10,10 @@ from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.initial import geostatic_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
+from dolfinmpm.kinematics.lawterms import framework, momentum, set_stress, stress
+from dolfinmpm.kinematics.nitsche import dirichlet
 from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.kinematics.terms import framework, momentum, set_stress, stress
 from dolfinmpm.kinematics.walls import signorini
-from dolfinmpm.kinematics.weakly import dirichlet
 
 __all__ = [
     "Deposit",

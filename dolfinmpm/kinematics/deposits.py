@@ -24,7 +24,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.positions import ask
 from dolfinmpm.materials.sands import Sand

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.errors import ParameterError, SoftVolumeWarning, raise_together, warn
 from dolfinmpm.basis.cells import invert
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.operators import KeepingLaw, Kept, if_kept
+from dolfinmpm.forms.operators import KeepingLaw, KeptTangents, if_kept
 
 __all__ = ["FBar", "StrainFramework"]
 
@@ -178,7 +178,7 @@ class FBar:
     With ΔF = I + H, ΔJ = det ΔF and ΔJ̄ its mean over the cells of the point, or over
     splines one degree lower (see `CellMeans`), weighted with the volumes at the start of the
     step, the framework is given ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), d the dimension of space (2
-    in plane strain, 3 of rings). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
+    in plane strain, else 3). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
     volume with true spatial gradients, S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ: Cauchy stress belongs to
     the F̄ that made it, σ = τ/J̄, and the factor J/J̄ is left in as de Souza Neto et al. have
     it, who integrate σ(F̄) over the true volume.
@@ -299,7 +299,7 @@ class FBar:
 
     def evaluate(
         self, operand: Array, value: Array, tangent: Array | None, rows,
-        by_mean: Array | None = None, kept: Kept | None = None,
+        by_mean: Array | None = None, kept: KeptTangents | None = None,
     ) -> int:  # fmt: skip
         """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
         d, kind = self.points.strain_dim, self._multiplicative
@@ -319,7 +319,7 @@ class FBar:
         _true_gradient(operand, measure, mean, history, d, kind, value, tangent, slope)
         return -1
 
-    def commit(self, operand: Array, rows, kept: Kept | None = None) -> dict[str, Array]:
+    def commit(self, operand: Array, rows, kept: KeptTangents | None = None) -> dict[str, Array]:
         """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
         points = self.points
         changed = np.empty_like(operand)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import Tags
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.forms.operators import Kept
+from dolfinmpm.forms.operators import KeptTangents
 from dolfinmpm.kinematics.measures import StrainMeasure, measure_in
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.spectral import components, kept_numbers, stress_kernel
@@ -117,7 +117,7 @@ class Framework:
         return kept_numbers(self.points.strain_dim, len(self.law.internal))
 
     def _run(
-        self, operand: Array, rows: Rows, kept: Kept | None, S, A, new, internal, sigma
+        self, operand: Array, rows: Rows, kept: KeptTangents | None, S, A, new, internal, sigma
     ) -> int:
         points, measure = self.points, self._measure
         ending = len(new) > 0
@@ -165,7 +165,7 @@ class Framework:
         value: Array,
         tangent: Array | None,
         rows: Rows,
-        kept: Kept | None = None,
+        kept: KeptTangents | None = None,
     ) -> int:
         """Flux S and its derivative by ∇ũ; see `KeepingLaw`."""
         if len(rows) == 0:
@@ -173,7 +173,9 @@ class Framework:
         A = np.empty((0, 1, 1)) if tangent is None else tangent
         return self._run(operand, rows, kept, value, A, *[np.empty((0, 6))] * 3)
 
-    def commit(self, operand: Array, rows: Rows, kept: Kept | None = None) -> dict[str, Array]:
+    def commit(
+        self, operand: Array, rows: Rows, kept: KeptTangents | None = None
+    ) -> dict[str, Array]:
         """Elastic strain, internal variables and Cauchy stress at the end of the step."""
         n = len(rows)
         new, sigma = np.empty((n, 6)), np.empty((n, 6))

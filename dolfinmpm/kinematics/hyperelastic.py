@@ -19,8 +19,8 @@ from dolfinmpm.forms.declarations import (
     rows_within,
 )
 from dolfinmpm.forms.pointwise import compile_here
-from dolfinmpm.kinematics.history import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.kinematics.parameters import PointParameters
+from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 

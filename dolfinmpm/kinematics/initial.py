@@ -19,7 +19,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.grid.positions import ask
 from dolfinmpm.kinematics.frameworks import Array, Framework, Rows
-from dolfinmpm.kinematics.history import GIVEN, MARKS
+from dolfinmpm.kinematics.strainmarks import GIVEN, MARKS
 from dolfinmpm.materials.inverse import belong, elastic_strain
 
 __all__ = ["StressField", "geostatic_stress", "take_stress", "write_stress"]

@@ -9,7 +9,7 @@ with the shear t_s that Coulomb's law returns of t_s,n − k_t P u, P = I − n�
 the start of the step plus n·u, and goes on below zero: what lifts off comes back where it left.
 Where a wall has had no contact yet, the gap is the way from the nearest point's domain.
 
-In steps in time such contact rings under the trapezoidal rule with a consistent mass, as any
+In steps in time such contact oscillates under the trapezoidal rule with a consistent mass, as any
 penalty does; a lumped mass or `GeneralisedAlpha` with ρ∞ < 1 damps it.
 """
 
@@ -30,14 +30,14 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import in_front, look_ahead
-from dolfinmpm.kinematics.terms import flux
+from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

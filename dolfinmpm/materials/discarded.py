@@ -24,7 +24,7 @@ DISCARDED = _Discarded()
 
 
 @register_model(_Discarded)
-class _Model(models.PrimitiveModel):
+class _DiscardedModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
         # an address, as the caller gives one
         super().__init__(manager, kind, ir.IntType(8).as_pointer())

@@ -254,7 +254,7 @@ class MohrCoulomb(Law):
     Raises:
         ParameterError: A parameter is outside its range, the dilation angle exceeds a
             friction angle, there is neither cohesion nor friction, residual values have
-            no rate, or the softening is too steep.
+            no rate, or the fall of strength is too steep.
     """
 
     parameters = ELASTIC | {

@@ -33,7 +33,7 @@ class Tresca(Law):
     Computational Methods for Plasticity (2008), section 8.1 (whose α is the sum of the
     multipliers), with the tangent that is consistent with it.
 
-    Softening is allowed up to where a strain has one stress only: c may not fall
+    A negative hardening is allowed up to where a strain has one stress only: c may not fall
     faster than 3/2 μ by α.
 
     Args:
@@ -44,7 +44,7 @@ class Tresca(Law):
         rate: Rate of this change by α, not negative.
 
     Raises:
-        ParameterError: A parameter is outside its range, or the softening too steep.
+        ParameterError: A parameter is outside its range, or the fall of strength too steep.
     """
 
     parameters = ELASTIC | {
@@ -76,7 +76,7 @@ class Tresca(Law):
         )
 
     def admissible(self, values: dict[str, Array]) -> None:
-        """Raise ParameterError where softening leaves a strain with more than one stress."""
+        """Raise ParameterError where a strain has more than one stress."""
         if (values["cohesion"] != values["ultimate_cohesion"]).any():
             self._check_rate(values, (("cohesion", "ultimate_cohesion"),))
         fall = values["rate"] * (values["cohesion"] - values["ultimate_cohesion"])

@@ -68,7 +68,7 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
                 above = multiplier
         else:
             return 2
-    # softening may use the strength up; a stress of no size has no direction
+    # a negative hardening may use the strength up; a stress of no size has no direction
     if not strength > 0.0:
         return 1
     new[0] = alpha
@@ -111,20 +111,20 @@ class VonMises(Law):
     Inelasticity (1998), box 3.2, with ρ_y as in AMPLE (Coombs & Augarde 2020, doi
     10.1016/j.advengsoft.2020.102748).
 
-    Softening is allowed up to where a strain has one stress only: nowhere may ρ_y
+    A negative hardening is allowed up to where a strain has one stress only: nowhere may ρ_y
     fall faster than √6 μ by α. A point whose strength is used up has no stress.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
         yield_stress: Radius ρ_y0 of the first yield surface (Pa), positive.
-        hardening: Linear part H (Pa), negative for softening.
+        hardening: Linear part H (Pa), negative where strength falls.
         saturation: Radius ρ_∞ (Pa), positive, to which the exponential part tends; that
             of first yield by default, that is no exponential part.
         rate: Rate δ of the exponential part, not negative.
 
     Raises:
-        ParameterError: A parameter is outside its range, or the softening too steep.
+        ParameterError: A parameter is outside its range, or the fall of strength too steep.
     """
 
     parameters = ELASTIC | {
@@ -159,7 +159,7 @@ class VonMises(Law):
         )
 
     def admissible(self, values: dict[str, Array]) -> None:
-        """Raise ParameterError where softening leaves a strain with more than one stress."""
+        """Raise ParameterError where a strain has more than one stress."""
         self._check_rate(values, (("yield_stress", "saturation"),))
         rise = values["rate"] * (values["saturation"] - values["yield_stress"])
         steepest = values["hardening"] + np.minimum(rise, 0.0)

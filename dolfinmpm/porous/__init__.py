@@ -1,6 +1,6 @@
 """Soil and water: coupled deformation and flow, in UFL."""
 
 from dolfinmpm.porous.fluid import Fluid, kozeny_carman
-from dolfinmpm.porous.terms import poromechanics
+from dolfinmpm.porous.mixture import poromechanics
 
 __all__ = ["Fluid", "kozeny_carman", "poromechanics"]

@@ -30,7 +30,7 @@ class Kinematics:
     inverse: Expr | None
 
     def grad(self, w: Expr) -> Expr:
-        """Spatial gradient at the end of the step; of rings with the hoop term, see `gradient`."""
+        """Spatial gradient at the end of the step, with any hoop term; see `gradient`."""
         points, inverse = self.points, self.inverse
         if w.ufl_shape == ():
             slope = ufl.grad(w)

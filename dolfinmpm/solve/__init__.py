@@ -2,8 +2,8 @@
 
 from dolfinmpm.solve.arclength import ArcLength, ArcRecord
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.regrading import regrade
+from dolfinmpm.solve.regridding import regrid
 from dolfinmpm.solve.rest import equilibrate
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["ArcLength", "ArcRecord", "QuasiStatic", "Step", "StepRecord", "equilibrate", "regrade"]
+__all__ = ["ArcLength", "ArcRecord", "QuasiStatic", "Step", "StepRecord", "equilibrate", "regrid"]

@@ -14,8 +14,8 @@ from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.axisymmetry import deformation, in_section
-from dolfinmpm.body.balance import balance
 from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD

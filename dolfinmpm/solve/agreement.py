@@ -118,7 +118,7 @@ def _points(points: MaterialPoints) -> Any:
     parts = {
         "number": points.total,
         "fields": list(points._ufl),
-        "rings": points.axisymmetric,
+        "axisymmetric": points.axisymmetric,
         "order among the points of its grid": points._order,
     }
     return told(parts)

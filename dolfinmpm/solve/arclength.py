@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.checks import check_form
+from dolfinmpm.forms.formchecks import check_form
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (
     check_conditions,
@@ -26,7 +26,7 @@ from dolfinmpm.solve.arguments import (
     check_updates,
     increments_of,
 )
-from dolfinmpm.solve.bodies import refuse_bodies
+from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
 from dolfinmpm.solve.newton import Newton

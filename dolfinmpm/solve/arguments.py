@@ -23,10 +23,10 @@ from dolfinmpm._platform.checks import check_function, check_kind, choice, numbe
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
 from dolfinmpm.basis.conditions import Condition, free_motions
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.arguments import check_points
+from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.remedies import KINDS, Stabilisation
+from dolfinmpm.cut.stabilisations import KINDS, Stabilisation
 
 __all__ = [
     "ELSEWHERE",
@@ -40,8 +40,8 @@ __all__ = [
     "check_spaces",
     "check_updates",
     "increments_of",
-    "remedies_of",
-    "remedy_of",
+    "stabilisations_of",
+    "stabilisation_of",
 ]
 
 # What the solver itself sets at the end of a step, or may never be set
@@ -133,8 +133,8 @@ def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None
 # -- options ------------------------------------------------------------------
 
 
-def remedy_of(stabilisation: Any) -> Stabilisation:
-    """The remedy that is meant by a word or a `Stabilisation`.
+def stabilisation_of(stabilisation: Any) -> Stabilisation:
+    """The stabilisation that is meant by a word or a `Stabilisation`.
 
     Raises:
         ParameterError: It is neither.
@@ -145,7 +145,7 @@ def remedy_of(stabilisation: Any) -> Stabilisation:
         raise ParameterError('stabilisation = None must be a word; "none" is no stabilisation')
     if isinstance(stabilisation, ufl.Form):
         raise ParameterError(
-            "stabilisation is a form; add it to the weak form, or name a remedy as in "
+            "stabilisation is a form; add it to the weak form, or name a stabilisation as in "
             'stabilisation="ghost"'
         )
     check_kind(
@@ -155,11 +155,11 @@ def remedy_of(stabilisation: Any) -> Stabilisation:
     return stabilisation
 
 
-def remedies_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation]:
-    """One remedy for every field: one for all is that of each of them.
+def stabilisations_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation]:
+    """One stabilisation for every field: one for all is that of each of them.
 
     Raises:
-        ParameterError: One is not a remedy, or they are not as many as fields.
+        ParameterError: One is not a stabilisation, or they are not as many as fields.
     """
     if isinstance(stabilisation, (list, tuple)):
         if len(stabilisation) != number_of_fields:
@@ -167,8 +167,8 @@ def remedies_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation
                 f"stabilisation has {len(stabilisation)} entries for {number_of_fields} fields; "
                 "give one for each, or one for all"
             )
-        return [remedy_of(one) for one in stabilisation]
-    return [remedy_of(stabilisation)] * number_of_fields
+        return [stabilisation_of(one) for one in stabilisation]
+    return [stabilisation_of(stabilisation)] * number_of_fields
 
 
 def check_spaces(spaces: Sequence[Space]) -> None:
@@ -193,7 +193,7 @@ def check_grid(points: MaterialPoints) -> None:
         raise ParameterError(
             f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
             "it was first used: its coordinates have been changed since, which points and spaces "
-            "on it do not follow. Change them before, or lay lines anew by mpm.regrade"
+            "on it do not follow. Change them before, or place lines anew by mpm.regrid"
         )
 
 
@@ -346,21 +346,21 @@ def advice(
     bcs: Sequence[Condition],
     space: Space,
     active: npt.NDArray[np.int32],
-    rings: bool = False,
+    axisymmetric: bool = False,
 ) -> str:
     """What to do about a step that failed. Collective.
 
     Args:
-        stabilised: Whether a remedy against small cuts is at work.
+        stabilised: Whether a stabilisation against small cuts is at work.
         bcs: Essential conditions.
         space: Space of the first field.
         active: Its active nodes.
-        rings: Whether the body is one of revolution.
+        axisymmetric: Whether the body is one of revolution.
     """
     text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
     if space.increment.ufl_shape != (space.grid.geometry.dim,):
         return text
-    free = free_motions(bcs, space, active, rings)
+    free = free_motions(bcs, space, active, axisymmetric)
     if not free:
         return text
     if not bcs:

@@ -16,7 +16,7 @@ _TOUCHES = 0.01
 
 
 def warn_of_free_axis(points: MaterialPoints, here: Activation) -> None:
-    """Warn where rings reach the axis and nodes there may leave it. Collective.
+    """Warn where axisymmetric bodies reach the axis and nodes there may leave it. Collective.
 
     Args:
         points: Material points.

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
 from dolfinmpm.solve.linesearch import name_of
-from dolfinmpm.solve.newton import Balance, Newton, Outcome
+from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["Border", "Bordered"]
@@ -110,7 +110,7 @@ class Bordered:
         newton, border, x = self.newton, self.border, outcome.x
         matrix = newton.linear.matrix
         assert matrix is not None
-        balance = Balance(newton.tolerance, newton.max_iterations)
+        balance = ConvergenceTest(newton.tolerance, newton.max_iterations)
         balance.motion, outcome.residuals = motion, balance.residuals
         comm = operator.here.unknowns.comm
         while True:

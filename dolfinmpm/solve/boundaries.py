@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
-from dolfinmpm.assembly.traces import trace_constants
+from dolfinmpm.assembly.nitschepenalty import trace_constants
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary
@@ -21,8 +21,8 @@ from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
-from dolfinmpm.kinematics.weakly import TRACE
-from dolfinmpm.solve.referred import refer
+from dolfinmpm.kinematics.nitsche import TRACE
+from dolfinmpm.solve.referencemarkers import refer
 
 __all__ = [
     "MarkerState",
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
-# Constants of cells with a remedy serve as long as the boundary moves by no more of a cell
+# Constants of cells with a stabilisation serve as long as the boundary moves by no more of a cell
 _STILL = 0.02
 MarkerState = tuple[Boundary, dict[str, Array], Destinations | None]
 
@@ -72,7 +72,7 @@ def set_penalties(
         here: What is active.
         moduli: Function that gives the elastic moduli M and G at the points (Pa).
         increments: Increments of the fields.
-        stabilised: Whether a remedy bounds the constants of cells with small cuts, so that they
+        stabilised: Whether a stabilisation bounds the constants of cells with small cuts, so that they
             change little with the cut.
     """
     for number, of in enumerate(boundaries):

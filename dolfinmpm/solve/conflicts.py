@@ -12,8 +12,8 @@ from dolfinmpm._platform.alike import told
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.forms.splitting import BoundaryTerms
+from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.kinematics.walls import Wall
-from dolfinmpm.kinematics.weakly import WeakCondition
 
 __all__ = ["check_boundaries_of"]
 

@@ -37,7 +37,7 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
         domains = f"averaged ({space.domains})" if basis.averaged else "not averaged"
         more = f"coarsen = {space.coarsen}, tag = {space.tags}"
         found[f"basis of field {k + 1}"] = f'"{name}", {domains}, {more}'
-        found[f"stabilisation of field {k + 1}"] = str(field.remedy)
+        found[f"stabilisation of field {k + 1}"] = str(field.stabilisation)
     found["conditions"] = "; ".join(sorted(_condition(one) for one in bcs)) or "none"
     for k, contact in enumerate(form.parts.contacts):
         found[f"contact {k + 1}"] = (

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.splinefacets import FacetBlock
-from dolfinmpm.cut.couplings import Kept
+from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.cellvalues import set_values, values_of_cells
-from dolfinmpm.solve.linear import WORKSPACE
+from dolfinmpm.solve.linearsolver import WORKSPACE
 from dolfinmpm.solve.loads import Loads
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.weakform import WeakForm
@@ -64,13 +64,15 @@ def memory_of(newton: Newton, form: WeakForm, here: Activation | None) -> tuple[
     for k, block in enumerate(_spline_blocks(form)):
         local |= {f"facets {k} {name}": values for name, values in block.memory().items()}
     if here is not None:
-        kept = Kept.of(here)
+        kept = KeptCouplings.of(here)
         local |= {"active": kept.active, "rows": kept.rows, "columns": kept.columns}
     local |= newton.guess.memory()
     return state, local
 
 
-def set_memory(newton: Newton, form: WeakForm, state: State, local: Arrays | None) -> Kept | None:
+def set_memory(
+    newton: Newton, form: WeakForm, state: State, local: Arrays | None
+) -> KeptCouplings | None:
     """Let a solver remember what `memory_of` returned, and nothing of its own. Collective.
 
     Args:
@@ -97,7 +99,7 @@ def set_memory(newton: Newton, form: WeakForm, state: State, local: Arrays | Non
         block.remember(kept)
     if local is None or "active" not in local:
         return None
-    return Kept(local["active"], local["rows"], local["columns"])
+    return KeptCouplings(local["active"], local["rows"], local["columns"])
 
 
 def _spline_blocks(form: WeakForm) -> list[FacetBlock]:

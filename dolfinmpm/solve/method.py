@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from petsc4py import PETSc
 
-from dolfinmpm.forms.terms import contact_of, depends_on, summands
+from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = [

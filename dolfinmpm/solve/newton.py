@@ -14,9 +14,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.solve.guess import Guess
-from dolfinmpm.solve.linear import LinearSolver
+from dolfinmpm.solve.linearsolver import LinearSolver
 from dolfinmpm.solve.linesearch import SEARCHES, name_of, set_search
 from dolfinmpm.solve.method import Tangent
 from dolfinmpm.solve.operator import Operator, Residual
@@ -58,7 +58,7 @@ class Solver(Protocol):
 _SPARE = 0.3
 
 
-class Balance:
+class ConvergenceTest:
     """When forces balance: the measure of Newton's iterations.
 
     Args:
@@ -194,7 +194,7 @@ class Newton:
     def _attempt(self, operator: Operator, outcome: Outcome, guess: Array | None = None) -> None:
         """One run of SNES, from a guess of the unknowns or from rest. Collective."""
         unknowns, linear = operator.here.unknowns, self.linear
-        balance = Balance(self.tolerance, self.max_iterations)
+        balance = ConvergenceTest(self.tolerance, self.max_iterations)
         outcome.residuals, outcome.reason = balance.residuals, None
         outcome.x = np.zeros(unknowns.owned)
         if unknowns.total == 0:
@@ -231,7 +231,7 @@ class Newton:
             # what a user chose may end elsewhere than at the last residual
             operator.move(outcome.x)
 
-    def _run(self, operator: Operator, balance: Balance, start: Array) -> tuple[int, int]:
+    def _run(self, operator: Operator, balance: ConvergenceTest, start: Array) -> tuple[int, int]:
         """Let SNES iterate; writes what it finds over the start. Collective.
 
         The line searches of `SEARCHES`, and `Secants`, end with the residual of the step that they
@@ -299,7 +299,7 @@ class Newton:
         start[:] = x.getArray(readonly=True)
         return snes.getConvergedReason(), snes.getIterationNumber()
 
-    def _predict(self, operator: Operator, balance: Balance) -> Array:
+    def _predict(self, operator: Operator, balance: ConvergenceTest) -> Array:
         """First guess under prescribed increments: one linear step from rest, K x = −f − K g."""
         operator.rest()
         assert self.linear.matrix is not None

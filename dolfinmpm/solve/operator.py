@@ -14,8 +14,8 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.evaluation import Evaluation
-from dolfinmpm.assembly.points import Entries, Matrix, add_blocks, add_product
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import region_on, regions_of
 from dolfinmpm.cut.celloffsets import cell_offsets
@@ -24,8 +24,8 @@ from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.forms.carriedfields import CellOffset
-from dolfinmpm.solve.unsoftened import Unsoftened
 from dolfinmpm.solve.weakform import WeakForm
+from dolfinmpm.solve.withoutsoft import WithoutSoftStiffness
 
 __all__ = ["Operator", "Residual"]
 
@@ -442,11 +442,11 @@ class Operator:
             kept_lifts = [lift[field.nodes] for field, lift in zip(fields, lifts)]
             self._base = np.array(matrix.data), kept_lifts
 
-    def unsoftened(self, matrix: Matrix) -> PETSc.Mat:
+    def without_soft(self, matrix: Matrix) -> PETSc.Mat:
         """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
         if not self.here.soft:
             return matrix.petsc
-        return Unsoftened(self.here.unknowns, self.here.soft).operator(matrix.petsc)
+        return WithoutSoftStiffness(self.here.unknowns, self.here.soft).operator(matrix.petsc)
 
     # -- results --------------------------------------------------------------
 

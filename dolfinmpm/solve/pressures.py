@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError, raise_together
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditions import Condition, idle
 from dolfinmpm.body.points import PointField
 from dolfinmpm.cut.activation import active_on_grid

@@ -25,7 +25,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditions import Condition, warn_idle
 from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
@@ -33,13 +33,13 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.cut.activation import activate, active_on_grid
-from dolfinmpm.cut.couplings import Kept
+from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, with_ties
-from dolfinmpm.cut.remedies import Stabilisation
-from dolfinmpm.forms.checks import check_fields, check_form, check_levels
+from dolfinmpm.cut.stabilisations import Stabilisation
+from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
-from dolfinmpm.grid.graded import times_laid
+from dolfinmpm.grid.graded import times_regridded
 from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
@@ -49,10 +49,10 @@ from dolfinmpm.solve.arguments import (
     check_spaces,
     check_updates,
     increments_of,
-    remedies_of,
+    stabilisations_of,
 )
 from dolfinmpm.solve.axis import warn_of_free_axis
-from dolfinmpm.solve.bodies import check_bodies
+from dolfinmpm.solve.bodyfields import check_bodies
 from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.conflicts import check_boundaries_of
 from dolfinmpm.solve.description import describe, warn_of_differences
@@ -60,8 +60,8 @@ from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_increments
-from dolfinmpm.solve.referred import needed_of, require_reference
-from dolfinmpm.solve.setup import Remedies, updates_of, with_moduli, with_remedies
+from dolfinmpm.solve.referencemarkers import needed_of, require_reference
+from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
@@ -78,7 +78,7 @@ class Problem(ReadOnce):
     Attributes:
         history: One record a step.
         points: The material points.
-        fields: The fields, with their spaces and remedies.
+        fields: The fields, with their spaces and stabilisations.
         form: The weak form, made ready.
         here: What took part in the last step, or None before the first.
 
@@ -110,7 +110,7 @@ class Problem(ReadOnce):
         bcs: Sequence[Condition] = (),
         *,
         updates: dict[str, Expr] | None = None,
-        stabilisation: Remedies = "none",
+        stabilisation: Stabilisations = "none",
         prolongation: Prolongate | None = None,
     ):
         increments = increments_of(increment, points)
@@ -135,17 +135,17 @@ class Problem(ReadOnce):
                 )
         check_room(points)
         updates = check_updates(updates, points)
-        remedies = remedies_of(stabilisation, len(spaces))
+        stabilisations = stabilisations_of(stabilisation, len(spaces))
         check_callable("prolongation", prolongation)
         self.points = points
         self.history: list[StepRecord] = []
-        remedies = with_moduli(remedies, spaces, form, points)
-        self.fields = [Field(*both, prolongation) for both in zip(spaces, remedies)]
+        stabilisations = with_moduli(stabilisations, spaces, form, points)
+        self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
         if self._ties_movers:
             for k in movers(spaces):
                 self.fields[k] = with_ties(self.fields[k])
-        whole, softening, changes = with_remedies(form, self.fields, points)
-        self.form = WeakForm(whole, spaces, points, softening, changes)
+        whole, soft, changes = with_stabilisations(form, self.fields, points)
+        self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
@@ -154,7 +154,7 @@ class Problem(ReadOnce):
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()
         self.here: Activation | None = None
-        self._kept: Kept | None = None
+        self._kept: KeptCouplings | None = None
         self._held = Held(bcs, spaces)
         if self._held.follows and self.configuration == "total":
             raise ParameterError(
@@ -209,9 +209,9 @@ class Problem(ReadOnce):
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
-        """The remedy with all its parameters, a list of several fields' ones."""
-        remedies = [field.remedy for field in self.fields]
-        return remedies if len(remedies) > 1 else remedies[0]
+        """The stabilisation with all its parameters, a list of several fields' ones."""
+        stabilisations = [field.stabilisation for field in self.fields]
+        return stabilisations if len(stabilisations) > 1 else stabilisations[0]
 
     @property
     def configuration(self) -> str:
@@ -388,16 +388,16 @@ class Problem(ReadOnce):
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
         """
         self.bodies.take()
-        if times_laid(self.points.grid) != self.form.laid:
+        if times_regridded(self.points.grid) != self.form.laid:
             raise ParameterError(
-                "mpm.regrade has laid the grid's lines anew for another problem, and this one has "
+                "mpm.regrid has placed the grid's lines anew for another problem, and this one has "
                 f"kept where they were: make a new Space and a new {type(self).__name__} of its "
                 "points, or give it a grid of its own"
             )
 
-    def lay(self) -> None:
-        """Forget what belongs to where the grid's lines were; see `regrade`."""
-        self.form.lay()
+    def regrid(self) -> None:
+        """Forget what belongs to where the grid's lines were; see `regrid`."""
+        self.form.regrid()
         self.here = self._kept = None
 
     def _in_blocks(self, count: int) -> bool:

@@ -20,9 +20,9 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
-from dolfinmpm.body.balance import balance, imbalance
+from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import active_on_grid
 from dolfinmpm.cut.participants import Activation, Prolongate
@@ -44,7 +44,7 @@ from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
-from dolfinmpm.solve.setup import Remedies
+from dolfinmpm.solve.setup import Stabilisations
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 from dolfinmpm.solve.timeless import refuse_time
 from dolfinmpm.solve.unsupported import unsupported
@@ -80,7 +80,7 @@ class QuasiStatic(Problem):
         max_halvings: Halvings before a step is given up.
         updates: Fields of the points that a converged step sets to UFL
             expressions of state and increment, by name.
-        stabilisation: Remedy against small cuts: a `Stabilisation`, or the name of
+        stabilisation: Stabilisation against small cuts: a `Stabilisation`, or the name of
             one with its usual parameters; one for all fields, or a list with one for each.
         prolongation: Function of stencils and active nodes that returns a matrix C,
             shape (nodes, nodes), by which some nodes' values follow from others'.
@@ -92,7 +92,7 @@ class QuasiStatic(Problem):
     Attributes:
         history: One record a step.
         points: The material points.
-        fields: The fields, with their spaces and remedies.
+        fields: The fields, with their spaces and stabilisations.
         form: The weak form, made ready.
         solver: What solves a step's equations.
         here: What took part in the last step, or None before the first.
@@ -120,7 +120,7 @@ class QuasiStatic(Problem):
         max_iterations: int = 20,
         max_halvings: int = 10,
         updates: dict[str, Expr] | None = None,
-        stabilisation: Remedies = "none",
+        stabilisation: Stabilisations = "none",
         prolongation: Prolongate | None = None,
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
@@ -139,7 +139,7 @@ class QuasiStatic(Problem):
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
         basis = self.form.spaces[0].basis
         tangent = Tangent(
-            symmetric(self.form), definite, self.form.softening is not None, len(shapes),
+            symmetric(self.form), definite, self.form.soft is not None, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
@@ -385,7 +385,7 @@ class QuasiStatic(Problem):
             # a rigid body goes too far, and no step was begun
             return "take smaller steps"
         first = here.fields[0]
-        named = any(field.remedy.kind != "none" for field in self.fields)
+        named = any(field.stabilisation.kind != "none" for field in self.fields)
         active = active_on_grid(first)
         stabilised = named or here.ghost_facets > 0
         return advice(stabilised, self.bcs, first.space, active, self.points.axisymmetric)

@@ -13,12 +13,12 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import check_kind, number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.splitting import split
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.bordered import Bordered
@@ -149,7 +149,7 @@ class _Penalties:
 
     def __bool__(self) -> bool:
         distances = any(
-            field.remedy.kind == "weak-aggregation" and moved
+            field.stabilisation.kind == "weak-aggregation" and moved
             for field, moved in zip(self._problem.fields, self._moved)
         )
         # what is not linear in the increments is no penalty
@@ -185,7 +185,7 @@ class _Penalties:
         if tied:
             follow = Stabilisation("aggregation")
             problem.fields = [
-                replace(field, remedy=follow) if moved else field
+                replace(field, stabilisation=follow) if moved else field
                 for field, moved in zip(fields, self._moved)
             ]
             problem.here = None

@@ -1,4 +1,4 @@
-"""What a problem is made of: remedies with their moduli, and updates of fields."""
+"""What a problem is made of: stabilisations with their moduli, and updates of fields."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Field, movers
-from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared
+from dolfinmpm.forms.ghostterms import penalty_of
 from dolfinmpm.forms.hoop import check_hoop
-from dolfinmpm.forms.penalties import penalty_of
-from dolfinmpm.kinematics.history import ENERGY, MARKS
+from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS
 from dolfinmpm.solve.weakform import WeakForm
 
-__all__ = ["Remedies", "updates_of", "with_moduli", "with_remedies"]
+__all__ = ["Stabilisations", "updates_of", "with_moduli", "with_stabilisations"]
 
-Remedies = Stabilisation | str | Sequence[Stabilisation | str]
+Stabilisations = Stabilisation | str | Sequence[Stabilisation | str]
 
 
 def with_moduli(
-    remedies: Sequence[Stabilisation],
+    stabilisations: Sequence[Stabilisation],
     spaces: Sequence[Space],
     form: ufl.Form,
     points: MaterialPoints,
 ) -> list[Stabilisation]:
-    """The fields' remedies with the moduli of the form's laws where they name none. Collective.
+    """The fields' stabilisations, with moduli of the form's laws by default. Collective.
 
     Of several laws, and of moduli that vary, it takes the largest: too stiff a penalty costs
     less than one that leaves the stiffest cells ill-conditioned.
@@ -43,25 +43,27 @@ def with_moduli(
             field that is no displacement.
     """
     made = []
-    for k, (remedy, space) in enumerate(zip(remedies, spaces)):
-        if (remedy.needs_modulus or remedy.follows_tangent) and remedy.E is None:
-            if remedy.kind == "ghost" and penalty_of(form, space.increment) is not None:
-                made.append(remedy)
+    for k, (stabilisation, space) in enumerate(zip(stabilisations, spaces)):
+        if (
+            stabilisation.needs_modulus or stabilisation.follows_tangent
+        ) and stabilisation.E is None:
+            if stabilisation.kind == "ghost" and penalty_of(form, space.increment) is not None:
+                made.append(stabilisation)
                 continue
             if space.increment.ufl_shape != (points.gdim,):
                 raise ParameterError(
-                    f'stabilisation="{remedy.kind}" of field {k + 1} needs a modulus: it is no '
+                    f'stabilisation="{stabilisation.kind}" of field {k + 1} needs a modulus: it is no '
                     f'displacement, whose law would have one; give mpm.Stabilisation("'
-                    f'{remedy.kind}", E=...) in a list with one entry a field, or "none"'
+                    f'{stabilisation.kind}", E=...) in a list with one entry a field, or "none"'
                 )
-            if remedy.needs_modulus:
-                remedy = _with_modulus(remedy, form, points, space)
-        made.append(remedy)
+            if stabilisation.needs_modulus:
+                stabilisation = _with_modulus(stabilisation, form, points, space)
+        made.append(stabilisation)
     return made
 
 
 def _with_modulus(
-    remedy: Stabilisation, form: ufl.Form, points: MaterialPoints, space: Space
+    stabilisation: Stabilisation, form: ufl.Form, points: MaterialPoints, space: Space
 ) -> Stabilisation:
     moduli = []
     for declaration in declared(form, points):
@@ -71,35 +73,39 @@ def _with_modulus(
             moduli.append((declaration.largest("E"), declaration.largest("nu")))
     if not moduli:
         raise ParameterError(
-            f'stabilisation="{remedy.kind}" needs a modulus, and no law in the form has one: give '
-            f'mpm.Stabilisation("{remedy.kind}", E=...)'
+            f'stabilisation="{stabilisation.kind}" needs a modulus, and no law in the form has one: give '
+            f'mpm.Stabilisation("{stabilisation.kind}", E=...)'
         )
     E, nu = max(moduli)
-    return replace(remedy, E=E, nu=nu)
+    return replace(stabilisation, E=E, nu=nu)
 
 
-def with_remedies(
+def with_stabilisations(
     form: ufl.Form, fields: Sequence[Field], points: MaterialPoints
 ) -> tuple[ufl.Form, ufl.Form | None, ufl.Form | None]:
-    """The form with the forces of the fields' remedies, and what is no force on increments.
+    """The form with the forces of the fields' stabilisations, and what is no force on increments.
 
     Returns:
-        The form; what the remedies add to the tangent only; and ghost penalties on what a step
-        changes of the velocity, of fields whose nodes are tied beside their remedy.
+        The form; what the stabilisations add to the tangent only; and ghost penalties on what a step
+        changes of the velocity, of fields whose nodes are tied beside their stabilisation.
     """
-    softening = changes = None
+    soft = changes = None
     for field in fields:
-        trial, remedy = (field.space.increment, field.space.test), field.remedy
-        known = penalty_of(form, trial[0]) if remedy.E is None else None
-        if field.beside is not None and remedy.kind == "ghost" and remedy.gamma is None:
+        trial, stabilisation = (field.space.increment, field.space.test), field.stabilisation
+        known = penalty_of(form, trial[0]) if stabilisation.E is None else None
+        if (
+            field.beside is not None
+            and stabilisation.kind == "ghost"
+            and stabilisation.gamma is None
+        ):
             # ties have done what the factors of splines are for
-            remedy = replace(remedy, gamma=1.0)
-        extra = remedy.force_terms(points, *trial, known)
+            stabilisation = replace(stabilisation, gamma=1.0)
+        extra = stabilisation.force_terms(points, *trial, known)
         if field.beside is not None:
             changes, extra = _sum(changes, extra), None
         form = form if extra is None else form + extra
-        softening = _sum(softening, remedy.tangent_terms(points, *trial))
-    return form, softening, changes
+        soft = _sum(soft, stabilisation.tangent_terms(points, *trial))
+    return form, soft, changes
 
 
 def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
@@ -110,7 +116,7 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
     """Fields that a converged step sets: those of laws and terms, and those given. Collective.
 
     Raises:
-        FormError: An expression lacks the hoop term of points that are rings.
+        FormError: An expression lacks the hoop term of axisymmetric points.
     """
     made: list[PointUpdates | OwnStress] = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)

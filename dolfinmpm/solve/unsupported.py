@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.rigid import RigidBody
 
 __all__ = ["unsupported"]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 
 from dolfinmpm._platform.errors import FormError
-from dolfinmpm.assembly.gridterms import GridAssembler
+from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
@@ -25,15 +25,15 @@ from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
-from dolfinmpm.grid.graded import times_laid
+from dolfinmpm.grid.graded import times_regridded
 from dolfinmpm.solve.boundaries import place_markers, set_penalties
 
-__all__ = ["Inertia", "WeakForm"]
+__all__ = ["MassTerm", "WeakForm"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Inertia(Protocol):
+class MassTerm(Protocol):
     """What the mass of a problem is made of.
 
     Attributes:
@@ -57,7 +57,7 @@ class WeakForm:
         form: Weak form, linear in the test functions.
         spaces: Spaces of the increments.
         points: Material points.
-        softening: Terms of the tangent only, or None.
+        soft: Terms of the tangent only, or None.
         changes: Penalties on what a step in time changes of the velocity, as terms of the
             increments, or None.
 
@@ -85,7 +85,7 @@ class WeakForm:
         form: ufl.Form,
         spaces: Sequence[Space],
         points: MaterialPoints,
-        softening: ufl.Form | None = None,
+        soft: ufl.Form | None = None,
         changes: ufl.Form | None = None,
     ):
         self.given = form
@@ -93,13 +93,13 @@ class WeakForm:
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
         self.bodies = Bodies(self.parts.contacts, points.grid)
-        self.laid = times_laid(points.grid)
+        self.laid = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.inertia: Inertia | None = None
+        self.inertia: MassTerm | None = None
         self.own: list[OwnStress] = []
         # none before the first step
         self._revision = -1
-        self._beside = self._assembler(softening), self._assembler(changes)
+        self._beside = self._assembler(soft), self._assembler(changes)
         self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
         self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
         self._first_moduli()
@@ -126,7 +126,7 @@ class WeakForm:
         return None if self.inertia is None else self.inertia.means
 
     @property
-    def softening(self) -> GridAssembler | None:
+    def soft(self) -> GridAssembler | None:
         """What assembles terms of the tangent only, or None."""
         return self._beside[0]
 
@@ -277,7 +277,7 @@ class WeakForm:
             (field,) = (f for f in fields if f.space.increment is modulus.increment)
             update(modulus, field)
         found: list[list[Blocks]] = []
-        for grid in (self.grid, self.softening, self.changes):
+        for grid in (self.grid, self.soft, self.changes):
             if grid is None or not grid.terms:
                 found.append([])
                 continue
@@ -300,11 +300,11 @@ class WeakForm:
             for first, second in [contact.boundaries]
         ]
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
-        self.laid = times_laid(self.points.grid)
+        self.laid = times_regridded(self.points.grid)
         for grid in self.grids:
-            grid.lay()
+            grid.regrid()
 
     def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """The mass, if there are inertial forces. Collective."""

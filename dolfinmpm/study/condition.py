@@ -8,11 +8,11 @@ import ufl
 
 from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.together import together
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation, Inertia
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
-from dolfinmpm.cut.remedies import Stabilisation
+from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import cell_size, mean_size
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -64,20 +64,20 @@ def conditioning(
     if extra is not None:
         check_kind("extra", extra, ufl.Form, "give a form over points.dX, points.dS or points.dC")
     stiffness, points = problem, problem.points
-    space, remedy = stiffness.fields[0].space, stiffness.fields[0].remedy
+    space, stabilisation = stiffness.fields[0].space, stiffness.fields[0].stabilisation
     u, v = space.increment, space.test
     form = ufl.inner(points.density * u, v) * points.dX
     if extra is not None:
         form += extra
     tied: Stabilisation | str = "none"
-    if remedy.kind == "ghost" and gamma > 0:
+    if stabilisation.kind == "ghost" and gamma > 0:
         penalty = gamma * GHOST_FACTORS[space.basis.degree] * density / 4
         form += ghost(points, u, v, penalty, scaling="literal")
-    elif remedy.kind in ("aggregation", "extended"):
-        tied = remedy
-    elif remedy.kind == "weak-aggregation" and gamma > 0:
+    elif stabilisation.kind in ("aggregation", "extended"):
+        tied = stabilisation
+    elif stabilisation.kind == "weak-aggregation" and gamma > 0:
         size = mean_size(cell_size(points.grid))
-        tied = replace(remedy, E=density * size**2, gamma=gamma)
+        tied = replace(stabilisation, E=density * size**2, gamma=gamma)
     inertia = QuasiStatic(
         form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
     )

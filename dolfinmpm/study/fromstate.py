@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.checks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration

@@ -20,11 +20,15 @@ def test_a_cone_in_clay(tmp_path):
     assert (tmp_path / "cone_penetration_tresca_axisymmetric.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize("remedy", ["ghost", pytest.param("aggregation", marks=pytest.mark.long)])
-def test_a_cone_in_sand(tmp_path, remedy):
+@pytest.mark.parametrize(
+    "stabilisation", ["ghost", pytest.param("aggregation", marks=pytest.mark.long)]
+)
+def test_a_cone_in_sand(tmp_path, stabilisation):
     """It is harder the deeper it goes, and the shaft carries what friction it has."""
     options = "--law", "sand", "--h", "0.2", "--step", "0.04", "--depth", "0.96", "--width", "4"
-    found = run("cone_penetration", *options, "--stabilisation", remedy, "--output", str(tmp_path))
+    found = run(
+        "cone_penetration", *options, "--stabilisation", stabilisation, "--output", str(tmp_path)
+    )
     assert not found["reason"]
     depth, force, shaft = (np.array(found[name]) for name in ("depths", "forces", "shaft"))
     shoulder = depth - 0.4 * 3**0.5

@@ -13,28 +13,28 @@ def study(name: str, *options: str, ranks: int = 1) -> dict:
 
 @pytest.mark.long
 def test_constants_of_nested_grids():
-    pairs, remedies = "nested,linear-linear", "none,ghost,ghost on u,aggregation"
+    pairs, stabilisations = "nested,linear-linear", "none,ghost,ghost on u,aggregation"
     options = "--places", "4", "--cells", "3", "--uncut", "4,8"
-    found = study("inf_sup", *options, "--pairs", pairs, "--remedies", remedies)
+    found = study("inf_sup", *options, "--pairs", pairs, "--stabilisations", stabilisations)
     nested, equal = (found["whole"][pair] for pair in pairs.split(","))
     np.testing.assert_allclose([one["beta"] for one in nested], [0.411, 0.407], atol=6e-4)
     np.testing.assert_allclose([one["beta"] for one in equal], [0.192, 0.110], atol=6e-4)
     assert [one["null"] for one in nested + equal] == [1, 1, 8, 8]
-    rows = {row["remedy"]: row for row in found["rows"] if row["pair"] == "nested"}
-    for remedy in ("ghost", "aggregation"):
-        row = rows[remedy]
+    rows = {row["stabilisation"]: row for row in found["rows"] if row["pair"] == "nested"}
+    for stabilisation in ("ghost", "aggregation"):
+        row = rows[stabilisation]
         np.testing.assert_allclose(row["betas"], row["beta_uncut"], rtol=0.05)
         assert row["kappa_M"] < 200
         assert row["kappa_K"] < 10 * row["kappa_K_uncut"]
     assert rows["ghost on u"]["beta_least"] < 0.1 * rows["none"]["beta_least"]
-    two = study("inf_sup", *options, "--pairs", "nested", "--remedies", "ghost", ranks=2)
+    two = study("inf_sup", *options, "--pairs", "nested", "--stabilisations", "ghost", ranks=2)
     np.testing.assert_allclose(two["rows"][0]["betas"], rows["ghost"]["betas"], rtol=1e-9)
 
 
 @pytest.mark.long
 def test_constants_of_quadratic_splines_with_linear_pressures():
     """They fall with the size of the cells, cut or not, and do not with the projection."""
-    options = "--places", "6", "--cells", "4", "--uncut", "4,8,16", "--remedies", "ghost"
+    options = "--places", "6", "--cells", "4", "--uncut", "4,8,16", "--stabilisations", "ghost"
     pairs = "bspline2-linear", "bspline2-linear-projected"
     found = study("inf_sup", *options, "--pairs", ",".join(pairs))
     alone, projected = ([one["beta"] for one in found["whole"][pair]] for pair in pairs)

@@ -12,9 +12,9 @@ PAIRS = (
 )  # fmt: skip
 
 
-def overshoots(pair, remedy, cuts, shares):
+def overshoots(pair, stabilisation, cuts, shares):
     given = "--sweep", "--json", "-", "--no-plot", "--cuts", cuts, "--shares", shares
-    own = "--pair", pair, "--stabilisation", remedy
+    own = "--pair", pair, "--stabilisation", stabilisation
     return np.array(figures_of("demos/studies/consolidation.py", *given, *own)["overshoots"])
 
 
@@ -24,9 +24,11 @@ def test_quadratic_splines_with_linear_pressures_do_not_overshoot():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("remedy", ["ghost", "none", "aggregation"])
+@pytest.mark.parametrize("stabilisation", ["ghost", "none", "aggregation"])
 @pytest.mark.parametrize("pair", PAIRS)
-def test_no_first_step_overshoots(pair, remedy):
-    found = overshoots(pair, remedy, "1e-6,0.05,0.2,0.3,0.35,0.49,0.6,0.8,1", "1e-8,0.1,0.24,0.4,1")
+def test_no_first_step_overshoots(pair, stabilisation):
+    found = overshoots(
+        pair, stabilisation, "1e-6,0.05,0.2,0.3,0.35,0.49,0.6,0.8,1", "1e-8,0.1,0.24,0.4,1"
+    )
     assert found.shape == (5, 9)
     assert found.max() < 0.01

@@ -66,14 +66,14 @@ def test_conditioning():
 
 
 def test_compaction_compared():
-    options = "--elements 8 --bases gimp,bspline2 --remedies none,ghost,aggregation"
+    options = "--elements 8 --bases gimp,bspline2 --stabilisations none,ghost,aggregation"
     runs = run("compaction_compared", "--no-plot", *options.split())["runs"]
     assert len(runs) == 6
-    errors = {(r["basis"], r["remedy"]): r["error"] for r in runs}
+    errors = {(r["basis"], r["stabilisation"]): r["error"] for r in runs}
     assert all(r["completed"] for r in runs)
     for basis in ("gimp", "bspline2"):
-        for remedy in ("ghost", "aggregation"):
-            assert errors[basis, remedy] <= 1.05 * errors[basis, "none"]
+        for stabilisation in ("ghost", "aggregation"):
+            assert errors[basis, stabilisation] <= 1.05 * errors[basis, "none"]
     assert errors["bspline2", "none"] < errors["gimp", "none"]
 
 
@@ -85,12 +85,12 @@ def test_benchmark():
     assert case["seconds"] > 0
 
 
-def test_benchmark_of_remedies():
-    options = "--repeat 1 --cases 1x16 --bases gimp --remedies none,ghost --scenes= --growth="
-    costs = run("benchmark", *options.split())["remedies"]
+def test_benchmark_of_stabilisations():
+    options = "--repeat 1 --cases 1x16 --bases gimp --stabilisations none,ghost --scenes= --growth="
+    costs = run("benchmark", *options.split())["stabilisations"]
     # what is asked once, when the problem is made, counts little
-    assert costs["gimp 1x16 none"]["remedy_calls_per_step"] < 1
-    assert costs["gimp 1x16 ghost"]["remedy_calls_per_step"] > 1
+    assert costs["gimp 1x16 none"]["stabilisation_calls_per_step"] < 1
+    assert costs["gimp 1x16 ghost"]["stabilisation_calls_per_step"] > 1
     assert costs["gimp 1x16 none"]["milliseconds_per_iteration"] > 0
 
 
@@ -108,7 +108,7 @@ def test_benchmark_of_sand_that_yields():
 def test_benchmark_of_work_and_precision(tmp_path):
     options = "--quick --cases= --scenes column --growth cells --bases gimp,bspline2"
     figures = run("benchmark", *options.split(), "--output", str(tmp_path))
-    errors = {(r["basis"], r["remedy"], r["level"]): r["error"] for r in figures["runs"]}
+    errors = {(r["basis"], r["stabilisation"], r["level"]): r["error"] for r in figures["runs"]}
     assert len(errors) == 12
     # the same as the study of the column says
     assert errors["gimp", "none", 16] == pytest.approx(3.65891e-3, rel=1e-4)
@@ -156,12 +156,12 @@ def test_manufactured_solution_otherwise():
 def test_new_stabilisation(tmp_path):
     options = "--offsets", "3", "--cells", "4,8", "--output", str(tmp_path)
     figures = run("new_stabilisation", *options)
-    table = {row["remedy"]: row for row in figures["table"]}
+    table = {row["stabilisation"]: row for row in figures["table"]}
     assert table["none"]["kappa_K"] > 1e10
-    for remedy in table.keys() - {"none"}:
-        assert table[remedy]["kappa_K"] < 1e4
-        assert table[remedy]["kappa_M"] < 1e4
-        assert table[remedy]["errors"][1] < 0.01
+    for stabilisation in table.keys() - {"none"}:
+        assert table[stabilisation]["kappa_K"] < 1e4
+        assert table[stabilisation]["kappa_M"] < 1e4
+        assert table[stabilisation]["errors"][1] < 0.01
     assert table["derivative jumps"]["own"]
     assert not table["ghost"]["own"]
     for name in ("new_stabilisation_gimp.png", "new_stabilisation_gimp.csv"):
@@ -199,7 +199,7 @@ def test_slope_failure(tmp_path, ranks):
     assert (tmp_path / "slope_failure.png").stat().st_size > 0
 
 
-def test_slope_failure_without_a_remedy_is_reported_as_it_is():
+def test_slope_failure_without_a_stabilisation_is_reported_as_it_is():
     figures = run("slope_failure", "--no-plot", "--ghost", "off")
     # whether it comes to the end hangs on rounding; that it says so does not
     completed = figures["completed"]
@@ -308,10 +308,10 @@ def test_runs_repeat_to_the_last_bit(scene, cells):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("remedy", "cells"), [("ghost", 13), ("aggregation", 14)])
-def test_solid_3d_by_multigrid(remedy, cells):
+@pytest.mark.parametrize(("stabilisation", "cells"), [("ghost", 13), ("aggregation", 14)])
+def test_solid_3d_by_multigrid(stabilisation, cells):
     # both cuts make the same cells active, or the same nodes follow others
-    options = f"--cells {cells} --cuts 1e-6,0.3 --steps 1 --stabilisation {remedy}"
+    options = f"--cells {cells} --cuts 1e-6,0.3 --steps 1 --stabilisation {stabilisation}"
     tiny, large = run("solid_3d", "--no-plot", *options.split())["runs"]
     direct = run("solid_3d", "--no-plot", *options.split(), "--solver", "direct")["runs"]
     for found, other in zip((tiny, large), direct):

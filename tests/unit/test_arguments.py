@@ -23,7 +23,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
 )
 from dolfinmpm.basis.conditions import free_motions, idle
-from dolfinmpm.forms.checks import check_signs
+from dolfinmpm.forms.formchecks import check_signs
 
 COMM = MPI.COMM_WORLD
 

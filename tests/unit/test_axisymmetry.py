@@ -17,7 +17,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     UnsupportedGridError,
 )
-from dolfinmpm.assembly.points import add_product
+from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.basis.conditions import free_motions
 from dolfinmpm.dynamics.faces import Faces
 
@@ -338,9 +338,9 @@ def test_soft_stiffness_is_that_of_whole_rings():
     points = cylinder()
     V = mpm.Space(points.grid, "gimp")
     F = mpm.momentum(HENCKY, points, V.increment, V.test)
-    remedy = mpm.Stabilisation("soft", eta=0.2)
+    stabilisation = mpm.Stabilisation("soft", eta=0.2)
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
-    here = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy).activate()
+    here = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation).activate()
     u = here.fields[0].basis.node_coordinates()[:, :2] * [1.0, 0.0]
     both = 10 * 0.3 / (1.3 * 0.4) + 10 / 2.6
     assert energy(here.soft, u) == pytest.approx(0.2 * 4 * both * np.pi * 0.75, rel=1e-10)
@@ -438,5 +438,5 @@ def test_deformable_bodies_of_revolution_do_not_touch():
     ends = [(0.0, 0.3), (0.7, 0.3)]
     sides = [mpm.Boundary.from_polygon(points, e, closed=False) for e in (ends, ends[::-1])]
     spaces = [mpm.Space(points.grid, "gimp", tag=tag) for tag in (1, 2)]
-    with pytest.raises(ParameterError, match="these points are rings"):
+    with pytest.raises(ParameterError, match="these points are axisymmetric"):
         mpm.contact_between(sides, [V.increment for V in spaces], [V.test for V in spaces])

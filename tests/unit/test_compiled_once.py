@@ -19,8 +19,8 @@ def compiled(tmp_path, monkeypatch):
     return lambda: {path.name for path in tmp_path.glob("*.c")}
 
 
-def settle(basis, n, size, per_cell, moduli, remedy, cell=mesh.CellType.quadrilateral):
-    """A body that takes its weight, with a remedy of given numbers."""
+def settle(basis, n, size, per_cell, moduli, stabilisation, cell=mesh.CellType.quadrilateral):
+    """A body that takes its weight, with a stabilisation of given numbers."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (size, size)], (n, n), cell)
     body = mpm.Box((0, 0), (size, 0.6 * size))
     points = mpm.fill(grid, body, per_cell=per_cell, density=1000.0 * size)
@@ -30,7 +30,7 @@ def settle(basis, n, size, per_cell, moduli, remedy, cell=mesh.CellType.quadrila
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    stabilisation = mpm.Stabilisation(**remedy)
+    stabilisation = mpm.Stabilisation(**stabilisation)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation)
     problem.step()
     return problem

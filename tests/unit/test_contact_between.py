@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 NAMES = "x", "F", "stress", "l"
 
 
-def moved(which, kind, remedy, basis, fbar=False):
+def moved(which, kind, stabilisation, basis, fbar=False):
     """Blocks that move each by itself, with fields of their own or alone; states by tag."""
     comm = MPI.COMM_WORLD
     grid = mesh.create_rectangle(comm, [(0, 0), (4, 4)], (8, 8), mesh.CellType.quadrilateral)
@@ -34,7 +34,7 @@ def moved(which, kind, remedy, basis, fbar=False):
         F -= ufl.dot(points.density * ufl.as_vector((30.0 * k, -20.0)), V.test) * points.dX
         increments.append(V.increment)
         bcs += mpm.fixed(V, "bottom" if k == 1 else "top")
-    problem = kind(F, increments, points, bcs, stabilisation=remedy, tolerance=1e-12)
+    problem = kind(F, increments, points, bcs, stabilisation=stabilisation, tolerance=1e-12)
     names = NAMES if kind is mpm.QuasiStatic else (*NAMES, "velocity")
     for k in range(2):
         problem.step(*([] if kind is mpm.QuasiStatic else [0.01 * (k + 1)]))
@@ -45,7 +45,7 @@ LONG = pytest.mark.long
 
 
 @pytest.mark.parametrize(
-    ("kind", "remedy", "basis"),
+    ("kind", "stabilisation", "basis"),
     [
         (mpm.QuasiStatic, "ghost", "gimp"),
         pytest.param(mpm.QuasiStatic, "aggregation", "bspline2", marks=LONG),
@@ -56,28 +56,28 @@ LONG = pytest.mark.long
         pytest.param(mpm.GeneralisedAlpha, "ghost", "gimp", marks=LONG),
     ],
 )
-def test_two_fields_of_tags_are_two_problems(kind, remedy, basis):
-    both = moved((1, 2), kind, remedy, basis)
+def test_two_fields_of_tags_are_two_problems(kind, stabilisation, basis):
+    both = moved((1, 2), kind, stabilisation, basis)
     for k in (1, 2):
-        for name, expected in moved((k,), kind, remedy, basis)[k].items():
+        for name, expected in moved((k,), kind, stabilisation, basis)[k].items():
             scale = np.abs(expected).max()
             np.testing.assert_allclose(both[k][name], expected, atol=1e-10 * scale, err_msg=name)
 
 
-def pressed(friction=0.3, basis="gimp", remedy="ghost", **options):
+def pressed(friction=0.3, basis="gimp", stabilisation="ghost", **options):
     """The upper block is pressed onto the lower one and drawn aside."""
     points, (low, up), F, _ = two_blocks(friction, basis, top=3.0, **options)
     down, aside = (fem.Constant(points.grid, 0.0) for _ in "ab")
     bcs = mpm.fixed(low, "bottom") + mpm.prescribed(up, "top", 1, down)
     bcs += mpm.prescribed(up, "top", 0, aside)
     u = [low.increment, up.increment]
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     down.value, aside.value = -0.02, 0.03
     return problem
 
 
 @pytest.mark.parametrize(
-    ("friction", "basis", "remedy"),
+    ("friction", "basis", "stabilisation"),
     [
         (0.3, "gimp", "ghost"),
         pytest.param(0.0, "gimp", "ghost", marks=LONG),
@@ -85,8 +85,8 @@ def pressed(friction=0.3, basis="gimp", remedy="ghost", **options):
         pytest.param(0.3, "linear", "ghost", marks=LONG),
     ],
 )
-def test_the_tangent_of_two_bodies(friction, basis, remedy):
-    problem = pressed(friction, basis, remedy)
+def test_the_tangent_of_two_bodies(friction, basis, stabilisation):
+    problem = pressed(friction, basis, stabilisation)
     record = problem.step()
     assert record.halvings == 0
     force = record.bodies[problem.form.parts.between[0].name]["force"]

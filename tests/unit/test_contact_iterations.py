@@ -9,7 +9,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.contact.active import ActiveContact
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.solve import method
 
 

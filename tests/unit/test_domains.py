@@ -46,7 +46,7 @@ def stretched(domains):
     return points
 
 
-def test_what_spans_too_many_cells_is_told_the_remedy():
+def test_what_spans_too_many_cells_is_told_the_stabilisation():
     with pytest.raises(PointsOutsideGridError, match="domains='volume' where the body flows"):
         stretched("stretch")
     points = stretched("fixed")

@@ -10,8 +10,8 @@ from dolfinx import fem, mesh
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, InstabilityError
+from dolfinmpm.dynamics.boundaryforces import weighed
 from dolfinmpm.dynamics.critical import critical_step
-from dolfinmpm.dynamics.traces import weighed
 
 SIDES = mesh.CellType.quadrilateral
 LAW = mpm.materials.Hencky(E=1000.0, nu=0.3)
@@ -51,9 +51,9 @@ def total_energy(problem):
 @pytest.mark.parametrize("share", [0.0, 1e-6, 1e-3, 0.12, 0.6, 1 - 1e-6])
 def test_the_step_is_below_that_of_the_eigenproblem(kind, basis, share):
     """Wherever the box lies; with a penalty it is no slave of small cuts either."""
-    remedy = "aggregation" if kind == "nitsche" else "none"
+    stabilisation = "aggregation" if kind == "nitsche" else "none"
     points, V, F, _ = block(np.array((0.5, 0.5)) + 0.25 * share, kind, basis=basis)
-    problem = mpm.Explicit(F, V.increment, points, stabilisation=remedy)
+    problem = mpm.Explicit(F, V.increment, points, stabilisation=stabilisation)
     step = problem.critical_step()
     assert step <= problem.critical_step(exact=True)
     free = critical_step(points, V.basis, problem.form.parts.declarations, "lumped")
@@ -196,7 +196,7 @@ def test_what_is_prescribed_moves_by_the_clock():
 
 @pytest.mark.parametrize("what", ["total", "rings"])
 def test_other_configurations(what):
-    """At first positions, and of rings, a damped block stands on its unfitted foot."""
+    """At first positions, and axisymmetric, a damped block stands on its unfitted foot."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (2, 2)], (8, 8), SIDES)
     rings = what == "rings"
     (a, b), (c, d) = (0.0 if rings else 0.5, 0.54), (1.0, 1.29)

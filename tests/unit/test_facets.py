@@ -75,7 +75,7 @@ def on_splines(problem):
 
 def every_facet(monkeypatch):
     """From now on DOLFINx integrates over every facet."""
-    monkeypatch.setattr("dolfinmpm.assembly.gridterms.are_alike", lambda *_: False)
+    monkeypatch.setattr("dolfinmpm.assembly.gridassembler.are_alike", lambda *_: False)
 
 
 def check(monkeypatch, make, tolerance=1e-11):
@@ -355,11 +355,11 @@ def test_with_nodes_that_follow_others(basis, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["aggregation", "weak-aggregation", "extended"])
-def test_with_another_remedy(kind, monkeypatch):
+def test_with_another_stabilisation(kind, monkeypatch):
     """Whose search for roots makes more nodes known, and whose ties are applied on top."""
-    remedy = mpm.Stabilisation(kind, E=1.0)
+    stabilisation = mpm.Stabilisation(kind, E=1.0)
     grid = box(8, 7)
-    check(monkeypatch, lambda: problem_of(grid, "bspline2", ghost, stabilisation=remedy))
+    check(monkeypatch, lambda: problem_of(grid, "bspline2", ghost, stabilisation=stabilisation))
 
 
 @pytest.mark.parametrize("basis", ["linear", "bspline2"])

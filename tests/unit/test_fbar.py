@@ -95,14 +95,16 @@ def test_tangent_where_points_yield(kind, basis, law):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("remedy", ["ghost", "aggregation", "extended"])
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation", "extended"])
 @pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2"])
-def test_tangent_with_remedies(kind, basis, remedy):
+def test_tangent_with_stabilisations(kind, basis, stabilisation):
     grid = unit_grid(kind, 4 if kind != "hexahedron" else 3)
     points = mpm.fill(grid, box(grid, 0.6), 2, 1.0)
     V = mpm.Space(grid, basis)
     F = mpm.momentum(Hencky(E=10.0, nu=0.45), points, V.increment, V.test, fbar=True)
-    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation=remedy)
+    problem = mpm.QuasiStatic(
+        F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation=stabilisation
+    )
     with_history(points)
     check(problem)
 
@@ -431,7 +433,7 @@ def test_a_point_turned_inside_out_is_named():
         assert first == 2 if bad < 0 else 0 <= first <= 2
 
 
-def test_the_remedies_find_the_modulus():
+def test_the_stabilisations_find_the_modulus():
     problem = bent("gimp", Hencky(20.0, 0.3), steps=1, load=0.1, stabilisation="soft")
     assert problem.stabilisation.E == 20.0
 
@@ -477,7 +479,7 @@ def test_what_f_bar_cannot_do_is_refused():
     ],
 )
 def test_dilation_is_refused(law, angle, strain):
-    """With the reason and the remedy, before the body is touched by a step."""
+    """With the reason and the stabilisation, before the body is touched by a step."""
     grid = unit_grid("quadrilateral", 5)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
     V = mpm.Space(grid, "gimp")

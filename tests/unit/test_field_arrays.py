@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.dynamics import fused
-from dolfinmpm.dynamics.fusable import Loads
+from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.materials import Hencky, NeoHookean, VonMises
 
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "plastic_strain")
@@ -305,7 +305,7 @@ def test_nothing_is_taken_anew_where_nothing_was_touched(monkeypatch, law):
     scene.go(2)
     calls = []
     counted(monkeypatch, calls, fused, "PointArrays")
-    counted(monkeypatch, calls, Loads, "evaluate")
+    counted(monkeypatch, calls, FusedLoads, "evaluate")
     counted(monkeypatch, calls, mpm.MaterialPoints, "fault")
     scene.go()
     assert calls == []

@@ -1,4 +1,4 @@
-"""A field is a block: fields of different bases, remedies and shapes in one problem."""
+"""A field is a block: fields of different bases, stabilisations and shapes in one problem."""
 
 from __future__ import annotations
 
@@ -62,11 +62,16 @@ def test_the_same_field_in_two_bases_is_two_blocks(one, other):
         for k in range(len(names)):
             points.add_field(f"u{k}", (2,))
         updates = {f"u{k}": V.increment for k, V in enumerate(spaces)}
-        remedies = ["aggregation", "extended"][: len(names)]
+        stabilisations = ["aggregation", "extended"][: len(names)]
         if names == (other,):
-            remedies = ["extended"]
+            stabilisations = ["extended"]
         mpm.QuasiStatic(
-            F, [V.increment for V in spaces], points, bcs, updates=updates, stabilisation=remedies
+            F,
+            [V.increment for V in spaces],
+            points,
+            bcs,
+            updates=updates,
+            stabilisation=stabilisations,
         ).step()
         found[names] = [points[f"u{k}"].copy() for k in range(len(names))]
     both, scale = found[one, other], np.abs(found[(one,)][0]).max()
@@ -75,7 +80,7 @@ def test_the_same_field_in_two_bases_is_two_blocks(one, other):
     np.testing.assert_allclose(both[1], found[(other,)][0], atol=1e-12 * scale)
 
 
-def test_remedies_are_each_fields_own():
+def test_stabilisations_are_each_fields_own():
     grid = unit_grid("quadrilateral", 4)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.45)), 2, 1.0)
     V, Q = mpm.Space(grid, "bspline2"), mpm.Space(grid, "linear", shape=())
@@ -83,8 +88,8 @@ def test_remedies_are_each_fields_own():
     F = mixed(points, V, Q) + mpm.momentum(mpm.materials.Hencky(10.0, 0.3), points, u, V.test)
     bcs = mpm.fixed(V, "bottom")
 
-    def active(remedy):
-        return mpm.QuasiStatic(F, [u, p], points, bcs, stabilisation=remedy).activate()
+    def active(stabilisation):
+        return mpm.QuasiStatic(F, [u, p], points, bcs, stabilisation=stabilisation).activate()
 
     plain, second = active("none"), active(["none", "aggregation"])
     assert second.fields[0].C is None
@@ -94,8 +99,8 @@ def test_remedies_are_each_fields_own():
     both = active("aggregation")
     assert both.fields[0].C is not None
     assert both.unknowns.total < second.unknowns.total
-    remedy = mpm.Stabilisation("ghost", E=0.1)
-    ghosts = active(["ghost", remedy])
+    stabilisation = mpm.Stabilisation("ghost", E=0.1)
+    ghosts = active(["ghost", stabilisation])
     assert {(b.row_field, b.column_field) for b in ghosts.grid} == {(0, 0), (1, 1)}
     with pytest.raises(ParameterError, match=r"field 2 needs a modulus"):
         active("ghost")

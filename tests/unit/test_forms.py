@@ -194,7 +194,7 @@ def test_a_form_is_compiled_once(scene, monkeypatch):
             count += 1
             return original(*args)
 
-        for module in ("dolfinmpm.forms.pointwise", "dolfinmpm.assembly.gridterms"):
+        for module in ("dolfinmpm.forms.pointwise", "dolfinmpm.assembly.gridassembler"):
             monkeypatch.setattr(f"{module}.{name}", counted, raising=False)
     g = fem.Constant(grid, (0.0, -0.1))
     F = mpm.momentum(LAW, points, V.increment, V.test) - ufl.inner(g, V.test) * points.dX

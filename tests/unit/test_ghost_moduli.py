@@ -22,7 +22,7 @@ from dolfinmpm.assembly.facetpairs import (
     smooth_constant,
 )
 from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors
-from dolfinmpm.assembly.points import add_product
+from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.facetmoduli import FIELD, LEAST, bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
@@ -157,9 +157,9 @@ def block(basis="linear", gdim=2, kind=None, law=None, n=6, load=None, **options
     g = fem.Constant(grid, np.zeros(gdim))
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(g, V.test) * points.dX
-    remedy = mpm.Stabilisation("ghost", **options)
+    stabilisation = mpm.Stabilisation("ghost", **options)
     bcs = mpm.fixed(V, "bottom") if load else []
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation)
     for share in (0.5, 1.0) if load else ():
         g.value[-1] = -share * load
         problem.step()

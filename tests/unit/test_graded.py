@@ -105,7 +105,7 @@ def test_a_step_is_that_on_a_grid_made_so(basis, stabilisation, fbar, kind):
     problem, g = problem_on(grid, evenly(grid), basis, stabilisation, fbar, kind)
     time = (0.01,) if kind is mpm.Newmark else ()
     problem.step(*time)
-    mpm.regrade(problem, lines(2.2))
+    mpm.regrid(problem, lines(2.2))
     fresh = mpm.create_lattice(COMM, lines(2.2))
     moved, points = evenly(fresh), problem.points
     other, f = problem_on(fresh, moved, basis, stabilisation, fbar, kind)
@@ -144,7 +144,7 @@ def test_a_zone_follows_what_presses():
     weight = 1000.0 * 4.0 * 2.2
     heights = []
     for middle in (0.8, 1.4, 2.0, 2.6):
-        mpm.regrade(problem, lines(middle))
+        mpm.regrid(problem, lines(middle))
         problem.step()
         assert base.force()[1] == pytest.approx(weight, rel=1e-6)
         heights.append(points["x"][:, 1].max())
@@ -162,7 +162,7 @@ def test_other_problems_on_the_grid_tell_that_its_lines_have_gone(kind):
     other = kind(F, V.increment, points, mpm.fixed(V, "bottom"))
     time = () if kind is mpm.QuasiStatic else (1e-4,)
     other.step(*time)
-    mpm.regrade(problem, lines(2.2))
+    mpm.regrid(problem, lines(2.2))
     with pytest.raises(ParameterError, match=r"for another problem, .* make a new Space and a new"):
         other.step(*(2 * t for t in time))
     g.value[:] = 0.5, -2.0
@@ -181,19 +181,19 @@ def test_what_cannot_be_laid_anew():
     grid = mpm.create_lattice(COMM, lines(1.0))
     problem, _ = problem_on(grid, evenly(grid), "gimp", "ghost")
     with pytest.raises(ParameterError, match="give as many"):
-        mpm.regrade(problem, [np.linspace(0, 4, 5), np.linspace(0, 3, 13)])
+        mpm.regrid(problem, [np.linspace(0, 4, 5), np.linspace(0, 3, 13)])
     with pytest.raises(ParameterError, match="increasing"):
-        mpm.regrade(problem, [lines(1.0)[0][::-1], lines(1.0)[1]])
+        mpm.regrid(problem, [lines(1.0)[0][::-1], lines(1.0)[1]])
     with pytest.raises(ParameterError, match="two or three arrays"):
         mpm.create_lattice(COMM, [np.linspace(0, 1, 3)])
     with pytest.raises(PointsOutsideGridError):
-        mpm.regrade(problem, [lines(1.0)[0], lines(1.0)[1] * 0.7])
+        mpm.regrid(problem, [lines(1.0)[0], lines(1.0)[1] * 0.7])
     uniform = unit_grid("quadrilateral", 4)
     points = mpm.fill(uniform, mpm.Box((0, 0), (1, 0.6)), 2, 1.0)
     still, _ = problem_on(uniform, points, "gimp", "ghost")
     with pytest.raises(UnsupportedGridError, match="of one size"):
         lay_lines(mpm.create_lattice(COMM, [np.linspace(0, 1, 4)] * 2), [np.linspace(0, 1, 4)] * 2)
     with pytest.raises((UnsupportedGridError, ParameterError)):
-        mpm.regrade(still, [np.linspace(0, 1, 5), np.linspace(0, 1, 6)])
+        mpm.regrid(still, [np.linspace(0, 1, 5), np.linspace(0, 1, 6)])
     with pytest.raises(ParameterError, match="QuasiStatic"):
-        mpm.regrade(grid, lines(1.0))
+        mpm.regrid(grid, lines(1.0))

@@ -1,4 +1,4 @@
-"""Gradients of vectors in UFL at points that are rings: the hoop term is there, or missed aloud."""
+"""Gradients of vectors in UFL at axisymmetric points: the hoop term is there, or missed aloud."""
 
 from __future__ import annotations
 

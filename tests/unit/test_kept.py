@@ -9,7 +9,7 @@ from conftest import unit_grid
 from dolfinx import fem
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.kinematics import Framework, framework
 
 LAWS = {

@@ -308,10 +308,10 @@ def test_a_body_goes_on_under_its_own_measure_only(first, second):
         agree(points, alone, rtol=1e-9)
         return
     what = "an energy in UFL" if first == "energy" else f'strain="{first}"'
-    remedy = "new points" if second == "energy" else "mpm.set_stress"
+    stabilisation = "new points" if second == "energy" else "mpm.set_stress"
     n = len(points)
     with pytest.raises(
-        StateError, match=f"(?s)of its {n} points have moved {n} under {what}.*{remedy}"
+        StateError, match=f"(?s)of its {n} points have moved {n} under {what}.*{stabilisation}"
     ):
         mpm.QuasiStatic(form, u, points, bcs)
     if second == "energy":
@@ -407,7 +407,7 @@ def test_numbers_of_laws_are_no_loads():
     assert "-1." in problem._loads.describe()
 
 
-def test_the_remedies_take_the_stiffest_law():
+def test_the_stabilisations_take_the_stiffest_law():
     points, V = block()
     u, v = V.increment, V.test
     form = mpm.momentum(NeoHookean(1e3, 0.1), points, u, v, tag=0)

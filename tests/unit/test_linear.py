@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import linear, method
+from dolfinmpm.solve import linearsolver, method
 from dolfinmpm.solve import reuse as reuse_module
 from dolfinmpm.solve.costs import _OTHERWISE as OTHERWISE
 from dolfinmpm.solve.costs import of_setup, of_solution
@@ -142,21 +142,21 @@ def test_what_laws_do_not_say_is_found_out():
 
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
-@pytest.mark.parametrize("remedy", ["none", "ghost", "aggregation", "soft"])
+@pytest.mark.parametrize("stabilisation", ["none", "ghost", "aggregation", "soft"])
 @pytest.mark.parametrize("basis", ["linear", "bspline2"])
-def test_multigrid_finds_what_factors_find(few_are_many, monkeypatch, kind, remedy, basis):
-    many = block(4, kind, basis=basis, stabilisation=remedy)
+def test_multigrid_finds_what_factors_find(few_are_many, monkeypatch, kind, stabilisation, basis):
+    many = block(4, kind, basis=basis, stabilisation=stabilisation)
     assert chosen(many)[1] == "gamg"
     assert many.here.unknowns.block == many.points.gdim
     assert many.history[0].residuals[-1] < 1e-9
     monkeypatch.undo()
-    few = block(4, kind, basis=basis, stabilisation=remedy)
+    few = block(4, kind, basis=basis, stabilisation=stabilisation)
     assert chosen(few)[1] == "cholesky"
     assert few.here.unknowns.block == 1
     assert many.history[0].unknowns == few.history[0].unknowns
     u, w = (p.points["x"] - p.points["x0"] for p in (many, few))
     # forces on functions that hardly feel the body say little of their motion
-    share = 1e-6 if remedy == "soft" else 1e-8
+    share = 1e-6 if stabilisation == "soft" else 1e-8
     np.testing.assert_allclose(u, w, atol=share * np.abs(w).max())
 
 
@@ -180,7 +180,7 @@ def test_incomplete_factors_find_what_factors_find(monkeypatch, most):
     few = sand()
     assert chosen(few) == ("preonly", "lu", "mumps")
     monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
-    monkeypatch.setattr(linear, "_MOST_OF_INCOMPLETE", most)
+    monkeypatch.setattr(linearsolver, "_MOST_OF_INCOMPLETE", most)
     many = sand()
     assert chosen(many)[:2] == ("gmres", "ilu" if most == 200 else "lu")
     assert many.history[0].halvings == 0
@@ -369,7 +369,7 @@ def test_what_a_set_up_and_a_solution_cost_is_counted(kind, package):
 
 def test_no_clock_decides():
     """Seconds are for records only: `seconds` of a step is all that a solver asks a clock for."""
-    for path in Path(linear.__file__).parent.glob("*.py"):
+    for path in Path(linearsolver.__file__).parent.glob("*.py"):
         for line in path.read_text().splitlines():
             if any(clock in line for clock in ("perf_counter", "process_time", "monotonic()")):
                 assert line.strip().startswith(("started, watch = ", "record.seconds, ")), path

@@ -130,9 +130,9 @@ def test_second_moments_of_splines_do_not_depend_on_the_place(basis, averaged, D
         ("triangle", "linear"),
     ],
 )
-@pytest.mark.parametrize("remedy", ["ghost", "aggregation"])
-def test_a_consistent_mass_gives_affine_velocities_back(kind, basis, cut, remedy):
-    problem = block(kind, basis, cut, stabilisation=remedy)
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation"])
+def test_a_consistent_mass_gives_affine_velocities_back(kind, basis, cut, stabilisation):
+    problem = block(kind, basis, cut, stabilisation=stabilisation)
     mass, V, nodes, x = mapped(problem)
     expected, points = affine(x), problem.points
     np.testing.assert_allclose(V[nodes], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -168,10 +168,10 @@ def test_velocities_that_a_singular_mass_makes_of_small_cuts_are_told(rule):
     wavy(1e-6, stabilisation="aggregation", **given).step(1e-3)
 
 
-@pytest.mark.parametrize("remedy", ["none", "aggregation"])
+@pytest.mark.parametrize("stabilisation", ["none", "aggregation"])
 @pytest.mark.parametrize("basis", ["gimp", "bspline2"])
-def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, remedy):
-    problem = block("quadrilateral", basis, 0.37, mass="lumped", stabilisation=remedy)
+def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, stabilisation):
+    problem = block("quadrilateral", basis, 0.37, mass="lumped", stabilisation=stabilisation)
     mass, V, nodes, x = mapped(problem)
     # a node at the edge takes what points within its support have
     most = 1.5 * 0.1 * np.abs(GRADIENT).sum(axis=1).max()
@@ -184,8 +184,8 @@ def test_a_lumped_mass_smears_by_a_share_of_a_cell_and_keeps_momentum(basis, rem
 
 
 @pytest.mark.parametrize("basis", ["gimp", "bspline2"])
-@pytest.mark.parametrize("remedy", ["aggregation", "extended"])
-def test_a_lumped_mass_behind_ties_keeps_rigid_velocities_and_makes_no_energy(basis, remedy):
+@pytest.mark.parametrize("stabilisation", ["aggregation", "extended"])
+def test_a_lumped_mass_behind_ties_keeps_rigid_velocities_and_makes_no_energy(basis, stabilisation):
     """The edges of a box that is turned have steps; row sums behind C would make energy there."""
     grid = mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], (16, 16), mesh.CellType.quadrilateral)
     points = mpm.fill(grid, mpm.Box((-0.5, -0.5), (0.5, 0.5)), 2, 1000.0)
@@ -194,7 +194,7 @@ def test_a_lumped_mass_behind_ties_keeps_rigid_velocities_and_makes_no_energy(ba
     points.locate()
     V = mpm.Space(grid, basis)
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
-    problem = mpm.Newmark(F, V.increment, points, mass="lumped", stabilisation=remedy)
+    problem = mpm.Newmark(F, V.increment, points, mass="lumped", stabilisation=stabilisation)
     points["velocity"] = SHIFT
     mass, V, nodes, _ = mapped(problem)
     (s,), m = (field.stencils for field in problem.here.fields), mass.lumped

@@ -72,11 +72,11 @@ def test_free_fall_is_exact_from_the_first_step(rule, options, mass, mapping):
 
 
 @pytest.mark.parametrize("basis", ["linear", "bspline2", "bspline3"])
-@pytest.mark.parametrize("remedy", ["ghost", "aggregation", "extended"])
-def test_free_fall_in_every_basis_with_every_remedy(basis, remedy):
+@pytest.mark.parametrize("stabilisation", ["ghost", "aggregation", "extended"])
+def test_free_fall_in_every_basis_with_every_stabilisation(basis, stabilisation):
     for mass in ("lumped", "consistent"):
         problem, _ = block(
-            basis=basis, held=False, load=(0.0, -10.0), mass=mass, stabilisation=remedy
+            basis=basis, held=False, load=(0.0, -10.0), mass=mass, stabilisation=stabilisation
         )
         problem.step(0.1)
         problem.step(0.25)

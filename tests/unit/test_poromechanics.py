@@ -43,10 +43,10 @@ def held(V):
     return mpm.rollers(V, "left", "right", "bottom")
 
 
-def problem_of(F, points, V, Q, bcs=None, remedy="none", **options):
+def problem_of(F, points, V, Q, bcs=None, stabilisation="none", **options):
     fields = [V.increment, Q.increment]
     bcs = held(V) if bcs is None else bcs
-    return mpm.Transient(F, fields, points, bcs, stabilisation=[remedy] * 2, **options)
+    return mpm.Transient(F, fields, points, bcs, stabilisation=[stabilisation] * 2, **options)
 
 
 OPTIONS = [
@@ -91,7 +91,7 @@ def test_tangent_is_the_derivative_of_the_residual(options):
     for field in ("pressure", "pressure_gradient", "flow"):
         if field in points.fields:
             points[field] = 3.0
-    problem = problem_of(F, points, V, Q, remedy="ghost")
+    problem = problem_of(F, points, V, Q, stabilisation="ghost")
     check_tangent(problem)
 
 
@@ -107,7 +107,7 @@ def test_a_sealed_body_carries_an_even_load_by_its_water(u):
     assert np.abs(points["stress"]).max() < 1e-3
 
 
-@pytest.mark.parametrize("remedy", ["none", "ghost"])
+@pytest.mark.parametrize("stabilisation", ["none", "ghost"])
 @pytest.mark.parametrize(
     ("u", "cuts", "shares"),
     [
@@ -118,7 +118,7 @@ def test_a_sealed_body_carries_an_even_load_by_its_water(u):
         ),
     ],
 )
-def test_a_first_step_does_not_overshoot(u, cuts, shares, remedy):
+def test_a_first_step_does_not_overshoot(u, cuts, shares, stabilisation):
     """However short it is, and however the top cuts its cell."""
     worst = 0.0
     for cut in cuts:
@@ -137,7 +137,7 @@ def test_a_first_step_does_not_overshoot(u, cuts, shares, remedy):
                 (V.test, Q.test), permeability=k, porosity=0.4, fluid=WATER, drained=top,
             )  # fmt: skip
             F -= top.traction(fem.Constant(grid, (0.0, -q)), V.test)
-            problem = problem_of(F, points, V, Q, remedy=remedy)
+            problem = problem_of(F, points, V, Q, stabilisation=stabilisation)
             problem.step(share * h**2 / (k * E / WATER.unit_weight))
             worst = max(worst, points["pressure"].max() / q - 1)
     assert worst < 0.01
@@ -237,7 +237,7 @@ def test_a_run_goes_on_from_a_file(tmp_path):
     def made():
         F, points, V, Q, top = block(gravity=(0.0, -9.81), theta=0.5)
         F -= top.traction(fem.Constant(points.grid, (0.0, -200.0)), V.test)
-        return problem_of(F, points, V, Q, remedy="ghost", error=0.1)
+        return problem_of(F, points, V, Q, stabilisation="ghost", error=0.1)
 
     whole, stopped, later = made(), made(), made()
     for t in (0.01, 0.05, 0.2, 0.5):
@@ -255,15 +255,15 @@ def test_a_run_goes_on_from_a_file(tmp_path):
 
 
 @pytest.mark.parametrize("permeability", [0.0, 1e-3, 1e2])
-@pytest.mark.parametrize("remedy", ["none", "ghost"])
-def test_iterations_on_blocks_find_what_factors_do(monkeypatch, remedy, permeability):
+@pytest.mark.parametrize("stabilisation", ["none", "ghost"])
+def test_iterations_on_blocks_find_what_factors_do(monkeypatch, stabilisation, permeability):
     found = {}
     for crossover in (10**9, 100):
         monkeypatch.setattr(method, "_CROSSOVER", {2: crossover})
         F, points, V, Q, top = block(u="gimp", height=0.82, n=12, permeability=permeability)
         half = ufl.conditional(points.x[0] < 0.5, 1.0, 0.0)
         F -= top.traction(half * fem.Constant(points.grid, (0.0, -500.0)), V.test)
-        problem = problem_of(F, points, V, Q, remedy=remedy, tolerance=1e-10)
+        problem = problem_of(F, points, V, Q, stabilisation=stabilisation, tolerance=1e-10)
         for t in (0.1, 0.2):
             record = problem.step(t)
         found[crossover] = points["x"].copy(), points["pressure"].copy()
@@ -353,7 +353,7 @@ def test_a_pair_of_equal_order_without_projection_is_told():
         nested(1, coarse="u")
 
 
-def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, remedy="none", **options):
+def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, stabilisation="none", **options):
     """A column that ends within a cell, one field having cells of twice the size; its problem."""
     height = (5 + cut) * h
     grid = mesh.create_rectangle(
@@ -368,11 +368,11 @@ def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, remedy="none", **options)
         (V.test, Q.test), permeability=1e-3, porosity=0.4, fluid=WATER, drained=top, **options,
     )  # fmt: skip
     F -= top.traction(fem.Constant(grid, (0.0, -1e3)), V.test)
-    return problem_of(F, points, V, Q, remedy=remedy), h**2 * WATER.unit_weight / 1e3
+    return problem_of(F, points, V, Q, stabilisation=stabilisation), h**2 * WATER.unit_weight / 1e3
 
 
 @pytest.mark.parametrize(
-    ("basis", "remedy", "theta"),
+    ("basis", "stabilisation", "theta"),
     [
         ("gimp", "ghost", 1.0),
         ("gimp", "aggregation", 0.5),
@@ -382,17 +382,17 @@ def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, remedy="none", **options)
         pytest.param("linear", "aggregation", 1.0, marks=pytest.mark.long),
     ],
 )
-def test_a_first_step_on_nested_grids_does_not_overshoot(basis, remedy, theta):
+def test_a_first_step_on_nested_grids_does_not_overshoot(basis, stabilisation, theta):
     """Nor where nodes are tied: an ill-filled cell and its root have one mean."""
     for cut, share in ((1e-6, 0.25), (0.3, 1e-8), (0.49, 0.1), (0.49, 0.5), (0.9, 0.25)):
-        problem, time = nested(cut, basis, remedy=remedy, theta=theta)
+        problem, time = nested(cut, basis, stabilisation=stabilisation, theta=theta)
         problem.step(share * time / 1e6)
         assert problem.points["pressure"].max() < 1.01e3
 
 
 def test_cells_that_are_one_to_means():
     """Offsets from the middle of the root and the ill-filled cell beside it together."""
-    problem, time = nested(0.4, remedy="aggregation")
+    problem, time = nested(0.4, stabilisation="aggregation")
     problem.step(1e-6 * time)
     points, h = problem.points, 0.125
     *offset, size = points["cell_offset"].T

@@ -55,9 +55,9 @@ def time_stepping(rho_inf=None, **options):
     F, points, V, Q, _ = block(fluid=mpm.Fluid(bulk_modulus=1e6), **options)
     rule = mpm.Newmark if rho_inf is None else mpm.GeneralisedAlpha
     of_rule = {} if rho_inf is None else {"rho_inf": rho_inf}
-    remedies = ["ghost", "ghost"]
+    stabilisations = ["ghost", "ghost"]
     fields = [V.increment, Q.increment]
-    return rule(F, fields, points, held(V), stabilisation=remedies, **of_rule)
+    return rule(F, fields, points, held(V), stabilisation=stabilisations, **of_rule)
 
 
 @pytest.mark.long

@@ -157,7 +157,7 @@ def test_probes_on_a_grid_whose_lines_are_laid_anew():
     problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
     top = mpm.probe(points, (0.4, 0.5))
     problem.step()
-    mpm.regrade(problem, [lines[0], np.r_[0:0.6:4j, 0.8, 1.0]])
+    mpm.regrid(problem, [lines[0], np.r_[0:0.6:4j, 0.8, 1.0]])
     np.testing.assert_allclose(top.position, [0.4, 0.5], atol=1e-9)
 
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from dolfinmpm._platform.pruned import pruned
+from dolfinmpm._platform.constantfolding import fold_constants
 from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.passes import LAW, PASSES
 
@@ -44,7 +44,7 @@ CASES = [(kind, fine) for kind in range(4) for fine in (True, False)]
 def test_same_results(kind, fine):
     x = np.arange(1.0, 7.0)
     whole = variant(kind, fine, 3.0)
-    less = pruned(whole)
+    less = fold_constants(whole)
     compiled = numba.njit(less)
     for count in range(6):
         assert less(x, count) == compiled(x, count) == whole(x, count)
@@ -52,11 +52,11 @@ def test_same_results(kind, fine):
 
 def test_what_cannot_be_reached_is_gone():
     whole = variant(0, False)
-    less = pruned(whole)
+    less = fold_constants(whole)
     assert 100.0 in less.__code__.co_consts
     assert {"weight"} == set(loaded(less)) & {"kind", "fine", "LIMIT", "weight"}
     assert {"kind", "fine", "LIMIT"} < set(loaded(whole))
-    assert 100.0 not in pruned(variant(1, True)).__code__.co_consts
+    assert 100.0 not in fold_constants(variant(1, True)).__code__.co_consts
 
 
 def loaded(function):
@@ -65,7 +65,7 @@ def loaded(function):
 
 def test_variants_are_told_apart_in_the_cache():
     # Numba asks for code and cells: variants may have the same code
-    first, second = (pruned(variant(kind, True)) for kind in (1, 3))
+    first, second = (fold_constants(variant(kind, True)) for kind in (1, 3))
     assert first.__code__.co_freevars == ("fine", "kind", "weight")
     cells = [[c.cell_contents for c in f.__closure__] for f in (first, second)]
     assert cells == [[True, 1, 1.0], [True, 3, 1.0]]
@@ -77,7 +77,7 @@ def test_names_that_hide_constants_are_none():
             return 1
         return 0
 
-    assert [pruned(run)(k) for k in (1, 2)] == [0, 1]
+    assert [fold_constants(run)(k) for k in (1, 2)] == [0, 1]
 
 
 def test_lines_are_those_of_the_file():
@@ -85,7 +85,7 @@ def test_lines_are_those_of_the_file():
         return 1 / x
 
     with pytest.raises(ZeroDivisionError) as caught:
-        pruned(run)(0)
+        fold_constants(run)(0)
     assert caught.traceback[-1].lineno == run.__code__.co_firstlineno
 
 
@@ -98,7 +98,7 @@ def test_of_a_file_that_has_changed_nothing_is_taken(tmp_path):
     exec(compile(path.read_text(), str(path), "exec"), space)
     run = space["of"](False)
     path.write_text(path.read_text().replace("2 * x", "3 * x"))
-    assert pruned(run) is run
+    assert fold_constants(run) is run
     assert run(1.0) == 2.0
 
 

@@ -15,7 +15,7 @@ from dolfinmpm.solve.schur import schur_matrix
 def ends(n, permeability):
     """Smallest and largest eigenvalue of Ŝ⁻¹ S on n cells, with a cut top."""
     F, points, V, Q, _ = block(height=0.8, n=n, permeability=permeability)
-    problem = problem_of(F, points, V, Q, held(V), remedy="ghost")
+    problem = problem_of(F, points, V, Q, held(V), stabilisation="ghost")
     A = problem.stiffness()
     unknowns = problem.here.unknowns
     u, p = (np.flatnonzero(unknowns.only(k, np.ones(unknowns.owned))) for k in range(2))

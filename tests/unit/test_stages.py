@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 
 
 class Ticks:

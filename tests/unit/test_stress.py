@@ -50,10 +50,10 @@ def test_it_is_the_stress_of_the_points(name, strain, fbar, d):
     points.add_field("sigma", (d, d))
     g = fem.Constant(grid, np.zeros(d))
     F = mpm.momentum(law, points, u, v, **kind) - ufl.inner(g, v) * points.dX
-    remedy = mpm.Stabilisation("ghost", E=E, nu=NU)
+    stabilisation = mpm.Stabilisation("ghost", E=E, nu=NU)
     problem = mpm.QuasiStatic(
         F, u, points, mpm.fixed(V, "bottom" if d > 1 else "left"), updates={"sigma": sigma},
-        stabilisation=remedy,
+        stabilisation=stabilisation,
     )  # fmt: skip
     for load in (0.2, 0.5):
         g.value[:] = 0.3 * load

@@ -14,10 +14,10 @@ from badinputs import scene
 from dolfinx import fem
 
 import dolfinmpm as mpm
-from dolfinmpm._platform import slots
+from dolfinmpm._platform import sharedmemory
 from dolfinmpm._platform.alike import difference, digest, nearly, told
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.slots import Slot
+from dolfinmpm._platform.sharedmemory import Slot
 from dolfinmpm._platform.together import Here, line_of
 from dolfinmpm._platform.watchdog import Patience, _limit, in_words
 from dolfinmpm.solve.agreement import of_step
@@ -253,46 +253,46 @@ def test_a_limit_that_is_no_number_is_refused(monkeypatch, text):
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
     """A folder of files of slots, of a run of its own."""
-    monkeypatch.setattr(slots, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(sharedmemory, "_folder", lambda: tmp_path)
     monkeypatch.setenv("PMIX_NAMESPACE", "this test")
     return tmp_path
 
 
 def test_others_see_what_a_process_writes(folder):
-    memory, file = slots.own_memory(3)
-    memory.numbers[slots.DOORS], memory.numbers[slots.AT_DOOR] = 7, 1
-    for other in (slots.find(3), slots.find(3, file)):
+    memory, file = sharedmemory.own_memory(3)
+    memory.numbers[sharedmemory.DOORS], memory.numbers[sharedmemory.AT_DOOR] = 7, 1
+    for other in (sharedmemory.find(3), sharedmemory.find(3, file)):
         other.ask()
         assert other.read(3) == Slot(3, doors=7, at_door=True)
         assert memory.asked
         memory.answer("line 5 of ä.py")
         assert not memory.asked
         assert other.read(3).text == "line 5 of ä.py"
-    assert slots.find(4) is None
+    assert sharedmemory.find(4) is None
     memory.answer("x" * 1000)
-    assert slots.find(3).read(3).text == "x" * 448
+    assert sharedmemory.find(3).read(3).text == "x" * 448
 
 
 def test_files_of_a_run_are_removed_by_who_ends_last(folder):
-    first, _ = slots.own_memory(0)
-    second, file = slots.own_memory(1)
+    first, _ = sharedmemory.own_memory(0)
+    second, file = sharedmemory.own_memory(1)
     (folder / "another file").touch()
-    first.numbers[slots.ENDED] = 1
-    slots.remove_all()
+    first.numbers[sharedmemory.ENDED] = 1
+    sharedmemory.remove_all()
     assert len(list(folder.iterdir())) == 3
-    second.numbers[slots.ENDED] = 1
-    slots.remove_all()
+    second.numbers[sharedmemory.ENDED] = 1
+    sharedmemory.remove_all()
     assert [path.name for path in folder.iterdir()] == ["another file"]
     # what a killed process left goes with the next run; no process has so high a number
     killed = file.rpartition("-")[0] + "-99999999"
     open(killed, "w").close()
-    slots.own_memory(0)
+    sharedmemory.own_memory(0)
     assert not os.path.exists(killed)
 
 
 def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
     here = Here()
-    here.memory, _ = slots.own_memory(0)
+    here.memory, _ = sharedmemory.own_memory(0)
     here._process += 1
     here.end()
     assert not here.memory.read(0).ended
@@ -304,12 +304,12 @@ def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
 
 
 def test_without_a_file_a_process_writes_for_itself(monkeypatch, tmp_path):
-    monkeypatch.setattr(slots, "_folder", lambda: tmp_path / "absent")
-    memory, file = slots.own_memory(0)
+    monkeypatch.setattr(sharedmemory, "_folder", lambda: tmp_path / "absent")
+    memory, file = sharedmemory.own_memory(0)
     assert file == ""
-    memory.numbers[slots.DOORS] = 2
+    memory.numbers[sharedmemory.DOORS] = 2
     assert memory.read(0).doors == 2
-    assert slots.find(0) is None
+    assert sharedmemory.find(0) is None
 
 
 def test_a_line_is_that_of_the_script():

@@ -42,7 +42,7 @@ def test_the_weight_does_the_work_that_is_stored_and_dissipated(collapse):
 
 @pytest.mark.long
 def test_smaller_steps_and_cells_end_in_the_same_shape(collapse):
-    # with these points and 80 steps the run does not come to its end without a remedy
+    # with these points and 80 steps the run does not come to its end without stabilisation
     options = "--json - --no-plot --points-per-cell 3 --stabilisation ghost"
     script = "demos/studies/elastoplastic_collapse.py"
     small = figures_of(script, *options.split(), "--steps", "80")

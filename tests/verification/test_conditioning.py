@@ -24,8 +24,8 @@ def worst(kind, basis="gimp", h=1.0, gamma_m=1.0, offsets=OFFSETS, **options):
         points = mpm.fill(grid, body, 2, 1.0, aligned="body")
         V = mpm.Space(grid, basis)
         F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
-        remedy = mpm.Stabilisation(kind, E=1.0, nu=0.0, **options)
-        problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
+        stabilisation = mpm.Stabilisation(kind, E=1.0, nu=0.0, **options)
+        problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=stabilisation)
         return study.conditioning(problem, 1.0, gamma_m)
 
     figures = study.worst(study.sweep(scene, offsets))
@@ -34,7 +34,7 @@ def worst(kind, basis="gimp", h=1.0, gamma_m=1.0, offsets=OFFSETS, **options):
     return figures
 
 
-def test_without_a_remedy():
+def test_without_a_stabilisation():
     figures = worst("none")
     assert figures["kappa_M"] == pytest.approx(3e25, rel=0.2)
     assert figures["kappa_K"] == pytest.approx(3e12, rel=0.05)
@@ -77,7 +77,7 @@ def test_aggregation_with_full_cells_as_roots(kind):
 
 @pytest.mark.parametrize("basis", ["linear", "gimp", "bspline2", "bspline3"])
 @pytest.mark.parametrize("kind", ["ghost", "aggregation", "weak-aggregation", "extended", "soft"])
-def test_every_remedy_bounds_every_basis(basis, kind):
+def test_every_stabilisation_bounds_every_basis(basis, kind):
     """However small the cut: ten thousand times smaller makes no difference."""
     options = {"threshold": 0.5} if "agg" in kind or kind == "extended" else {}
     small, smaller = (
@@ -107,8 +107,8 @@ def test_column_of_quadratic_splines_wherever_its_top_cuts(kind):
         V = mpm.Space(grid, "bspline2")
         F = mpm.momentum(mpm.materials.Hencky(E=10e3, nu=0.0), points, V.increment, V.test)
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-        remedy = mpm.Stabilisation(kind, E=10e3, nu=0.0, **FOR_SPLINES[kind])
-        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy)
+        stabilisation = mpm.Stabilisation(kind, E=10e3, nu=0.0, **FOR_SPLINES[kind])
+        problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation)
         found.append(study.condition_number(problem.stiffness()))
     assert max(found) <= 20 * min(found)
 
@@ -128,15 +128,15 @@ def test_turned_block_of_quadratic_splines(kind):
         points = mpm.fill(grid, body, 3, 1.0, aligned="body")
         V = mpm.Space(grid, "bspline2")
         F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
-        remedy = mpm.Stabilisation(kind, E=1.0, nu=0.0, **FOR_SPLINES[kind])
-        problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
+        stabilisation = mpm.Stabilisation(kind, E=1.0, nu=0.0, **FOR_SPLINES[kind])
+        problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=stabilisation)
         K, modes = problem.stiffness(), study.rigid_modes(problem.here)
         found.append(study.condition_number(K, modes))
     assert max(found) <= 20 * min(found)
 
 
 @pytest.mark.parametrize("kind", ["weak-aggregation", "soft"])
-def test_remedies_by_name_take_the_modulus_of_the_law(kind):
+def test_stabilisations_by_name_take_the_modulus_of_the_law(kind):
     grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8.0])
     points = mpm.fill(grid, mpm.Box(0, 4.2), 2, 1.0)
     V = mpm.Space(grid, "gimp")
@@ -153,13 +153,13 @@ def test_remedies_by_name_take_the_modulus_of_the_law(kind):
         mpm.QuasiStatic(F, V.increment, points, stabilisation="glue")
 
 
-def stiffness_of(law, remedy):
-    """Stiffness of a bar by name of the remedy."""
+def stiffness_of(law, stabilisation):
+    """Stiffness of a bar by name of the stabilisation."""
     grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8.0])
     points = mpm.fill(grid, mpm.Box(0, 4.2), 2, 1.0)
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(law, points, V.increment, V.test)
-    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=stabilisation)
     return problem.stiffness()[:, :]
 
 

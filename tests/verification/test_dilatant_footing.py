@@ -36,8 +36,8 @@ def bearing_factors(h):
     footing = mpm.RigidFooting(under, settlement, rough=False, E=E)
     F = mpm.momentum(law, points, u, v) - footing.contact(u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    remedy = mpm.Stabilisation("aggregation", E=E)
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    stabilisation = mpm.Stabilisation("aggregation", E=E)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     factors = []
     for k in range(1, 17):
         settlement.value = 1e-3 * k
@@ -48,7 +48,7 @@ def bearing_factors(h):
 
 @pytest.mark.long
 def test_finer_splines_without_f_bar_approach_the_limit():
-    """The remedy that the refusal names: a plateau, from above, at first order in h."""
+    """The stabilisation that the refusal names: a plateau, from above, at first order in h."""
     error = {}
     for h in (0.5, 0.25):
         factors = bearing_factors(h)

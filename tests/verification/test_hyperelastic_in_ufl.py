@@ -65,7 +65,7 @@ def test_ones_own_energy_and_penalty_are_those_of_the_library():
 
 
 @pytest.mark.long
-def test_ones_own_penalty_is_that_of_the_library_as_a_remedy():
+def test_ones_own_penalty_is_that_of_the_library_as_a_stabilisation():
     ghost = demo("--stabilisation", "ghost")
     assert ghost["difference_from_library"] < 1e-13
     for name in ("displacement_error", "stress_error", "stored_energy", "condition_number"):

@@ -71,9 +71,9 @@ def test_order_in_one_step_is_that_of_linear_elements(scene):
     assert stress == pytest.approx(1, abs=0.08)
 
 
-@pytest.mark.parametrize("remedy", ["none", "aggregation"])
-def test_order_under_other_remedies(remedy):
-    options = "--scene", "cut", "--cuts", "0.37", "--stabilisation", remedy
+@pytest.mark.parametrize("stabilisation", ["none", "aggregation"])
+def test_order_under_other_stabilisations(stabilisation):
+    options = "--scene", "cut", "--cuts", "0.37", "--stabilisation", stabilisation
     assert orders("cut cells", *options)[0] > 1.9
 
 

@@ -81,10 +81,10 @@ def splines(n, stabilisation):
     return [float(weight @ points[name]) for name in ("volume", "pressure", "deflection")]
 
 
-@pytest.mark.parametrize("remedy", ["none", "aggregation"])
-def test_volume_strain_and_pressure_are_those_of_taylor_hood_elements(remedy):
+@pytest.mark.parametrize("stabilisation", ["none", "aggregation"])
+def test_volume_strain_and_pressure_are_those_of_taylor_hood_elements(stabilisation):
     reference = conforming(32)
-    found = splines(8, remedy)
+    found = splines(8, stabilisation)
     for ours, theirs in zip(found, reference):
         assert ours == pytest.approx(theirs, rel=6e-3)
     assert found[:2] == pytest.approx(reference[:2], rel=5e-3)
@@ -94,7 +94,7 @@ def test_volume_strain_and_pressure_are_those_of_taylor_hood_elements(remedy):
 
 def test_a_ghost_penalty_on_the_displacement_goes_with_the_cells():
     reference = conforming(32)
-    remedies = [mpm.Stabilisation("ghost", E=E), "none"]
-    errors = [abs(splines(n, remedies)[1] / reference[1] - 1) for n in (4, 8, 16)]
+    stabilisations = [mpm.Stabilisation("ghost", E=E), "none"]
+    errors = [abs(splines(n, stabilisations)[1] / reference[1] - 1) for n in (4, 8, 16)]
     assert errors[2] < 6e-3
     assert errors[2] < 0.5 * errors[1] < 0.25 * errors[0] * 1.1

@@ -134,7 +134,7 @@ def test_ghost_penalty_leaves_linear_motions_alone():
     x = V.function_space.tabulate_dof_coordinates()[:, :2]
     A = np.array([[1.0, 0.3], [0.2, -0.7]])
     force = np.zeros_like(x)
-    from dolfinmpm.assembly.points import add_product
+    from dolfinmpm.assembly.stencilsums import add_product
 
     size = np.abs(blocks.values).max()
     add_product(blocks, [x @ A.T + 1.0], [force])

@@ -67,7 +67,7 @@ def test_linear_functions_converge_where_updated_ones_stay():
     ("basis", "stabilisation"),
     [("gimp", "ghost"), ("bspline2", "ghost"), ("linear", "aggregation"), ("bspline2", "soft")],
 )
-def test_other_bases_and_remedies(basis, stabilisation):
+def test_other_bases_and_stabilisations(basis, stabilisation):
     problem = column(8, basis, stabilisation=stabilisation)
     assert error(problem) < 5e-3
     assert all(record.halvings == 0 for record in problem.history)
@@ -80,7 +80,7 @@ def test_stencils_are_made_once(monkeypatch):
     def broken(*_):
         raise AssertionError("stencils were made again")
 
-    monkeypatch.setattr("dolfinmpm.basis.lattice.LatticeBasis.stencils", broken)
+    monkeypatch.setattr("dolfinmpm.basis.latticebasis.LatticeBasis.stencils", broken)
     problem.step()
 
 

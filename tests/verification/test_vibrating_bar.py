@@ -136,8 +136,8 @@ def test_losses_and_period(mass, mapping, options, one, five, period):
     ],
 )
 def test_losses_and_period_in_smaller_cells(mass, mapping, five, period):
-    remedy = PUBLISHED if mass == "consistent" else {"stabilisation": "none"}
-    options = {"mass": mass, "mapping": mapping, **remedy}
+    stabilisation = PUBLISHED if mass == "consistent" else {"stabilisation": "none"}
+    options = {"mass": mass, "mapping": mapping, **stabilisation}
     found, kept = swing(vibrating_bar(h=0.5, **options), 5 * PERIOD, 0.05)
     check_losses(kept[[5]], five)
     assert (found[2:] - found[:-2])[:4] == pytest.approx(period, rel=2e-4)

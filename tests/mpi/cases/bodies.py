@@ -17,7 +17,7 @@ from vtkmodules.vtkIOXML import vtkXMLPUnstructuredGridReader
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
-from dolfinmpm.body.balance import imbalance
+from dolfinmpm.body.loadbalance import imbalance
 
 from .common import COMM, hencky, sums
 

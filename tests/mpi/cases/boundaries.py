@@ -43,8 +43,8 @@ def ring(
         walls.append(mpm.Boundary.from_side(points, "right"))
         for law, tag in ((hard, 1), (soft, 2)):
             F += mpm.signorini(law, walls[0], u, v, friction=0.3, tag=tag)
-    remedy = mpm.Stabilisation(stabilisation, E=1e5)
-    problem = mpm.QuasiStatic(F, u, points, stabilisation=remedy, **options)
+    stabilisation = mpm.Stabilisation(stabilisation, E=1e5)
+    problem = mpm.QuasiStatic(F, u, points, stabilisation=stabilisation, **options)
 
     def step():
         c.value = 0.12 * (len(problem.history) + 1)
@@ -148,7 +148,7 @@ def restart_boundaries_total():
     return goes_on(build, 4)
 
 
-def deposits(remedy="aggregation", basis="gimp"):
+def deposits(stabilisation="aggregation", basis="gimp"):
     """Ground in layers with a water table on a slope, brought into balance."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (4, 3)], (8, 6), mesh.CellType.quadrilateral)
     loose, dense = (mpm.materials.sand(RD) for RD in (0.3, 0.7))
@@ -168,7 +168,7 @@ def deposits(remedy="aggregation", basis="gimp"):
         mpm.set_stress(points, law, ground.stress, tag=tag)
         F += mpm.momentum(law, points, u, v, tag=tag)
     bcs = mpm.rollers(V, "left", "right", "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     steps = mpm.equilibrate(problem)
     return {"steps": steps, **sums(points, "x", "stress", "mohrcoulomb_parameters")}
 
@@ -183,7 +183,7 @@ def rest_of_splines():
     return deposits("ghost", "bspline2")
 
 
-def regraded():
+def regridded():
     """A body on a grid whose fine zone moves along it."""
     return _regraded("gimp", "ghost")
 
@@ -193,7 +193,7 @@ def regraded_splines():
     return _regraded("bspline2", "aggregation")
 
 
-def _regraded(basis, remedy):
+def _regraded(basis, stabilisation):
 
     def lines(middle):
         return [
@@ -215,9 +215,9 @@ def _regraded(basis, remedy):
     F = mpm.momentum(law, points, u, v, fbar=True)
     F -= ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     for k, middle in enumerate((1.0, 1.8, 2.9)):
-        mpm.regrade(problem, lines(middle))
+        mpm.regrid(problem, lines(middle))
         g.value[:] = 0.4 * (k + 1), -1.0 * (k + 1)
         problem.step()
     moved = sum(record.migrated for record in problem.history)

@@ -14,7 +14,7 @@ from .common import COMM, run, sums
 
 
 def _fbar(
-    basis, law=None, remedy="ghost", dimension=2, wide=False, kind=None, load=1.0, means=True
+    basis, law=None, stabilisation="ghost", dimension=2, wide=False, kind=None, load=1.0, means=True
 ):
     """A nearly incompressible body that leans over, across rank borders."""
     law = law or mpm.materials.Hencky(E=100.0, nu=0.49)
@@ -34,7 +34,7 @@ def _fbar(
     g = fem.Constant(grid, (0.0,) * dimension)
     F = mpm.momentum(law, points, u, v, fbar=means) - ufl.inner(g, v) * points.dX
     bcs = mpm.fixed(V, "bottom" if not wide else lambda x: x[1] < 3)
-    stabilisation = mpm.Stabilisation(remedy, E=100.0, nu=0.3)
+    stabilisation = mpm.Stabilisation(stabilisation, E=100.0, nu=0.3)
     loads = [load * k * np.array([0.6, *(0.0,) * (dimension - 2), -0.8]) for k in range(1, 5)]
     # figures of ranks are compared to 1e-9, which must not be what Newton's method leaves
     problem, figures = run(
@@ -67,7 +67,10 @@ def fbar_triangles():
 
 def fbar_ties():
     """F-bar where nodes follow others across rank borders."""
-    return {remedy: _fbar("gimp", remedy=remedy)[1] for remedy in ("aggregation", "extended")}
+    return {
+        stabilisation: _fbar("gimp", stabilisation=stabilisation)[1]
+        for stabilisation in ("aggregation", "extended")
+    }
 
 
 def fbar_tangent():
@@ -77,9 +80,9 @@ def fbar_tangent():
     does not depend on the ranks.
     """
     figures = {}
-    for basis, remedy in (("gimp", "ghost"), ("gimp", "aggregation"), ("bspline3", "ghost")):
-        problem, figures[basis + remedy] = _fbar(
-            basis, remedy=remedy, wide=remedy == "ghost", load=0.3
+    for basis, stabilisation in (("gimp", "ghost"), ("gimp", "aggregation"), ("bspline3", "ghost")):
+        problem, figures[basis + stabilisation] = _fbar(
+            basis, stabilisation=stabilisation, wide=stabilisation == "ghost", load=0.3
         )
         linearised = Linearised(problem)
         here = linearised.operator.here
@@ -96,8 +99,8 @@ def fbar_tangent():
         exact = linearised.product(direction)
         scale = COMM.allreduce(np.abs(exact).max(initial=0.0), op=MPI.MAX)
         error = COMM.allreduce(np.abs(exact - numerical).max(initial=0.0), op=MPI.MAX)
-        assert error < 2e-6 * scale, (basis, remedy, error, scale)
-        figures["norm " + basis + remedy] = COMM.allreduce(float(exact @ exact))
+        assert error < 2e-6 * scale, (basis, stabilisation, error, scale)
+        figures["norm " + basis + stabilisation] = COMM.allreduce(float(exact @ exact))
     return figures
 
 

@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import linear, method
+from dolfinmpm.solve import linearsolver, method
 
 from .common import COMM, run, sums
 from .restart import REPEATABLE
@@ -62,9 +62,9 @@ def _plastic(law):
     F -= ufl.inner(points.density * g, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "bottom")
     loads = [(0.0, -10.0 * k / 20) for k in range(1, 21)]
-    remedy = mpm.Stabilisation("ghost", E=1e6)
+    stabilisation = mpm.Stabilisation("ghost", E=1e6)
     # each step starts from where the last one ended, and a tight end leaves less to differ in
-    options = {"stabilisation": remedy, "tolerance": 1e-12}
+    options = {"stabilisation": stabilisation, "tolerance": 1e-12}
     _, figures = run(points, V, F, bcs, loads, g, **options)
     largest = COMM.allreduce(float(points["plastic_strain"].max(initial=0.0)), op=MPI.MAX)
     assert largest > 0.5
@@ -134,7 +134,7 @@ def incomplete_factors():
         loads = [(0.0, -0.4 * k) for k in range(1, 6)]
         with (
             mock.patch.object(method, "_KEPT", {2: 20}),
-            mock.patch.object(linear, "_MOST_OF_INCOMPLETE", most),
+            mock.patch.object(linearsolver, "_MOST_OF_INCOMPLETE", most),
         ):
             problem, figures = run(
                 points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12

@@ -56,7 +56,7 @@ def nested():
 
 
 def nested_bases():
-    """The same with nodes that are tied twice, by cells that are joined and by the remedy."""
+    """The same with nodes that are tied twice: by joined cells and by the stabilisation."""
     return {basis: _drained(basis, "aggregation") for basis in ("gimp", "bspline2")}
 
 
@@ -66,7 +66,7 @@ def nested_restart():
     return goes_on(lambda: _nested("gimp", "ghost", **options), 4, moves=False)
 
 
-def _nested(basis, remedy, **options):
+def _nested(basis, stabilisation, **options):
     """The problem, and what takes its next step."""
     grid = mesh.create_rectangle(COMM, [(0, 0), (3, 2)], (22, 14), mesh.CellType.quadrilateral)
     points = mpm.fill(grid, mpm.Box((0, 0), (1.3, 0.9)), 2, 2000.0, exact=True)
@@ -79,14 +79,14 @@ def _nested(basis, remedy, **options):
     F -= top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
     bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
     problem = mpm.Transient(
-        F, [V.increment, Q.increment], points, bcs, stabilisation=[remedy] * 2, **options
+        F, [V.increment, Q.increment], points, bcs, stabilisation=[stabilisation] * 2, **options
     )
     times = 1e-6, 1.0, 20.0, 30.0
     return problem, lambda: problem.step(times[len(problem.history)])
 
 
-def _drained(basis, remedy):
-    problem, step = _nested(basis, remedy)
+def _drained(basis, stabilisation):
+    problem, step = _nested(basis, stabilisation)
     for _ in range(3):
         step()
     points = problem.points

@@ -42,8 +42,8 @@ def block(stabilisation="ghost", basis="gimp", body=False, **options):
     if body:
         F -= ufl.inner(points.density * b, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "bottom")
-    remedy = mpm.Stabilisation(stabilisation, E=1e6)
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy, **options)
+    stabilisation = mpm.Stabilisation(stabilisation, E=1e6)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation, **options)
 
     def step():
         k = len(problem.history) + 1

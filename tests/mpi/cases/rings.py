@@ -31,9 +31,9 @@ def slump(basis, stabilisation, law=None, fbar=True, **options):
     F = mpm.momentum(law, points, u, v, fbar=fbar) - side.pressure(1.0, u, v)
     F -= ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
-    remedy = mpm.Stabilisation(stabilisation, E=100.0 if stabilisation != "ghost" else None)
+    stabilisation = mpm.Stabilisation(stabilisation, E=100.0 if stabilisation != "ghost" else None)
     loads = [(0.0, -1.5 * k) for k in range(1, 5)]
-    _, figures = run(points, V, F, bcs, loads, g, stabilisation=remedy)
+    _, figures = run(points, V, F, bcs, loads, g, stabilisation=stabilisation)
     # the hoop stretch is the ratio of radii on every rank
     ratio = points["x"][:, 0] / points["x0"][:, 0]
     np.testing.assert_allclose(points["F"][:, 2, 2], ratio, rtol=1e-13)
@@ -45,8 +45,8 @@ def rings_bases():
     return {basis: slump(basis, "ghost") for basis in ("linear", "gimp", "bspline2", "bspline3")}
 
 
-def rings_remedies():
-    """Other remedies, a law that yields, an energy, and total increments."""
+def rings_stabilisations():
+    """Other stabilisations, a law that yields, an energy, and total increments."""
     yields = mpm.materials.VonMises(100.0, 0.3, 4.0, 20.0)
     energy = mpm.materials.NeoHookean(100.0, 0.3)
     return {
@@ -115,7 +115,7 @@ def rings_boundaries():
     middle = np.array([0.0, 1.6])
     shape = (mpm.Disc(middle, 1.4) - mpm.Disc(middle, 0.55)) & mpm.Box((0, 0), (3, 4))
     results = {}
-    for remedy in ("ghost", "aggregation"):
+    for stabilisation in ("ghost", "aggregation"):
         points = mpm.fill(grid, shape, 2, 1.0, axisymmetric=True)
         V = mpm.Space(grid, "gimp")
         u, v = V.increment, V.test
@@ -132,12 +132,17 @@ def rings_boundaries():
         F += mpm.signorini(law, lid, u, v, friction=0.3)
         bcs = mpm.rollers(V, "left")
         problem = mpm.QuasiStatic(
-            F, u, points, bcs, stabilisation=mpm.Stabilisation(remedy, E=100.0), tolerance=1e-12
+            F,
+            u,
+            points,
+            bcs,
+            stabilisation=mpm.Stabilisation(stabilisation, E=100.0),
+            tolerance=1e-12,
         )
         for k in range(3):
             c.value = 0.1 * (k + 1)
             problem.step()
-        results[remedy] = {
+        results[stabilisation] = {
             "iterations": [record.iterations for record in problem.history],
             "area": hole.total_area,
             "forces": [list(hole.force()), list(lid.force())],

@@ -89,7 +89,7 @@ def stencils_across_corners():
     V = mpm.Space(grid, "gimp")
     from dolfinx.la import InsertMode
 
-    from dolfinmpm.assembly.points import add_vector
+    from dolfinmpm.assembly.stencilsums import add_vector
 
     where = points.placement()
     basis = V.basis.grown(V.basis.reach(where)[0])

@@ -15,8 +15,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import gradient, in_section
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import (
@@ -25,12 +25,12 @@ from dolfinmpm.forms.declarations import (
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.history import MARKS, check_history
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.large import LargeStrain
 from dolfinmpm.kinematics.small import SmallStrain
+from dolfinmpm.kinematics.strainmarks import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -167,7 +167,7 @@ def momentum(
     """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
 
     The measures of strain, ∇ũ being the increment's gradient on the grid at the
-    start of the step, at points that are rings with the hoop term (`mpm.gradient`):
+    start of the step, at axisymmetric points with the hoop term (`mpm.gradient`):
 
     - "large": logarithmic strain ½ ln(ΔF b_n ΔFᵀ), Kirchhoff stress τ, S = τ ΔF⁻ᵀ; for strains
       and rotations of any size;
@@ -245,7 +245,7 @@ def stress(
             term to the same tags, `points.dX(tag)`.
 
     Returns:
-        An expression of shape (strain_dim, strain_dim), which is (3, 3) at rings.
+        An expression of shape (strain_dim, strain_dim), which is (3, 3) at axisymmetric points.
 
     Raises:
         ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
@@ -283,7 +283,7 @@ def flux(
         law, points, u, strain, tag: As for `momentum`.
 
     Returns:
-        An expression of shape (gdim, gdim), at rings without the hoop term, which no normal has a
+        An expression of shape (gdim, gdim), at axisymmetric points without the hoop term, which no normal has a
         part in, and the law's declaration.
     """
     declaration = points.declarations[_declare(law, points, u, strain, False, tag)]

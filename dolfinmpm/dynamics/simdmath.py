@@ -6,7 +6,7 @@ import math
 
 import numba
 
-from dolfinmpm._platform.lanes import add_at, axpy, four, lanes, load, number_at, store, times
+from dolfinmpm._platform.simd import add_at, axpy, four, lanes, load, number_at, store, times
 from dolfinmpm.dynamics.passes import FAST
 
 __all__ = [

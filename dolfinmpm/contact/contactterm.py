@@ -16,8 +16,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.arguments import check_displacement, check_points
 from dolfinmpm.body.axisymmetry import ring
+from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.corners import corner_count
@@ -162,7 +162,7 @@ def contact(
     found balance, it does so again with the pressure found so far as multiplier, until the bound
     holds, whatever the penalty.
 
-    Against rings a body of revolution acts, whose meridian is the right half of the shape, and
+    Against axisymmetric bodies a body of revolution acts, whose meridian is the right half of the shape, and
     which moves along the axis alone: give the whole shape, symmetric about x[0] = 0, such as a
     `Wedge` for a cone.
 

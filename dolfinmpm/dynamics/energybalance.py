@@ -6,10 +6,10 @@ import math
 
 from dolfinmpm.dynamics.ledger import Ledger
 
-__all__ = ["Balance"]
+__all__ = ["EnergyBalance"]
 
 
-class Balance:
+class EnergyBalance:
     """What energy there was and is in explicit steps.
 
     Args:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from petsc4py import PETSc
 
-from dolfinmpm.assembly.points import add_product
+from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Unknowns
 
-__all__ = ["Unsoftened"]
+__all__ = ["WithoutSoftStiffness"]
 
 
-class Unsoftened:
+class WithoutSoftStiffness:
     """Product of a stiffened tangent less its stiffening with a vector, for PETSc. Collective.
 
     Left in the linear systems the stiffening would leave the forces on functions that

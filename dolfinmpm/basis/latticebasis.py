@@ -85,7 +85,7 @@ def _keys(low, count, table_shape, key):
 
 
 @functools.cache
-def _fill(linear: bool, rings: bool):
+def _fill(linear: bool, axisymmetric: bool):
     """The loop that makes stencils, of linear functions without what splines need."""
 
     @numba.njit(cache=True, error_model="numpy")
@@ -147,7 +147,7 @@ def _fill(linear: bool, rings: bool):
                             line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d],
                             dS[d], part, slope,
                         )  # fmt: skip
-                if rings and half[p, 0] > 0.0:
+                if axisymmetric and half[p, 0] > 0.0:
                     ring_slopes(
                         lines[line_start[0] : line_start[1]], uniform, degree,
                         origin[0] + low[p, 0], count[p, 0], x[p, 0], half[p, 0], dS[0], part, slope,
@@ -293,7 +293,7 @@ class LatticeBasis:
             self._grown[key] = wider
         return self._grown[key]
 
-    def lay(self, lattice: Lattice) -> None:
+    def regrid(self, lattice: Lattice) -> None:
         """Take a lattice of the grid of as many lines in place of the own one.
 
         Numberings stay; what was computed from places does not.
@@ -434,7 +434,7 @@ class LatticeBasis:
         known = bool(np.all(low >= 0) and np.all(low + count <= table))
         if not self.averaged and self.grid.comm.allreduce(known, op=MPI.LAND):
             low = self._beside_others(where.x, low)
-        result = self.stencils_in(where.x, half, low, count, where.rings) if known else None
+        result = self.stencils_in(where.x, half, low, count, where.axisymmetric) if known else None
         if result is None:
             raise PointsOutsideGridError(
                 f"domains reach beyond the {self.halo.layers} layers of cells that are known "
@@ -442,14 +442,14 @@ class LatticeBasis:
             )
         return result
 
-    def stencils_in(self, x, half, low, count, rings: bool = False) -> Stencils | None:
+    def stencils_in(self, x, half, low, count, axisymmetric: bool = False) -> Stencils | None:
         """Stencils where the overlapped cells are given; None if a node is not known here.
 
         Args:
             x, half: Positions and half-lengths (m), shape (points, gdim).
             low: Position of the first overlapped cell in the halo's tables, likewise.
             count: Number of overlapped cells, likewise.
-            rings: Whether domains are rings about x[0] = 0.
+            axisymmetric: Whether domains are those of a body of revolution.
         """
         halo, gdim = self.halo, x.shape[1]
         cell_shape = np.array(halo.cell_table.shape, np.int64)
@@ -467,7 +467,7 @@ class LatticeBasis:
             np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
-        known = _fill(self.degree == 1, rings)(
+        known = _fill(self.degree == 1, axisymmetric)(
             x, half, self._lines, self._line_start, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm.assembly.points import Matrix
+from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, as_used, choose, crossover
@@ -216,7 +216,7 @@ class LinearSolver:
                 self._choose(here.unknowns.total)
                 self._take(here)
         assert self.matrix is not None
-        self.true = operator.unsoftened(self.matrix)
+        self.true = operator.without_soft(self.matrix)
 
     def _choose(self, count: int) -> None:
         """Take the method for so many unknowns. Collective."""

@@ -14,12 +14,12 @@ from dolfinmpm.grid.graded import lay_lines
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.solve.problem import Problem
 
-__all__ = ["regrade"]
+__all__ = ["regrid"]
 
 
 @together
-def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
-    """Lay the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
+def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
+    """Place the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
 
     Points and markers find their cells again; nothing is transferred, for the grid has no state.
     Both must be as dense as the finest cells need wherever the zone comes.
@@ -40,7 +40,7 @@ def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     check_kind("problem", problem, Problem, "give an mpm.QuasiStatic")
     if not hasattr(problem, "solver"):
         raise ParameterError(
-            f"{type(problem).__name__} steps on a grid that stays; regrade problems with equations"
+            f"{type(problem).__name__} steps on a grid that stays; regrid problems with equations"
         )
     if problem.configuration == "total":
         raise ParameterError(
@@ -53,9 +53,9 @@ def regrade(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     assert lattice is not None
     for space in form.spaces:
         assert isinstance(space.basis, LatticeBasis)
-        space.basis.lay(lattice)
+        space.basis.regrid(lattice)
         space.__dict__.pop("_extractions", None)
-    problem.lay()
+    problem.regrid()
     points.locate()
     for of in form.boundaries:
         of.boundary.markers.locate()

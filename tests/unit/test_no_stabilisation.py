@@ -1,4 +1,4 @@
-"""A remedy that a scene does not use costs it nothing."""
+"""A stabilisation that a scene does not use costs it nothing."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
-REMEDIES = ("ghost", "aggregation", "weak-aggregation", "extended", "soft")
-# where all of the remedies' own work is done
-MODULES = ("remedies", "penalties", "aggregation", "fractions", "prolongation")
+STABILISATIONS = ("ghost", "aggregation", "weak-aggregation", "extended", "soft")
+# where all of the stabilisations' own work is done
+MODULES = ("stabilisations", "penalties", "aggregation", "fractions", "prolongation")
 
 
-def column(basis, remedy="none"):
+def column(basis, stabilisation="none"):
     """A column, cut at its top, under half of a small weight."""
     n, h = 6, 1.0
     grid = mesh.create_rectangle(
@@ -32,13 +32,13 @@ def column(basis, remedy="none"):
     F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, V.increment, V.test)
     F -= ufl.inner(points.density * gravity, V.test) * points.dX
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=remedy)
+    problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation)
     gravity.value[1] = -1.0
     return problem
 
 
 def calls_in_a_step(problem):
-    """How often a step calls each function of the remedies, and of facets and active cells."""
+    """How often a step calls each function of stabilisations, facets and active cells."""
     called: Counter[str] = Counter()
 
     def see(frame, event, _):
@@ -58,31 +58,31 @@ def calls_in_a_step(problem):
 
 
 @pytest.mark.parametrize("basis", BASES)
-def test_without_a_remedy_its_code_does_not_run(basis):
+def test_without_a_stabilisation_its_code_does_not_run(basis):
     """Not a function of it, after the first step, which asks whether nodes are tied."""
     problem = column(basis)
     problem.step()
     assert not calls_in_a_step(problem)
 
 
-@pytest.mark.parametrize("remedy", REMEDIES)
-def test_with_a_remedy_it_does(remedy):
+@pytest.mark.parametrize("stabilisation", STABILISATIONS)
+def test_with_a_stabilisation_it_does(stabilisation):
     """So that the test above cannot pass because it looks in the wrong place."""
-    problem = column("gimp", remedy)
+    problem = column("gimp", stabilisation)
     problem.step()
     assert calls_in_a_step(problem)
 
 
 @pytest.mark.parametrize("basis", BASES)
-def test_without_a_remedy_nothing_of_it_is_needed(basis, monkeypatch):
+def test_without_a_stabilisation_nothing_of_it_is_needed(basis, monkeypatch):
     """Facets, fill fractions, ties, continued stencils and terms of UFL may all be broken."""
 
     def broken(*_, **__):
-        raise AssertionError("a remedy that is not used was run")
+        raise AssertionError("a stabilisation that is not used was run")
 
     for name in (
-        "cut.remedies.ties", "cut.remedies.fill_fractions", "cut.remedies.support_shares",
-        "cut.penalties.ghost", "cut.penalties.soft", "cut.remedies.Stabilisation.penalty",
+        "cut.stabilisations.ties", "cut.stabilisations.fill_fractions", "cut.stabilisations.support_shares",
+        "cut.penalties.ghost", "cut.penalties.soft", "cut.stabilisations.Stabilisation.penalty",
         "cut.fractions.domain_shares", "cut.active.GhostFacets.__init__",
         "cut.active.GhostFacets.select", "cut.activation.ghost_facets",
         "cut.activation.Prolongation", "cut.activation.mesh_roots",
@@ -103,7 +103,7 @@ def test_without_a_remedy_nothing_of_it_is_needed(basis, monkeypatch):
 
 
 @pytest.mark.parametrize("basis", BASES)
-def test_without_a_remedy_the_pattern_is_that_of_the_points(basis):
+def test_without_a_stabilisation_the_pattern_is_that_of_the_points(basis):
     """Entries for nodes that a point sees together, and no more; a ghost penalty adds some."""
     problem = column(basis)
     entries = problem.stiffness().getInfo()["nz_used"]

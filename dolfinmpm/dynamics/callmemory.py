@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from dolfinmpm.dynamics.snapshot import Snapshot
 
-__all__ = ["Between"]
+__all__ = ["CallMemory"]
 
 
 @dataclass
-class Between:
+class CallMemory:
     """What explicit steps keep from call to call.
 
     Attributes:

@@ -58,7 +58,7 @@ def check_history(
     if not others:
         return
     done = " and ".join(f"{counts[MARKS[name]]} under {_named(name)}" for name in others)
-    remedy = (
+    stabilisation = (
         "set the state that gives the present stress first, "
         f'mpm.set_stress(points, law, points["stress"], strain="{measure}")'
         if measure != ENERGY else
@@ -69,7 +69,7 @@ def check_history(
         points.comm,
         StateError(
             f"{law}: of its {counts.sum()} points have moved {done}; they cannot go on under "
-            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {remedy}"
+            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {stabilisation}"
         ),
     )
 

@@ -1,4 +1,4 @@
-"""Stabilisation against small cuts: the choice of a remedy and its parameters."""
+"""Stabilisation against small cuts: the choice of a stabilisation and its parameters."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
 
 @dataclass(frozen=True)
 class Stabilisation:
-    """A remedy against small cuts and its parameters.
+    """A stabilisation against small cuts and its parameters.
 
     Args:
         kind: "none"; "ghost" (penalty on jumps across ghost facets);
@@ -97,7 +97,7 @@ class Stabilisation:
         """Names of the arguments that a kind makes use of, beside E and nu.
 
         Args:
-            kind: The remedy's kind.
+            kind: The stabilisation's kind.
 
         Raises:
             ParameterError: There is none of that name.
@@ -225,7 +225,7 @@ class Stabilisation:
         The distance of a node from the continued polynomial is penalised in place
         of being made zero (after Badia, Neiva & Verdugo 2022, doi
         10.1016/j.cma.2021.114093). The continuation is taken to have the scale of a
-        stiffness, E h^{d−2}; of rings, which have a radius, with the factor 2π r, r being no less
+        stiffness, E h^{d−2}; of axisymmetric bodies, which have a radius, with the factor 2π r, r being no less
         than half a cell.
 
         Returns:

@@ -18,12 +18,12 @@ from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
 
-__all__ = ["OneByOne"]
+__all__ = ["ExplicitBase"]
 
 Array = npt.NDArray[np.float64]
 
 
-class OneByOne(ABC):
+class ExplicitBase(ABC):
     """Explicit steps of a problem, one after the other.
 
     Args:

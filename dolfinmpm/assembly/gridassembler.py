@@ -92,7 +92,7 @@ class _Block:
         if self.moving:
             self._form = None
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
         self._form, self._penalties = None, {}
 
@@ -284,11 +284,11 @@ class GridAssembler:
             for k, block in forms.items():
                 block.attach(self._attached[k])
 
-    def lay(self) -> None:
+    def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
         self._attached = None
         for block in [*self._vectors, *(self._jacobian or {}).values()]:
-            block.lay()
+            block.regrid()
 
     def tangent(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """Tangent of the internal terms between the solver's nodes. Collective.

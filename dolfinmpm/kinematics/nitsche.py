@@ -1,4 +1,4 @@
-"""Essential conditions imposed weakly, on boundaries that do not fit the grid.
+"""Essential conditions imposed in the weak form, on boundaries that do not fit the grid.
 
 With the traction t(u) of the law at a marker, and what is missing of the prescribed
 displacement, w(u) = gap + u − Δg, Nitsche's method (Nitsche 1971, doi 10.1007/BF02995904) adds
@@ -10,12 +10,12 @@ to the internal forces: the reaction of the boundary, what makes the whole symme
 the law's elasticity: where much of the displacement is still missing, second derivatives of the
 law would make the tangent of the whole indefinite, and whether a point at the yield surface has
 a plastic tangent at the start of a step is a matter of rounding. For the symmetric one k must
-exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembly.traces` computes from
-the cells with their remedy against small cuts; twice that is taken. The penalty method keeps the
+exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembly.nitschepenalty` computes from
+the cells with their stabilisation against small cuts; twice that is taken. The penalty method keeps the
 last term alone.
 
 The gap is what former steps have left of w, so that nothing accumulates. Explicit steps have the
-forces of the gap and of the stress at their start, see `dolfinmpm.dynamics.traces`; there ghost
+forces of the gap and of the stress at their start, see `dolfinmpm.dynamics.boundaryforces`; there ghost
 penalties do not act, and Nitsche's constants are small where nodes are tied alone.
 """
 
@@ -34,14 +34,14 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.acting import resisting
-from dolfinmpm.body.arguments import check_displacement
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
+from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import in_front, look_ahead
-from dolfinmpm.kinematics.terms import flux
+from dolfinmpm.kinematics.lawterms import flux
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

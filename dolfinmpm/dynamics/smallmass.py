@@ -1,4 +1,4 @@
-"""Remedies of explicit steps against light nodes, and bulk viscosity against shocks."""
+"""Stabilisations of explicit steps against light nodes, and bulk viscosity against shocks."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ import types
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["pruned"]
+__all__ = ["fold_constants"]
 
 _UNKNOWN = object()
 _CONSTANTS = (bool, int, float, type(None))
@@ -80,7 +80,7 @@ class _Pruner(ast.NodeTransformer):
         return node
 
 
-def pruned(function: Callable) -> Callable:
+def fold_constants(function: Callable) -> Callable:
     """The function without branches that its closed-over and global constants rule out.
 
     Numbers, truth values and None are constants, in tests by `and`, `or`, `not`, comparisons and

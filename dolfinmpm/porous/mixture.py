@@ -30,24 +30,29 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform.checks import as_tags, number, shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
-from dolfinmpm.body.arguments import check_displacement, check_increment, check_points, check_test
+from dolfinmpm.body.formarguments import (
+    check_displacement,
+    check_increment,
+    check_points,
+    check_test,
+)
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField, acceleration, carried
-from dolfinmpm.forms.penalties import PENALTY
+from dolfinmpm.forms.ghostterms import PENALTY
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.kinematics.terms import momentum
+from dolfinmpm.kinematics.lawterms import momentum
 from dolfinmpm.materials.base import lame
 from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
 from dolfinmpm.porous.kinematics import kinematics
 from dolfinmpm.porous.levels import Level
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
-from dolfinmpm.porous.surfaces import Flow, entering, held, seeping, surfaces
+from dolfinmpm.porous.waterfaces import Flow, entering, held, seeping, surfaces
 
 __all__ = ["poromechanics"]
 
 # Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
 # mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.8 %). Of splines the remedy's factor of 100 or 10⁴ would do that too, and is taken back
+# this 0.8 %). Of splines the stabilisation's factor of 100 or 10⁴ would do that too, and is taken back
 _STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 

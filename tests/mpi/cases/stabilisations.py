@@ -1,4 +1,4 @@
-"""Remedies against small cuts, with what they need across rank borders."""
+"""Stabilisations against small cuts, with what they need across rank borders."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.points import add_product
+from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.location import destinations
 
 from .common import COMM, hencky, run, sums
 
 
-def _remedies(basis, kind_of_cell=mesh.CellType.quadrilateral):
-    """A leaning body with small cuts under every remedy, and its conditioning."""
+def _stabilisations(basis, kind_of_cell=mesh.CellType.quadrilateral):
+    """A leaning body with small cuts under every stabilisation, and its conditioning."""
     figures = {}
     for kind in ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"):
         grid = mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9), kind_of_cell)
@@ -23,10 +23,10 @@ def _remedies(basis, kind_of_cell=mesh.CellType.quadrilateral):
         V = mpm.Space(grid, basis)
         g = fem.Constant(grid, (0.0, 0.0))
         F = hencky(points, V, ghost=False, E=100.0) - ufl.inner(g, V.test) * points.dX
-        remedy = mpm.Stabilisation(kind, E=100.0, nu=0.3)
+        stabilisation = mpm.Stabilisation(kind, E=100.0, nu=0.3)
         bcs = mpm.fixed(V, "bottom")
         loads = [(0.1, -0.5), (0.2, -1.0)]
-        problem, result = run(points, V, F, bcs, loads, g, stabilisation=remedy)
+        problem, result = run(points, V, F, bcs, loads, g, stabilisation=stabilisation)
         result.pop("moved")
         if kind == "soft":
             # its linear systems are solved by iteration: a last step may be needed or not
@@ -36,24 +36,24 @@ def _remedies(basis, kind_of_cell=mesh.CellType.quadrilateral):
     return figures
 
 
-def remedies_gimp():
-    """Remedies with GIMP."""
-    return _remedies("gimp")
+def stabilisations_gimp():
+    """Stabilisations with GIMP."""
+    return _stabilisations("gimp")
 
 
-def remedies_linear():
-    """Remedies with linear functions."""
-    return _remedies("linear")
+def stabilisations_linear():
+    """Stabilisations with linear functions."""
+    return _stabilisations("linear")
 
 
-def remedies_triangles():
-    """Remedies on triangles, where roots are looked for on all ranks."""
-    return _remedies("linear", mesh.CellType.triangle)
+def stabilisations_triangles():
+    """Stabilisations on triangles, where roots are looked for on all ranks."""
+    return _stabilisations("linear", mesh.CellType.triangle)
 
 
-def remedies_bspline2():
-    """Remedies with quadratic splines, whose facet terms act through their extraction."""
-    return _remedies("bspline2")
+def stabilisations_bspline2():
+    """Stabilisations with quadratic splines, whose facet terms act through their extraction."""
+    return _stabilisations("bspline2")
 
 
 def adaptive_penalties():
@@ -68,10 +68,12 @@ def adaptive_penalties():
         soil = mpm.materials.VonMises(E=100.0, nu=0.3, yield_stress=0.5, hardening=20.0)
         F = mpm.momentum(soil, points, V.increment, V.test)
         F -= ufl.inner(points.density * g, V.test) * points.dX
-        remedy = mpm.Stabilisation("ghost", gamma="adaptive")
+        stabilisation = mpm.Stabilisation("ghost", gamma="adaptive")
         loads = [(0.02, -0.1), (0.05, -0.2), (0.08, -0.3)]
         bcs = mpm.fixed(V, "bottom")
-        problem, result = run(points, V, F, bcs, loads, g, stabilisation=remedy, tolerance=1e-11)
+        problem, result = run(
+            points, V, F, bcs, loads, g, stabilisation=stabilisation, tolerance=1e-11
+        )
         result.pop("moved")
         assert COMM.allreduce(points["plastic_strain"].max(initial=0.0), MPI.MAX) > 1e-4
         problem.activate()

@@ -1,12 +1,12 @@
 """The penalty that Nitsche's method needs, from eigenproblems of the cells at the boundary.
 
 The method is stable if k exceeds the constant of ∫ |σ(v) n|² da ≤ k a(v, v), with a the elastic
-energy of the points and of what remedies add to it: the ghost penalty, or the nodes that
+energy of the points and of what stabilisations add to it: the ghost penalty, or the nodes that
 aggregation ties. Neither a number of M/h nor the size of a cut will do: a cell of which the body
-fills next to nothing has as much energy as its remedy gives it, and no more.
+fills next to nothing has as much energy as its stabilisation gives it, and no more.
 
 Around every cell at the boundary the largest eigenvalue of the two forms is taken among functions
-that are zero beyond some rings of nodes. Tractions belong to differences of near nodes, so that
+that are zero beyond some layers of nodes. Tractions belong to differences of near nodes, so that
 this misses the constant of all functions by less than the factor of 2 that is put on it.
 """
 
@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import StateError, raise_together
 from dolfinmpm.assembly.facetpairs import isotropic
-from dolfinmpm.assembly.points import Entries, Matrix, Slope, add_blocks, add_stiffness
+from dolfinmpm.assembly.stencilsums import Entries, Matrix, Slope, add_blocks, add_stiffness
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import pushed_forward
 from dolfinmpm.body.axisymmetry import in_section
@@ -48,7 +48,7 @@ def _tangents(moduli: Array, d: int) -> Array:
 
 
 def _by_slots(points: MaterialPoints, values: Array) -> Array:
-    """Forms of tensors ∇u as those of what stencils give: gradients, at rings values too.
+    """Forms of tensors ∇u as those of stencils: gradients, and values where axisymmetric.
 
     Args:
         points: The points.
@@ -109,7 +109,7 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
 
 
 def _around(
-    here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], rings: int
+    here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], layers: int
 ) -> tuple[list[scipy.sparse.csr_matrix], npt.NDArray[np.int64]]:
     """The parts of matrices around unknowns, and the global numbers they are of. Collective."""
     if here.unknowns.comm.size == 1:
@@ -121,7 +121,7 @@ def _around(
         ]
         return made, np.arange(shape[0], dtype=np.int64)
     where = PETSc.IS().createGeneral(np.unique(rows).astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    matrices[0].petsc.increaseOverlap(where, rings)
+    matrices[0].petsc.increaseOverlap(where, layers)
     where.sort()
     parts = []
     for matrix in matrices:
@@ -131,9 +131,9 @@ def _around(
     return parts, where.getIndices().astype(np.int64)
 
 
-def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], rings: int) -> npt.NDArray[Any]:
+def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], layers: int) -> npt.NDArray[Any]:
     """Rows and those around them that they are coupled to, ring by ring."""
-    for _ in range(rings):
+    for _ in range(layers):
         rows = np.unique(A[rows].indices)
     return rows
 
@@ -213,7 +213,7 @@ def trace_constants(
         boundary: Which of the activation's boundaries it is.
 
     Raises:
-        StateError: A marker is in a cell without material and without a remedy.
+        StateError: A marker is in a cell without material and without stabilisation.
     """
     d, s, own = points.gdim, here.fields[k].of_markers[boundary], here.fields[k].stencils
     if here.total:
@@ -228,14 +228,14 @@ def trace_constants(
     for g in range(s.groups.size - 1):
         seen = row_of[s.nodes[s.node_start[g] : s.node_start[g + 1]]].ravel()
         groups.append(to_global[seen[seen >= 0]].astype(np.int64))
-    rings = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
+    layers = 2 if d == 2 and here.fields[k].basis.degree == 1 else 1
     wanted = np.concatenate([np.empty(0, np.int64), *groups])
-    (A, N), numbers = _around(here, [energy, tractions], wanted, rings)
+    (A, N), numbers = _around(here, [energy, tractions], wanted, layers)
     constants = np.zeros(len(markers))
     lost: Array | None = None
     place = np.full(len(numbers), -1, np.int64)
     for g, rows in enumerate(groups):
-        patch = _ringed(A, np.searchsorted(numbers, rows), rings)
+        patch = _ringed(A, np.searchsorted(numbers, rows), layers)
         constant = _largest(*(_part(matrix, patch, place) for matrix in (A, N)))
         members = s.order[s.groups[g] : s.groups[g + 1]]
         constants[members] = constant
@@ -247,7 +247,7 @@ def trace_constants(
         if lost is None
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
-            'a remedy: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
+            'a stabilisation: Nitsche\'s method has no finite penalty there; add stabilisation="ghost" or '
             '"aggregation", in explicit steps the latter, or give beta'
         ),
     )

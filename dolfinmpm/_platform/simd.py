@@ -34,7 +34,7 @@ _FOUR = _Four()
 
 
 @register_model(_Four)
-class _Model(models.PrimitiveModel):
+class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
         super().__init__(manager, kind, _VECTOR)
 

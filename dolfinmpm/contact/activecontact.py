@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.assembly.points import Entries
+from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.contact.candidates import candidates, touchable
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
@@ -18,7 +19,6 @@ from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.passing import entered, passes, suspected, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.surfaces import Probe
-from dolfinmpm.contact.terms import Contact
 from dolfinmpm.cut.participants import Participants
 
 __all__ = ["ActiveContact"]
@@ -293,7 +293,7 @@ class ActiveContact:
     def totals(self) -> tuple[Array, Array]:
         """Force and moment of the points on the body (N, N m), on all ranks. Collective.
 
-        Of rings they are those all around.
+        Of axisymmetric bodies they are those all around.
         """
         moment = _cross(self._lever(), self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
