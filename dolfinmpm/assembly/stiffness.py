@@ -175,5 +175,7 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                             data[indptr[row] + place[row_of[other, k]]] += rows[c, i * nc + k]
                         else:
                             lift[node, i] += rows[c, i * nc + k] * prescribed[other, k]
+        # an address keeps nothing alive: without this Numba frees both before the loop
+        t[0, 0] = turned[0, 0, 0]
 
     return kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import numbers
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord
 
-__all__ = ["MotionRecord", "Time", "check_clock", "end_of", "mean_increment", "times"]
+__all__ = ["MotionRecord", "Time", "as_yielded", "check_clock", "end_of", "mean_increment", "times"]
 
 
 # Steps of a run that nobody would wait for
@@ -46,6 +47,26 @@ class Time(float):
     end: float
     at_once: int
     reached: float | None
+
+
+# Open times whose loops wait for their steps
+_waiting: list[Time] = []
+
+
+def as_yielded(t: Any, now: float) -> Any:
+    """What a step was given; the open time of a loop where it is that time's bare number.
+
+    A script may well write `problem.step(float(t))`, or hand on what it has computed with t. A
+    plain time that is not later than the state's is no time to go to, so that nothing else can be
+    meant.
+
+    Args:
+        t: What a step was given.
+        now: Time of the state (s).
+    """
+    if isinstance(t, Time) or not isinstance(t, numbers.Real) or float(t) > now:
+        return t
+    return next((one for one in reversed(_waiting) if one == t), t)
 
 
 def times(
@@ -115,7 +136,12 @@ def _chosen(start: float, end: float, label: str, at_once: int) -> Iterator[Time
         t = start
         while t < end:
             now = Time(t, end, at_once)
-            yield now
+            _waiting.append(now)
+            try:
+                yield now
+            finally:
+                # two loops may wait at equal times
+                _waiting[:] = [one for one in _waiting if one is not now]
             if now.reached is None:
                 raise ParameterError(
                     f"no step was taken from t = {t:g} s: call problem.step(t) with the t of the "

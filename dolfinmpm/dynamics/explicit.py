@@ -31,7 +31,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weighed
 from dolfinmpm.dynamics.callmemory import CallMemory
-from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of
+from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, check_clock, end_of
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
@@ -318,7 +318,7 @@ class Explicit(Problem):
             PointsOutsideGridError: Points would leave the grid.
         """
         started, watch = clock.perf_counter(), stages.Watch()
-        most = math.inf
+        most, t = math.inf, as_yielded(t, self.time)
         if isinstance(t, Time) and t.open:
             most = min(self._loop.at_once, t.at_once)
         target = t.end if isinstance(t, Time) else end_of(t, self.time, None)

@@ -511,6 +511,8 @@ def kernel(
         done[2] = max(done[2], fastest)
         done[6] += dt * latest
         done[7] += 0.5 * projected
+        # an address keeps nothing alive: without this Numba frees it before the loop
+        tangent[0] = 0.0
         return -1, left, behind
 
     return run

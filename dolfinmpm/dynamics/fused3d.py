@@ -537,6 +537,8 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
         done[2] = max(done[2], fastest)
         done[6] += dt * latest
         done[7] += 0.5 * projected
+        # an address keeps nothing alive: without this Numba frees it before the loop
+        tangent[0] = 0.0
         return -1, left, behind
 
     return run

@@ -30,7 +30,14 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
+from dolfinmpm.dynamics.clock import (
+    MotionRecord,
+    Time,
+    as_yielded,
+    check_clock,
+    end_of,
+    mean_increment,
+)
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
 from dolfinmpm.dynamics.gains import LEAST
@@ -226,7 +233,7 @@ class TimeStepping(QuasiStatic):
             ConvergenceError, PointsOutsideGridError: See `QuasiStatic.step`. The state, and
                 `time`, are those of the last converged part of the step.
         """
-        motion = self.motion
+        motion, t = self.motion, as_yielded(t, self.time)
         end = end_of(t, motion.time, motion.wanted if motion.chooses else None)
         jumped = self._loads.jumps()
         motion.begin(end, jumped, any(self._loads.change))

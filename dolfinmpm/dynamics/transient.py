@@ -18,7 +18,14 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.clock import MotionRecord, Time, check_clock, end_of, mean_increment
+from dolfinmpm.dynamics.clock import (
+    MotionRecord,
+    Time,
+    as_yielded,
+    check_clock,
+    end_of,
+    mean_increment,
+)
 from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.agreement import of_step
@@ -125,7 +132,7 @@ class Transient(QuasiStatic):
             ConvergenceError, PointsOutsideGridError: See `QuasiStatic.step`. The state, and
                 `time`, are those of the last converged part of the step.
         """
-        clock = self.clock
+        clock, t = self.clock, as_yielded(t, self.time)
         clock.end = end_of(t, clock.time, clock.wanted if self._error is not None else None)
         clock.start = clock.time
         record = super().step()

@@ -175,6 +175,7 @@ class Factor:
     Attributes:
         place: Where unknowns of B stand in L, shape (n,).
         flops: Floating-point operations of a factorisation.
+        entries: Entries of L.
 
     Raises:
         MemoryError: There is no memory for it, or more entries than 32-bit integers count.
@@ -188,7 +189,7 @@ class Factor:
             nrow=n, ncol=n, nzmax=rows.size, p=_address(start), i=_address(rows),
             stype=_LOWER, xtype=0, sorted=0, packed=1,
         )  # fmt: skip
-        self.place, self.flops = np.empty(n, np.int32), 0.0
+        self.place, self.flops, self.entries = np.empty(n, np.int32), 0.0, 0.0
         if n == 0:
             return
         late = np.zeros(n, np.int32)
@@ -205,7 +206,7 @@ class Factor:
         )
         library.check("analyze_p")
         weakref.finalize(self, _free, self._L)
-        self.flops = float(library.common.fl)
+        self.flops, self.entries = float(library.common.fl), float(library.common.lnz)
         self.place[_view(self._L.contents.Perm, n, c_int)] = np.arange(n, dtype=np.int32)
         self._work = np.empty(max(self._L.contents.maxesize, 1))
 

@@ -18,8 +18,8 @@ from dolfinmpm.solve.method import SUBSTRUCTURES, Method, Tangent, as_used, choo
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.reuse import Reuse
-from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
+from dolfinmpm.solve.solverchoice import SolverChoice
 from dolfinmpm.solve.spectra import near_kernel, near_kernel_within
 from dolfinmpm.solve.substructures import Substructures, why_not
 
@@ -73,12 +73,12 @@ class Excluded:
     Attributes:
         iterations: Whether only factors are left, because iterations have failed.
         parts: Why several ranks do not factorise a substructure each; empty if they may.
-        rivals: Whether incomplete factors are tried.
+        choice: Whether incomplete factors are tried.
     """
 
     iterations: bool = False
     parts: str = ""
-    rivals: Rivals = field(default_factory=Rivals)
+    choice: SolverChoice = field(default_factory=SolverChoice)
 
 
 class LinearSolver:
@@ -229,7 +229,7 @@ class LinearSolver:
         whole = excluded.parts
         method = choose(
             tangent, count, self._gdim, ranks, excluded.iterations,
-            free and self._excluded.rivals.incomplete, not whole,
+            free and self._excluded.choice.incomplete, not whole,
         )  # fmt: skip
         if ranks > 1 and whole and definite and method.pc == "cholesky":
             method = replace(method, why=f"{method.why}, not in substructures: {whole}")
@@ -243,9 +243,9 @@ class LinearSolver:
         """Let what solutions have cost decide on incomplete factors. Collective."""
         if self.reuse is None or self._tangent.symmetric or self._tangent.softened:
             return
-        seconds, solutions, iterations = self.reuse.taken()
+        cost, solutions, iterations = self.reuse.taken()
         if solutions:
-            self._excluded.rivals.weigh(seconds, solutions, iterations / solutions)
+            self._excluded.choice.weigh(cost / solutions, iterations / solutions)
 
     def _take(self, here: Activation) -> None:
         """Take the matrix of an activation. Collective."""
@@ -335,7 +335,7 @@ class LinearSolver:
         if tangent.symmetric and tangent.definite and self._doubt.left == 0:
             self._doubt.grow()
         elif method.incomplete:
-            self._excluded.rivals.failed()
+            self._excluded.choice.failed()
             if self.reuse is not None:
                 # what they cost is not what the other method does
                 self.reuse.taken()

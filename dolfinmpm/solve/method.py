@@ -217,7 +217,7 @@ def choose(
 
     Incomplete factors without fill (Meijerink & van der Vorst 1977, doi
     10.1090/S0025-5718-1977-0438681-4) cost a tenth of factors where few iterations do with them,
-    as where inertia weighs; `dolfinmpm.solve.rivals` tells where they do not.
+    as where inertia weighs; `dolfinmpm.solve.solverchoice` tells where they do not.
 
     Args:
         tangent: What is known of it.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 import weakref
 from collections.abc import Callable
 
 from mpi4py import MPI
 from petsc4py import PETSc
+
+from dolfinmpm.solve.costs import of_setup, of_solution
 
 __all__ = ["Reuse"]
 
@@ -16,49 +17,39 @@ __all__ = ["Reuse"]
 class Reuse:
     """Keeps a preconditioner while that is cheaper than a new one.
 
-    An old one costs more iterations, a new one its set-up. Both are measured: as soon as the
-    last solution cost more than solutions with this preconditioner did on average, its set-up
-    included, a new one is made. Costs are what a solution takes beyond one with a fresh
-    preconditioner, which goes by digits gained, since solutions are not all asked to be as good.
-    Where already the first solution with an old one did so, none is kept for a while, longer
-    each time.
+    An old one costs more iterations, a new one its set-up. Both are counted, see
+    `dolfinmpm.solve.costs`: as soon as the last solution cost more than solutions with this
+    preconditioner did on average, its set-up included, a new one is made. Costs are what a solution
+    takes beyond one with a fresh preconditioner, which goes by digits gained, since solutions are
+    not all asked to be as good. Where already the first solution with an old one did so, none is
+    kept for a while, longer each time.
 
     Args:
         comm: Communicator of the problem.
 
     Attributes:
         iterations: Those that each solution took.
+        old: Whether the preconditioner is that of a former tangent.
+        counts: Solutions, and set-ups for them.
     """
 
     def __init__(self, comm: MPI.Intracomm):
         self._comm = comm
         self._setup = math.nan
-        # seconds a digit of a fresh one; what the last solution cost, and all with the present one
+        # cost of a digit of a fresh one; what the last solution cost, and all with the present one
         self._fresh = self._last = math.nan
         self._spent = 0.0
-        self._old = False
-        self._count = [0, 0]
+        self.old, self.counts = False, (0, 0)
         # solutions with the present one; set-ups until one is kept again, and then the next time
         self._age, self._wait, self._next = 0, 0, 1
         self.iterations: list[int] = []
-        # seconds, solutions and iterations since `taken` was asked
-        self._taken = [0.0, 0, 0]
+        # cost, solutions and iterations since `taken` was asked; flops when a solution begins
+        self._taken, self._flops = (0.0, 0, 0), 0.0
 
     def taken(self) -> tuple[float, int, int]:
-        """Seconds with set-ups, solutions and iterations since this was last asked."""
-        seconds, solutions, iterations = self._taken
-        self._taken = [0.0, 0, 0]
-        return seconds, int(solutions), int(iterations)
-
-    @property
-    def old(self) -> bool:
-        """Whether the preconditioner is that of a former tangent."""
-        return self._old
-
-    @property
-    def counts(self) -> tuple[int, int]:
-        """Solutions, and set-ups for them."""
-        return self._count[0], self._count[1]
+        """Cost with set-ups (ns), solutions and iterations since this was last asked."""
+        taken, self._taken = self._taken, (0.0, 0, 0)
+        return taken
 
     def renew(self) -> None:
         """Let the next one be new, whatever it costs."""
@@ -76,58 +67,51 @@ class Reuse:
             self._wait, self._next = self._next, min(2 * self._next, 32)
         elif not pays and self._age > 2:
             self._next = 1
-        keep = self._comm.bcast(bool(pays and self._wait == 0))
-        if not keep:
-            self._age, self._wait, self._spent = 0, max(self._wait - 1, 0), 0.0
+        self.old = keep = self._comm.bcast(bool(pays and self._wait == 0))
         ksp.getPC().setReusePreconditioner(keep)
-        self._old = keep
-        started = time.perf_counter()
+        started = PETSc.Log.getFlops()
         if not keep and before is not None:
             before()
         ksp.setUp()
+        self._flops = PETSc.Log.getFlops()
         if not keep:
-            self._setup = self._slowest(time.perf_counter() - started)
-            self._taken[0] += self._setup
+            self._age, self._wait, self._spent = 0, max(self._wait - 1, 0), 0.0
+            self._setup = self._add(of_setup(ksp.getPC(), self._flops - started))
             self._fresh = math.nan
-            self._count[1] += 1
+            self.counts = self.counts[0], self.counts[1] + 1
 
     def watch(self, ksp: PETSc.KSP) -> None:
         """Take note of all that a solver does from now on."""
         # a solver that kept what keeps the solver would never be freed
-        weak, started, before = weakref.ref(self), 0.0, 0.0
-
-        def begins(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-            nonlocal started, before
-            started, before = time.perf_counter(), b.norm()
+        weak = weakref.ref(self)
 
         def ends(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
             reuse = weak()
             if reuse is not None:
-                reuse.note(ksp, time.perf_counter() - started, before)
+                reuse.note(ksp)
 
-        ksp.setPreSolve(begins)
+        ksp.setConvergenceHistory(1000, reset=True)
         ksp.setPostSolve(ends)
 
-    def note(self, ksp: PETSc.KSP, seconds: float, before: float) -> None:
-        """Take what a solution took. Collective.
-
-        Args:
-            ksp: The solver.
-            seconds: Its time on this rank.
-            before: Norm of the right-hand side.
-        """
-        after = ksp.getResidualNorm()
-        known = before > 0 and 0 < after < math.inf
-        digits = max(math.log10(before / after), 0.1) if known else 0.1
-        seconds = self._slowest(seconds)
-        self._taken = [a + b for a, b in zip(self._taken, (seconds, 1, ksp.getIterationNumber()))]
-        if not self._old:
-            self._fresh = seconds / digits
-        self._last = max(seconds - digits * self._fresh, 0.0)
+    def note(self, ksp: PETSc.KSP) -> None:
+        """Take what a solution took. Collective."""
+        norms, iterations = ksp.getConvergenceHistory(), ksp.getIterationNumber()
+        known = len(norms) > 1 and norms[0] > 0 and 0 < norms[-1] < math.inf
+        digits = max(math.log10(norms[0] / norms[-1]), 0.1) if known else 0.1
+        flops = PETSc.Log.getFlops()
+        cost = self._add(of_solution(ksp.getPC(), flops - self._flops), iterations, 1)
+        self._flops = flops
+        if not self.old:
+            self._fresh = cost / digits
+        self._last = max(cost - digits * self._fresh, 0.0)
         self._spent += self._last
-        self._count[0] += 1
+        self.counts = self.counts[0] + 1, self.counts[1]
         self._age += 1
-        self.iterations.append(ksp.getIterationNumber())
+        self.iterations.append(iterations)
 
-    def _slowest(self, seconds: float) -> float:
-        return self._comm.allreduce(seconds, op=MPI.MAX)
+    def _add(self, cost: float, iterations: int = 0, solutions: int = 0) -> float:
+        """Add up a cost; returns the largest of all ranks, which others wait for. Collective."""
+        cost = self._comm.allreduce(cost, op=MPI.MAX)
+        taken = self._taken
+        self._taken = taken[0] + cost, taken[1] + solutions, taken[2] + iterations
+        return cost

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -242,16 +243,25 @@ def _critical_step_of_many(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool) 
 
 
 def _motions(comm: MPI.Comm, x: Array) -> list[Array]:
-    """Orthonormal rigid motions of nodes at positions, shape (nodes here, d) each. Collective."""
+    """Orthonormal rigid motions of nodes at positions, shape (nodes here, d) each. Collective.
+
+    PETSc makes such modes, too, but sums them up as vectors lie in memory, so that they differ by
+    rounding from run to run, and so do the hierarchies that are made of them.
+    """
+    d = x.shape[1]
     # about the middle, so that rotations do not drown in translations
-    count = comm.allreduce(len(x))
-    x = x - comm.allreduce(x.sum(axis=0)) / count
-    coordinates = PETSc.Vec().createWithArray(np.ravel(x), bsize=x.shape[1], comm=comm)
-    kernel = PETSc.NullSpace().createRigidBody(coordinates)
-    modes = [mode.getArray(readonly=True) for mode in kernel.getVecs()]
-    if kernel.hasConstant():  # a line's only mode
-        modes.append(np.full(x.size, 1 / math.sqrt(count)))
-    return [np.array(mode).reshape(x.shape) for mode in modes]
+    x = x - comm.allreduce(x.sum(axis=0)) / comm.allreduce(len(x))
+    modes = [np.tile(row, (len(x), 1)) for row in np.eye(d)]
+    for i, j in itertools.combinations(range(d), 2):
+        mode = np.zeros_like(x)
+        mode[:, i], mode[:, j] = x[:, j], -x[:, i]
+        modes.append(mode)
+    for k, mode in enumerate(modes):
+        for before in modes[:k]:
+            mode -= comm.allreduce(float(np.vdot(before, mode))) * before
+        # nodes in a line do not turn about it
+        mode /= math.sqrt(comm.allreduce(float(np.vdot(mode, mode)))) or 1.0
+    return modes
 
 
 def _rigid(unknowns: Unknowns, x: Array) -> list[Array]:

@@ -101,12 +101,15 @@ class Substructures:
         )
         if not A.comm.tompi4py().allreduce(kept, op=MPI.LAND):
             self._analyse(A, start, columns)
+        # as PETSc counts those of its own factors
+        PETSc.Log.logFlops(self._factor.flops + self._separator.size**3 / 3)
         self._ended = self._factorise(values)
         pc.setFailedReason(_REASONS[self._ended])
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve A x = b; infinite, as of PETSc's own factors, without factors. Collective."""
         if self._ended == _DONE:
+            PETSc.Log.logFlops(4.0 * self._factor.entries + 2.0 * self._separator.size**2)
             self._solve(b.getArray(readonly=True), x.getArray())
         else:
             x.set(np.inf)

@@ -295,6 +295,18 @@ def test_solid_3d_by_factors(tmp_path):
     assert (tmp_path / "solid_3d_block.png").stat().st_size > 0
 
 
+@pytest.mark.parametrize(("scene", "cells"), [("solid", "14"), ("sand", "45")])
+def test_runs_repeat_to_the_last_bit(scene, cells):
+    """In one process and in another, with multigrid, and with incomplete factors or LU."""
+    options = "--cells", cells, "--count", "1", "--within", "2", "--steps", "2", "--busy"
+    found = run("repeat", "--scene", scene, *options)
+    assert found["results"] == 1
+    assert len(found["runs"]) == 3
+    assert max(found["runs"][0]["linear_iterations"]) > 1
+    # the solver had to choose
+    assert found["runs"][0]["unknowns"] >= {"solid": 9000, "sand": 4000}[scene]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("stabilisation", "cells"), [("ghost", 13), ("aggregation", 14)])
 def test_solid_3d_by_multigrid(stabilisation, cells):

@@ -383,6 +383,15 @@ def test_steps_that_the_solver_chooses():
     assert np.abs(pair[0].points["velocity"][a] - expected).max() <= 1e-11
 
 
+def test_the_bare_number_of_a_chosen_time_is_enough():
+    for fused in (True, False):
+        p = problem(fused=fused, averaged=False, courant=0.05)
+        for t in mpm.times(0.05, dt="auto"):
+            p.step(float(t))
+        assert p.time == 0.05
+        assert len(p.history) > 1
+
+
 @pytest.mark.parametrize(
     ("why", "scene"),
     [

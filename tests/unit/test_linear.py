@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import ufl
 from conftest import unit_grid
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
 from dolfinmpm.solve import linearsolver, method
+from dolfinmpm.solve import reuse as reuse_module
+from dolfinmpm.solve.costs import _OTHERWISE as OTHERWISE
+from dolfinmpm.solve.costs import of_setup, of_solution
 from dolfinmpm.solve.method import SUBSTRUCTURES, Tangent, choose
 from dolfinmpm.solve.reuse import Reuse
-from dolfinmpm.solve.rivals import Rivals
 from dolfinmpm.solve.schur import schur_matrix
+from dolfinmpm.solve.solverchoice import SolverChoice
 
 ELASTIC = {"E": 1e3, "nu": 0.3}
 
@@ -196,29 +201,29 @@ def test_what_a_user_chooses_has_no_rival(monkeypatch, options):
 
 
 def test_incomplete_factors_are_left_for_what_costs_less():
-    rivals = Rivals()
+    choice = SolverChoice()
     # few iterations: nothing else is tried, whatever they cost
-    rivals.weigh(4.0, 4, 12.0)
-    assert rivals.incomplete
+    choice.weigh(1.0, 12.0)
+    assert choice.incomplete
     # many: factors have a turn, and lose it; the next one is eight attachments later
-    rivals.weigh(8.0, 4, 60.0)
-    assert not rivals.incomplete
-    rivals.weigh(12.0, 4, 1.0)
-    assert rivals.incomplete
-    turns = [rivals.incomplete for _ in range(8) if rivals.weigh(8.0, 4, 60.0) is None]
+    choice.weigh(2.0, 60.0)
+    assert not choice.incomplete
+    choice.weigh(3.0, 1.0)
+    assert choice.incomplete
+    turns = [choice.incomplete for _ in range(8) if choice.weigh(2.0, 60.0) is None]
     assert turns == [True] * 7 + [False]
     # this time they cost less, and stay until the other one has a turn
-    turns = [rivals.incomplete for _ in range(16) if rivals.weigh(4.0, 4, 1.0) is None]
+    turns = [choice.incomplete for _ in range(16) if choice.weigh(1.0, 1.0) is None]
     assert turns == [False] * 15 + [True]
 
 
 def test_incomplete_factors_that_failed_wait_for_longer_each_time():
-    rivals, waits = Rivals(), []
+    choice, waits = SolverChoice(), []
     for _ in range(6):
-        rivals.failed()
+        choice.failed()
         waits.append(0)
-        while not rivals.incomplete:
-            rivals.weigh(1.0, 1, 1.0)
+        while not choice.incomplete:
+            choice.weigh(1.0, 1.0)
             waits[-1] += 1
     assert waits == [8, 16, 32, 64, 128, 128]
 
@@ -243,82 +248,131 @@ def test_a_tangent_that_is_not_definite_is_solved_all_the_same(monkeypatch, many
     assert eigenvalues[0] < 0 < eigenvalues[-1]
 
 
-class Clock:
-    """A Krylov solver whose times are set."""
+class Counted:
+    """A Krylov solver, and its preconditioner, whose flops are set."""
 
-    class PC:
-        kept = False
+    kept, flops, after = False, 0.0, 1e-3
 
-        def setReusePreconditioner(self, flag):
-            self.kept = flag
-
-    def __init__(self):
-        self.pc, self.after = self.PC(), 1e-3
+    def setReusePreconditioner(self, flag):
+        self.kept = flag
 
     def getPC(self):
-        return self.pc
+        return self
+
+    def getType(self):
+        return "a user's own"
 
     def setUp(self):
         pass
 
-    def getResidualNorm(self):
-        return self.after
+    def getConvergenceHistory(self):
+        return np.array([1.0, self.after])
 
     def getIterationNumber(self):
         return 1
 
+    def solve(self, reuse, cost):
+        PETSc.Log.logFlops(cost / OTHERWISE[0])
+        reuse.note(self)
 
-def keeps(seconds, setup):
+
+def keeps(costs, setup, monkeypatch):
     """Whether each of several solutions is with a preconditioner that was kept."""
-    import mpi4py.MPI as MPI
-
-    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: setup)
+    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
     kept = []
-    for each in seconds:
+    for each in costs:
         reuse.prepare(ksp)
-        kept.append(ksp.pc.kept)
-        # a set-up takes next to no time here
-        reuse._setup = setup
-        reuse.note(ksp, each, 1.0)
+        kept.append(ksp.kept)
+        ksp.solve(reuse, each)
     assert reuse.counts == (len(kept), kept.count(False))
+    assert reuse.taken() == pytest.approx(
+        (sum(costs) + setup * kept.count(False), len(kept), len(kept))
+    )
     return kept
 
 
-def test_a_preconditioner_is_kept_while_it_pays():
-    # beyond the second of a fresh one: 0, 1, 2, 3 s. After that one costs 3 s more, and these
-    # four were (8 + 6)/4 = 3.5 s each with their set-up; after 4 s it would be (8 + 10)/5
-    assert keeps((1.0, 2.0, 3.0, 4.0, 5.0, 1.0), 8.0) == [False, True, True, True, True, False]
-    assert keeps((1.0, 1.0, 5.0, 1.0), 2.0) == [False, True, True, False]
+def test_a_preconditioner_is_kept_while_it_pays(monkeypatch):
+    # beyond 1000 of a fresh one: 0, 1000, 2000, 3000. After that one costs 3000 more, and these
+    # four were (8000 + 6000)/4 = 3500 each with their set-up; after 4000 it is (8000 + 10000)/5
+    costs = (1e3, 2e3, 3e3, 4e3, 5.1e3, 1e3)
+    assert keeps(costs, 8e3, monkeypatch) == [False, True, True, True, True, False]
+    assert keeps((1e3, 1e3, 5e3, 1e3), 2e3, monkeypatch) == [False, True, True, False]
 
 
-def test_what_did_not_pay_is_tried_more_rarely():
-    bad = [1.0, 9.0, 1.0, 9.0, 1.0, 1.0, 9.0, 1.0]
-    assert keeps(bad, 2.0) == [False, True, False, True, False, False, True, False]
+def test_what_did_not_pay_is_tried_more_rarely(monkeypatch):
+    bad = [1e3, 9e3, 1e3, 9e3, 1e3, 1e3, 9e3, 1e3]
+    assert keeps(bad, 2e3, monkeypatch) == [False, True, False, True, False, False, True, False]
 
 
-def test_what_a_new_matrix_ends_is_tried_again():
+def test_what_a_new_matrix_ends_is_tried_again(monkeypatch):
     """A preconditioner that another pattern of the matrix makes useless has not failed."""
-    import mpi4py.MPI as MPI
-
-    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: 8e3)
+    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
     for _ in range(4):
         for old in (False, True):
             reuse.prepare(ksp)
-            assert ksp.pc.kept is old
-            reuse._setup = 8.0
-            reuse.note(ksp, 1.0, 1.0)
+            assert ksp.kept is old
+            ksp.solve(reuse, 1e3)
         reuse.renew()
 
 
 @pytest.mark.parametrize("after", [0.0, math.inf, math.nan])
-def test_residuals_that_are_no_numbers_count_no_digits(after):
-    import mpi4py.MPI as MPI
-
-    reuse, ksp = Reuse(MPI.COMM_SELF), Clock()
+def test_residuals_that_are_no_numbers_count_no_digits(monkeypatch, after):
+    monkeypatch.setattr(reuse_module, "of_setup", lambda pc, flops: 0.0)
+    reuse, ksp = Reuse(MPI.COMM_SELF), Counted()
     reuse.prepare(ksp)
     ksp.after = after
-    reuse.note(ksp, 1.0, 1.0)
+    ksp.solve(reuse, 1e3)
     assert reuse.iterations == [1]
+
+
+def laplacian(n=30):
+    """A symmetric positive definite matrix of n² unknowns."""
+    A = PETSc.Mat().createAIJ((n * n, n * n), nnz=5, comm=PETSc.COMM_SELF)
+    for i in range(n * n):
+        for j in (i - n, i - 1, i, i + 1, i + n):
+            if 0 <= j < n * n:
+                A[i, j] = 4.1 if i == j else -1.0
+    A.assemble()
+    return A
+
+
+@pytest.mark.parametrize(
+    ("kind", "package"),
+    [("lu", "mumps"), ("cholesky", "cholmod"), ("lu", "petsc"), ("ilu", ""), ("gamg", "")],
+)
+def test_what_a_set_up_and_a_solution_cost_is_counted(kind, package):
+    """The same each time, more for more work, and more for a set-up than for a solution."""
+    found = []
+    for n in (30, 30, 60):
+        A = laplacian(n)
+        ksp = PETSc.KSP().create(PETSc.COMM_SELF)
+        ksp.setType("gmres")
+        pc = ksp.getPC()
+        pc.setType(kind)
+        if package:
+            pc.setFactorSolverType(package)
+        ksp.setOperators(A)
+        before = PETSc.Log.getFlops()
+        ksp.setUp()
+        between = PETSc.Log.getFlops()
+        b, x = A.createVecRight(), A.createVecRight()
+        b.set(1.0)
+        pc.apply(b, x)
+        after = PETSc.Log.getFlops()
+        found.append((of_setup(pc, between - before), of_solution(pc, after - between)))
+    assert found[0] == found[1]
+    assert found[2][0] > 2 * found[0][0] > 2 * found[0][1] > 0
+    assert found[2][1] > 2 * found[0][1]
+
+
+def test_no_clock_decides():
+    """Seconds are for records only: `seconds` of a step is all that a solver asks a clock for."""
+    for path in Path(linearsolver.__file__).parent.glob("*.py"):
+        for line in path.read_text().splitlines():
+            if any(clock in line for clock in ("perf_counter", "process_time", "monotonic()")):
+                assert line.strip().startswith(("started, watch = ", "record.seconds, ")), path
 
 
 def test_info_tells_what_solves_and_how_work_is_spread():

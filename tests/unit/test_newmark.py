@@ -310,6 +310,36 @@ def test_steps_that_are_as_long_as_their_error_allows():
     assert typical[0] > 2 * typical[1] > 0.01
 
 
+@pytest.mark.parametrize("bare", [float, np.float64, lambda t: t + 0.0])
+def test_the_bare_number_of_a_chosen_time_is_enough(bare):
+    """It goes where the time of the loop itself goes, also within another loop at that time."""
+    ends = []
+    for each in (lambda t: t, bare):
+        problem = vibrating_bar(error=1e-3, stabilisation="ghost")
+        problem.step(0.01)
+        for t in mpm.times(1.0, dt="auto", start=0.01):
+            problem.step(each(t))
+        assert problem.time == 1.0
+        ends.append([record.time for record in problem.history])
+    assert ends[0] == ends[1]
+    # no loop waits any more
+    with pytest.raises(ParameterError, match=r"t = 1 s must be later than the time of the state"):
+        problem.step(1.0)
+
+
+def test_loops_within_each_other_take_their_own_times():
+    one, other = (vibrating_bar(error=1e-3, stabilisation="ghost") for _ in range(2))
+    for problem in (one, other):
+        problem.step(0.01)
+    outer = mpm.times(0.5, dt="auto", start=0.01)
+    t = next(outer)
+    for s in mpm.times(0.2, dt="auto", start=0.01):
+        other.step(float(s))
+    one.step(float(t))
+    assert other.time == 0.2
+    assert 0.01 < one.time == t.reached
+
+
 def test_a_step_whose_error_is_too_large_is_halved():
     bound, free = vibrating_bar(error=1e-2, stabilisation="ghost"), vibrating_bar()
     parts = [bound.step(t).parts for t in (1.0, 2.0)]

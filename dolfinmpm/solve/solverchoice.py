@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["Rivals"]
+__all__ = ["SolverChoice"]
 
 # Up to so many iterations a solution nothing else is tried
 _FEW = 50
@@ -12,7 +12,7 @@ _FEW = 50
 _FIRST, _MOST = 8, 128
 
 
-class Rivals:
+class SolverChoice:
     """Whether incomplete factors precondition, or a problem's other method solves.
 
     Incomplete factors cost next to nothing where inertia or a short way to the supports leaves a
@@ -27,21 +27,20 @@ class Rivals:
 
     def __init__(self) -> None:
         self.incomplete = True
-        # seconds a solution, of incomplete factors and of the other method
+        # ns a solution, see `dolfinmpm.solve.costs`, of incomplete factors and of the other method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time
         self._wait, self._next = 0, _FIRST
 
-    def weigh(self, seconds: float, solutions: int, iterations: float) -> None:
+    def weigh(self, cost: float, iterations: float) -> None:
         """Take what solutions with the present one cost, and decide on the next ones.
 
         Args:
-            seconds: Their time with all set-ups, the same on all ranks.
-            solutions: How many there were, at least one.
+            cost: Their mean cost with all set-ups, the same on all ranks.
             iterations: Their mean number of iterations.
         """
         present = self.incomplete
-        self._cost[present] = seconds / solutions
+        self._cost[present] = cost
         if present and iterations <= _FEW:
             return
         mine, other = self._cost[present], self._cost[not present]
