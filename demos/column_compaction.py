@@ -22,7 +22,7 @@ import dolfinmpm as mpm
 
 cells = mesh.CellType.quadrilateral
 grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 60)], (1, 60), cells)
-points = mpm.fill(grid, mpm.Box((0, 0), (1, 50)), per_cell=2, density=80.0)  # 2² points a cell
+points = mpm.fill(grid, mpm.Box((0, 0), (1, 50)), per_cell=2, density=80.0)  # 2² points per cell
 V = mpm.Space(grid, basis="gimp")
 u, v = V.increment, V.test  # the step's displacement increment, its test function
 

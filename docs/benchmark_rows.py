@@ -162,7 +162,7 @@ ROWS = (
     Row("column-3d", COLUMN, "the same in 3D, GIMP, 16 elements",
         each("column_compaction", "--dimension 3 --elements 16"), keys("error"), "{:.5e}",
         "2D: 3.65891e-3", quick=True),
-    Row("column-newton", COLUMN, "Newton iterations a step to 1e-9, GIMP, 64 elements",
+    Row("column-newton", COLUMN, "Newton iterations per step to 1e-9, GIMP, 64 elements",
         each("column_compaction", "--elements 64"), keys("max_newton_iterations"),
         "at most {:.0f}", quick=True),
     Row("column-ghost", COLUMN, "error with ghost penalty, scaled and literal, 64 elements",

@@ -21,7 +21,7 @@ def iterations(answer: Answer) -> list[float]:
 
 
 def _steady_pull(answer: Answer) -> list[float]:
-    """Of 20 m of ploughing: means, extremes (MN), heap, iterations a step, halvings, minutes."""
+    """Of 20 m of ploughing: means, extremes (MN), heap, iterations per step, halvings, minutes."""
     steps = list(zip(answer["distances"], answer["pulls"]))
     early, late = ([1e-6 * p for x, p in steps if a < x <= b] for a, b in ((4, 12), (12, 20)))
     return [
@@ -79,12 +79,12 @@ ROWS = (
         each("cone_penetration", "--law sand --h 0.2 --step 0.04"),
         lambda a: [a["reached"], 1e-6 * a["tip_resistance"]], "{:.1f}, {:.2f}"),
     Row("plough", STEEL, "share 1 m deep and wide dragged through sand by 1 m, cells of 0.25 m, "
-        "two ranks: pull over the last fifth (MN), heap (m), Newton iterations a step",
+        "two ranks: pull over the last fifth (MN), heap (m), Newton iterations per step",
         ("mpirun -n 2 python3 demos/studies/plough.py",),
         lambda a: [1e-6 * a["pull"], a["heap"], a["newton_iterations"] / len(a["pulls"])],
         "{:.3f}, {:.2f}, {:.1f}"),
     Row("plough-20", STEEL, "the same by 20 m: mean pull from 4 to 12 m, from 12 to 20 m, least "
-        "and most from 4 m on (MN), heap (m), Newton iterations a step, halved steps, minutes",
+        "and most from 4 m on (MN), heap (m), Newton iterations per step, halved steps, minutes",
         ("mpirun -n 2 python3 demos/studies/plough.py --distance 20",), _steady_pull,
         "{:.3f}, {:.3f}, {:.3f}–{:.3f}, {:.2f}, {:.1f}, {:.0f}, {:.0f}"),
     Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "

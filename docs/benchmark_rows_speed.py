@@ -66,7 +66,7 @@ def room(*names: str) -> Callable[[Answer], list[float]]:
 
 
 def solids(answer: Answer) -> list[float]:
-    """Unknowns, seconds a step and most iterations of a solution, of each run in turn."""
+    """Unknowns, seconds per step and most iterations of a solution, of each run in turn."""
     return [
         figure for run in answer["runs"]
         for figure in (run["unknowns"], run["seconds_a_step"], max(run["linear_iterations"]))
@@ -74,7 +74,7 @@ def solids(answer: Answer) -> list[float]:
 
 
 def one_solid(answer: Answer) -> list[float]:
-    """Points, unknowns, seconds a step, halved steps and GB of one run."""
+    """Points, unknowns, seconds per step, halved steps and GB of one run."""
     (run,) = answer["runs"]
     names = "points", "unknowns", "seconds_a_step", "halvings"
     return [*(run[name] for name in names), run["megabytes"] / 1024]
@@ -101,9 +101,9 @@ ROWS = (
     Row("kratos", SPEED, "times as fast as Kratos MPM 10.4 (neo-Hookean, standard MPM), in turn "
         "with it: 16 × 256 elements, GIMP, standard MPM; 64 elements, steps, whole process (GIMP)",
         each("benchmark", f"{ALONE} --peers"), peer_ratios, "{:.1f}, {:.1f}; {:.1f}, {:.1f}"),
-    Row("memory", SPEED, "memory beyond a small run, 16 384 points, GIMP (kB a point)", TIMES,
+    Row("memory", SPEED, "memory beyond a small run, 16 384 points, GIMP (kB per point)", TIMES,
         lambda a: [1e-3 * a["cases"]["gimp 16x256"]["bytes_per_point"]], "{:.1f}"),
-    Row("time-laws", SPEED, "laws with their tangents, million points a second, all yielding: "
+    Row("time-laws", SPEED, "laws with their tangents, million points per second, all yielding: "
         "von Mises, Tresca, Mohr–Coulomb, Drucker–Prager, Cam-Clay",
         each("benchmark", f"--cases= {ALONE} --laws"), lambda a: a["laws"].values(),
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
@@ -119,7 +119,7 @@ ROWS = (
         each("benchmark", f"--cases= {ALONE} --facets --bases linear,gimp,bspline2,bspline3"),
         lambda a: a["facets"].values(), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
     Row("explicit", SPEED, "explicit steps, quadratic splines, 99 856 points, all of "
-        "which strain and yield, million points a second: neo-Hookean, Hencky, von Mises, "
+        "which strain and yield, million points per second: neo-Hookean, Hencky, von Mises, "
         "Mohr–Coulomb",
         each("explicit_speed", "--repeat 3"), pace("bspline2"), "{:.1f}, {:.1f}, {:.1f}, {:.1f}"),
     Row("explicit-gimp", SPEED, "the same, GIMP", each("explicit_speed", "--bases gimp --repeat 3"),
@@ -161,7 +161,7 @@ ROWS = (
         each("benchmark_growth", "--case implicit --points 400000",
              "--case solid --points 373248"), parts, "{:.2f}, {:.2f}"),
     Row("solid", SPEED, "elastic cube, linear functions, ghost penalty, CG with multigrid, two "
-        "steps: unknowns, seconds a step, most iterations of a solution",
+        "steps: unknowns, seconds per step, most iterations of a solution",
         each("solid_3d", "--cells 20,28,36"), solids,
         "; ".join(3 * ["{:.0f}, {:.1f}, {:.0f}"])),
     Row("repeat", SPEED, "runs on one rank beside a busy neighbour, 50 processes and "
@@ -176,7 +176,7 @@ ROWS = (
         lambda one, two: ratio("seconds_a_step")(one["runs"][0], two["runs"][0]),
         "{:.1f}; {:.1f}; {:.2f}"),
     Row("solid-slope", SPEED, "slope of Mohr–Coulomb soil in 3D until its toe yields, ten steps: "
-        "points, unknowns, seconds a step, halved steps, memory (GB)",
+        "points, unknowns, seconds per step, halved steps, memory (GB)",
         each("solid_3d", "--scene slope --cells 34"), one_solid,
         "{:.0f}, {:.0f}, {:.0f}, {:.0f}, {:.1f}"),
     Row("solid-million", SPEED, "elastic cube of a million points, one step on two ranks: points, "

@@ -3,7 +3,7 @@
 #
 # - **Work and precision** (`--scenes`): five scenes whose result is known — a column that compacts
 #   under its weight, a cantilever, a footing, sand that collapses, a ring that turns within
-#   itself — in all bases, refinements, points a cell and stabilisations: processor time of the
+#   itself — in all bases, refinements, points per cell and stabilisations: processor time of the
 #   steps against the error, and what a step's time consists of.
 # - **Growth** (`--growth`): with points, with the grid around a body, with ranks, of as much work
 #   (strong) and of as much a rank (weak), with the messages that PETSc sends. What Python or
@@ -70,12 +70,12 @@ options.add_argument(
 )
 options.add_argument("--explicit-points", type=whole, default=[10**k for k in range(3, 8)])
 options.add_argument(
-    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB a point and "
+    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB per point and "
     "factors or multigrid: 6 GB for the last"
 )  # fmt: skip
 options.add_argument(
     "--solid-points", type=whole, default=[160_000, 400_000, 1_000_000], help="of cubes, implicit: "
-    "2 kB a point, 7 kB with GIMP"
+    "2 kB per point, 7 kB with GIMP"
 )  # fmt: skip
 options.add_argument("--fixed-points", type=int, default=40_000, help="of growth with cells, ranks")
 options.add_argument("--ranks", type=whole, default=[1, 2, 4, 8], help="more than processors too")

@@ -93,8 +93,8 @@ def time_cases(args):
             say(
                 f"{basis:7s} {case:>7s}: {seconds:7.3f} s ({f['seconds_least']:.3f} to "
                 f"{f['seconds_most']:.3f}), {iterations} iterations, "
-                f"{f['microseconds_per_point_and_iteration']:.2f} µs a point and iteration, "
-                f"{f['bytes_per_point']:.0f} bytes a point"
+                f"{f['microseconds_per_point_and_iteration']:.2f} µs per point and iteration, "
+                f"{f['bytes_per_point']:.0f} bytes per point"
             )
     return figures
 
@@ -175,12 +175,12 @@ def time_laws(args):
                 seconds.append(time.perf_counter() - started)
             yielding = np.mean(np.any(response.strain != strains + shift, axis=1))
             laws[name] = 1e-6 * len(strains) / statistics.median(seconds)
-            say(f"{name:14s} {laws[name]:6.2f} million points a second, {yielding:.0%} yield")
+            say(f"{name:14s} {laws[name]:6.2f} million points per second, {yielding:.0%} yield")
     return laws
 
 
 def time_facets(args):
-    """Assembly of the ghost penalty (µs a facet), reduced to the solver's unknowns.
+    """Assembly of the ghost penalty (µs per facet), reduced to the solver's unknowns.
 
     The body is chequered and has more ghost facets than any real one.
     """
@@ -202,5 +202,5 @@ def time_facets(args):
             problem.form.grid.tangent(here.fields)
             seconds.append(time.perf_counter() - started)
         facets[basis] = 1e6 * statistics.median(seconds) / number
-        say(f"{basis:9s} ghost penalty {facets[basis]:.2f} µs a facet ({number} facets)")
+        say(f"{basis:9s} ghost penalty {facets[basis]:.2f} µs per facet ({number} facets)")
     return facets

@@ -25,7 +25,7 @@ from scene import finish, numbers, parser, say, stage_seconds
 
 import dolfinmpm as mpm
 
-# of the processor seconds a step, over the last decade of points
+# of the processor seconds per step, over the last decade of points
 FITTED = 10.0
 # of what is explicit, as a loop over `times(end, dt="auto")` takes them: in all sizes as many share
 # what a call takes by itself
@@ -202,7 +202,9 @@ def started(
     if len(room) == 1:
         found["rows"][0]["memory"] = found["memory"]
     for row in found["rows"]:
-        held = f"{row['memory'] / row['points'] / 1e3:.2f} kB a point, " if "memory" in row else ""
+        held = (
+            f"{row['memory'] / row['points'] / 1e3:.2f} kB per point, " if "memory" in row else ""
+        )
         say(
             f"{case}, {row['points']} points in {row['cells']} cells, {ranks} rank(s): "
             f"{row['seconds_processor']:.4g} s of processors a step, {row['seconds']:.4g} s, "

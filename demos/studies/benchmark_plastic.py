@@ -92,7 +92,7 @@ def time_plastic(args):
             found = figures[f"{basis} {kind}"] = runs[len(runs) // 2]
             most = sorted(found["shares"].items(), key=lambda item: -item[1])[:4]
             say(
-                f"{basis:9s} Mohr–Coulomb, {kind}: {found[name]:.2f} µs a point and iteration "
+                f"{basis:9s} Mohr–Coulomb, {kind}: {found[name]:.2f} µs per point and iteration "
                 f"({runs[0][name]:.2f} to {runs[-1][name]:.2f}), {found['points']} points, "
                 f"{found['unknowns']} unknowns, {found['newton_iterations']} iterations, "
                 f"{found['linear_iterations']:.0f} linear ones each; "

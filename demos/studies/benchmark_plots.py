@@ -21,7 +21,7 @@ PARTS = ("C5", "C0", "C2", "C1", "C4", "C3", "0.6")
 def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any]]) -> None:
     """Seconds against errors, a panel a scene; lines join refinements.
 
-    Of points a cell the fewest are drawn solid, more of them open.
+    Of points per cell the fewest are drawn solid, more of them open.
     """
     from matplotlib.lines import Line2D
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -87,7 +87,7 @@ def work_precision(path: Any, runs: Sequence[Run], peers: Sequence[dict[str, Any
         ):
             handles.append(
                 Line2D([], [], ls=":", marker="o", mfc="white", color="0.3",
-                       label="more points a cell")
+                       label="more points per cell")
             )  # fmt: skip
         handles += [
             Line2D([], [], color="black", marker=PEERS[code][0], ms=6, label=PEERS[code][1])
@@ -121,7 +121,7 @@ def stages(path: Any, runs: Sequence[Run]) -> None:
 
 
 def growth(path: Any, found: dict[str, Any]) -> None:
-    """Processor seconds a step against points, cells and ranks."""
+    """Processor seconds per step against points, cells and ranks."""
     from matplotlib.ticker import NullLocator
 
     looks = {"explicit": "o", "implicit": "s", "gimp": "v", "solid": "^", "aggregated": "D"}

@@ -322,7 +322,7 @@ def run(args, integrator, basis, fbar, strain, keep=()):
     say(
         f"{name:40s} toe {toe} m, 99 % point {x99} m, RMS {1e3 * figures['rms']:.2f} mm, "
         f"{steps} steps, {seconds:.1f} s, "
-        f"{figures['microseconds_per_point_step']:.2f} µs a point and step"
+        f"{figures['microseconds_per_point_step']:.2f} µs per point and step"
         + (f"\n    ended at {problem.time:.4f} s: {reason[:200]}" if reason else "")
     )
     return figures, states, profile

@@ -4,7 +4,7 @@
 # The column of `column_compaction.py`, solved with each basis and each stabilisation against
 # small cuts at several resolutions: error of the stress, Newton iterations and time. A
 # run that does not finish is recorded as such. Soft stiffness is in the tangent only: its
-# errors are those of no stabilisation at all. Cubic splines get 3² points a cell: across
+# errors are those of no stabilisation at all. Cubic splines get 3² points per cell: across
 # the column, one cell wide, 2² points leave some of their functions without stiffness.
 
 # %%

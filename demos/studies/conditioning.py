@@ -9,9 +9,9 @@
 #
 # depend on where the body happens to lie. Here a free elastic block is put at many places
 # — in 2D turned as well — and $K$ and $M$ are assembled there, rigid motions left out
-# of $\kappa(K)$. In 1D the block is four cells long with two points a cell and unit
+# of $\kappa(K)$. In 1D the block is four cells long with two points per cell and unit
 # stiffness and density (Coombs 2023, doi 10.1002/nme.7332), and only full cells are roots
-# of aggregation. In 2D it is eight cells wide with 3² points a cell: cubic splines need
+# of aggregation. In 2D it is eight cells wide with 3² points per cell: cubic splines need
 # that many points, and room for roots of four by four functions where the block is turned.
 # The ghost penalty of linear functions and of GIMP is ten times the published one there:
 # with E/30 the worst place of linear functions has thirty times the κ(K) of an uncut block.

@@ -300,7 +300,7 @@ for row in zip(args.times, U, exact_U, np.array(base) / total, exact_base / tota
 # length and wherever the top is (`--sweep`), of every pair, with ghost penalties or without; where
 # nodes are tied it does not at all. Quadratic splines take more of the projection for that than
 # linear functions: with a factor of 3, which is enough where no cell is cut, they overshoot by 4 %
-# (`--projection 3`). With quadratic splines for the pressure too it takes 3 points a cell and
+# (`--projection 3`). With quadratic splines for the pressure too it takes 3 points per cell and
 # direction; with 2 it is 2 %.
 
 # %%

@@ -34,7 +34,7 @@
 # 5.46 fast. Held at N = 4 it fails after $c_v t/H^2 = 0.1$. Of the fast runs all bases and pairs
 # agree within 2 %; without a ghost penalty or aggregation they end before the failure. What is too
 # much of the slow one comes of the cells and their locking: 2.67 in cells of H/12 is 2.43 in those
-# of H/18, 2.66 with 3² points a cell, 2.81 with quadratic splines (2.90 without means of cells),
+# of H/18, 2.66 with 3² points per cell, 2.81 with quadratic splines (2.90 without means of cells),
 # and without means of cells, or in those of H/6, it carries all of N = 3.2.
 #
 # The failure is where the farthest point moves by 0.05 H per unit of N (in `--hold`: is 0.05 H

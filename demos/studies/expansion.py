@@ -147,7 +147,7 @@ figures = {name: [row[name] for row in runs] for name in names}
 # --basis bspline2 --matrix 1,.5,-.3,.2`): nodes outside continue an inside that is smeared.
 #
 # Implicit steps have no such penalty by default. They tie nodes that the points hardly support
-# instead, which takes no energy. Here the points end at one a cell: too few to give all nodes a
+# instead, which takes no energy. Here the points end at one per cell: too few to give all nodes a
 # velocity, so that the penalty is needed.
 
 # %% [markdown]

@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Explicit steps: how many points a second
+# # Explicit steps: how many points per second
 #
 # A block of side 1 m that shears and turns everywhere, so that every point strains in every step,
 # and with a law that yields every point yields. What counts is points times steps over the time
@@ -235,7 +235,7 @@ if not args.no_plot and comm.rank == 0:
         widths = [figures[name]["million_point_steps_per_second"] for name in names]
         bars = ax.barh(names, widths, color=["0.6" if n in PEERS else "C0" for n in names])
         ax.bar_label(bars, fmt="%.1f", padding=3)
-        ax.set(xlabel="million points times steps a second", xlim=(0, 1.15 * max(widths)))
+        ax.set(xlabel="million points times steps per second", xlim=(0, 1.15 * max(widths)))
         ax.grid(visible=False, axis="y")
 
 finish(args, {"cases": figures, "ranks": comm.size})

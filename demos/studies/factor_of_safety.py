@@ -12,7 +12,7 @@
 # 1.41 and 6.1 at 1.45, with cells of 1 m, GIMP and F-bar.
 #
 # The soil shears at constant volume, to which linear functions and GIMP answer with locking, and
-# the slope seems safer than it is. Factors found, with 2² points a cell:
+# the slope seems safer than it is. Factors found, with 2² points per cell:
 #
 # | | $h$ = 2 m | 1 m | 0.5 m |
 # |---|---|---|---|

@@ -133,7 +133,7 @@ def compare():
     if len(rows) > 1:
         (n, s), (m, t) = ((row["cells"], row["settled"]) for row in rows[-2:])
         limit = (m * t - n * s) / (m - n)
-    say("unknowns   error  CPU s a step: factors  iterations  ratio  MB: factors  iterations")
+    say("unknowns   error  CPU s per step: factors  iterations  ratio  MB: factors  iterations")
     for row in rows:
         row["error"] = None if limit is None else abs(row["settled"] / limit - 1)
         factors, found = row["factors"], row["iterations"]
@@ -157,7 +157,7 @@ def draw_comparison(rows):
             left.loglog(cpu, [row["error"] for row in own], mark, ms=3, label=name)
             memory = [row[name]["megabytes"] / 1e3 for row in own]
             right.loglog([row["unknowns"] for row in own], memory, mark, ms=3, label=name)
-        left.set(xlabel="processor seconds a step", ylabel="error of the settlement")
+        left.set(xlabel="processor seconds per step", ylabel="error of the settlement")
         right.set(xlabel="unknowns", ylabel="memory (GB)")
         left.legend()
 
@@ -182,7 +182,7 @@ for permeability in args.permeability:
             f"{cells:3d}³ cells, {figures['unknowns']:7d} unknowns, k = {permeability:g} m/s: "
             f"{figures['newton_iterations']} Newton iterations"
             + (f", {mean:.1f} linear ones each" if mean else "")
-            + f", {figures['seconds_a_step']:.1f} s a step; settled by "
+            + f", {figures['seconds_a_step']:.1f} s per step; settled by "
             f"{figures['settlement']:.4f} m, pressure at most {figures['largest_pressure']:.4g} Pa"
         )
 

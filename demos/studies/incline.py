@@ -13,7 +13,7 @@
 #   7800 kg/m³, 200 MPa), $k = 1/2$.
 #
 # What comes out after 1 s at 45°, with the default steps: the block under μ = 0.3 within 0.1 % by
-# Newmark's rule and 0.3 % by explicit steps, in no more than 6 iterations a step; friction takes
+# Newmark's rule and 0.3 % by explicit steps, in no more than 6 iterations per step; friction takes
 # μN times the slip. Under μ = 1.2 it stays, without creep.
 
 # %%

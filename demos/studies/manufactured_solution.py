@@ -262,7 +262,7 @@ for name, cut in scenes.items():
 # GIMP's on eight full cells. On 64 both have the same, $1.6\cdot10^{-6}$, a sixth of GIMP's:
 # the stress is taken to be constant over the domain of a point, an error of second order in
 # the size of the domains, whatever the degree. Cubic splines on 16 cells with 3, 4 and 8
-# points a direction have the errors 3.9, 2.2 and $0.57\cdot10^{-5}$, which fall as the
+# points per direction have the errors 3.9, 2.2 and $0.57\cdot10^{-5}$, which fall as the
 # squares of the domains' sizes. Overall orders in displacement are therefore 2.6 to 3.0 for
 # quadratic splines, which reach that error on the finest grid only, and for cubic ones 1.94
 # in full and 2.4 in cut cells. More steps add a little to it, so that orders are somewhat
@@ -271,7 +271,7 @@ for name, cut in scenes.items():
 # are 1.4 to 1.8, for few points weigh what the free edge leaves of a cell; quadratic splines
 # with 8 points have 2.6.
 #
-# With 2 points a cell and direction (`--points-per-cell 2`) quadrature begins to show for
+# With 2 points per cell and direction (`--points-per-cell 2`) quadrature begins to show for
 # GIMP too at 32 cells: an edge of the body that lies within a cell has no more than one or
 # two points to weigh it with. Orders scatter between 1.4 and 2.6, overall 1.9 to 2.3, and
 # errors are up to seven times as large. With 8 points the orders in cut cells are 2.9 and 2.0.

@@ -138,7 +138,7 @@ def main(words=None):
     say(
         f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
         f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
-        f"{figures['max_newton_iterations']} Newton iterations a step"
+        f"{figures['max_newton_iterations']} Newton iterations per step"
     )
     if not args.no_plot:
         draw(args, points, history, figures, plate)

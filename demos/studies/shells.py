@@ -111,7 +111,7 @@ def shell(shape, a, b, h, per_cell, room=1.0, even=None, growth=1.0):
         shape: "cylinder" or "sphere".
         a, b: Radii.
         h: Size of the cells at the inner face.
-        per_cell: Points a cell and direction.
+        per_cell: Points per cell and direction.
         room: Radius up to which the grid reaches at least, by b.
         even: Radius up to which cells are of size h; everywhere by default.
         growth: Ratio of the sizes of neighbouring cells beyond.

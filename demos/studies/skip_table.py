@@ -11,7 +11,7 @@
 # - **on**: the step with the feature against the step without.
 #
 # Two problems take the same steps in turn, one as it is and one stubbed; the figure is the median
-# of their ratios. The scene is a block of elastic soil under its weight, 2² points a cell, GIMP.
+# of their ratios. The scene is a block of elastic soil under its weight, 2² points per cell, GIMP.
 
 # %%
 from __future__ import annotations

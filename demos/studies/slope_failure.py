@@ -246,7 +246,7 @@ def table_picture(path, results, states, args):
             axes.set_yticks(range(lines), labels=[f"{h:g}" for h in args.h])
             axes.tick_params(length=0)
             axes.grid(visible=False)
-            axes.set_xlabel("points a cell")
+            axes.set_xlabel("points per cell")
         parts[0].axes[0].set_ylabel("$h$ (m)")
         parts[0].suptitle("✓ came to the end, ✗ ended at this share of gravity", fontsize=7)
         if not shown:

@@ -132,7 +132,7 @@ def run(n, cut):
     }
     say(
         f"{n:4d} cells, cut {cut:<8g} {figures['points']:8d} points {figures['unknowns']:8d} "
-        f"unknowns {figures['seconds_a_step']:8.2f} s a step, at most "
+        f"unknowns {figures['seconds_a_step']:8.2f} s per step, at most "
         f"{max(linear, default=0)} iterations, {figures['megabytes']:.0f} MB"
     )
     return figures, points

@@ -169,7 +169,7 @@ def arguments():
     if not 0 < given.h <= 0.5 * (given.outer - given.inner):
         options.error(f"h = {given.h} m must be positive and at most half the wall")
     if given.steps < 2 or given.points_per_cell < 1 or not given.reach > 1:
-        options.error("there must be two steps, one point a cell and a reach above 1 at least")
+        options.error("there must be two steps, one point per cell and a reach above 1 at least")
     return given
 
 

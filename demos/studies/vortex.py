@@ -88,7 +88,7 @@ def arguments(words=None):
     options.add_argument("--time-cells", type=int, default=8, help="cells for the order in time")
     given = options.parse_args(words)
     if min(given.cells) < 4 or given.points_per_cell < 1 or min(given.steps) < 1:
-        options.error("there must be at least 4 cells a unit, a point a cell, and a step")
+        options.error("there must be at least 4 cells a unit, a point per cell, and a step")
     return given
 
 

@@ -7,8 +7,8 @@ ends all ranks. Ranks that compute are waited for as long as they need: only tho
 outside of any call, have come to the end of their script, or hang in a call that the waiting rank
 has left by an error.
 
-A thread looks at plain memory twice a second, on more than one rank alone. It makes no calls of MPI
-but the one that ends the run.
+A thread looks at plain memory twice per second, on more than one rank alone. It makes no calls of
+MPI but the one that ends the run.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class _Watch:
         self._aborts = MPI.Query_thread() == MPI.THREAD_MULTIPLE
 
     def run(self) -> None:
-        """Look twice a second, until the process ends."""
+        """Look twice per second, until the process ends."""
         last = time.monotonic()
         while True:
             time.sleep(_PERIOD)

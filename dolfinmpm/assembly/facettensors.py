@@ -347,7 +347,7 @@ def one_dimensional(
 
 
 def product(lines: Sequence[Array]) -> Array:
-    """Kronecker product of matrices, one a direction."""
+    """Kronecker product of matrices, one per direction."""
     product: Array = np.ones((1, 1))
     for matrix in lines:
         product = np.asarray(np.kron(product, matrix))
@@ -404,7 +404,7 @@ class FacetTensors:
         return total
 
     def _lines(self, place: FacetPlace, first, second, gauss: int | None) -> list[Array]:
-        """Matrices between two derivatives on their sides, one a direction."""
+        """Matrices between two derivatives on their sides, one per direction."""
         matrices: list[Array] = []
         for d, line in enumerate(place.lines):
             low = place.low[d]

@@ -29,7 +29,7 @@ def check_amount(count: int, per_cell: int) -> None:
         raise ParameterError(
             f"per_cell = {per_cell} makes {count:.4g} points or parts of cells on one rank, which "
             f"take {count * _BYTES / 1e9:.4g} GB at least, and the machine has {memory / 1e9:.4g} "
-            "GB: take fewer points a cell, a coarser grid, or more machines"
+            "GB: take fewer points per cell, a coarser grid, or more machines"
         )
 
 

@@ -55,7 +55,7 @@ def fill(
 
     Every cell is divided into `per_cell` equal parts in each direction, and a
     point is put at the centre of each part whose centre is in the shape: n, n² or
-    n³ points a cell. On rectangular grids the parts that a `Box` cuts are
+    n³ points per cell. On rectangular grids the parts that a `Box` cuts are
     trimmed to it, so that volume and mass are exact; for other shapes the result's
     `volume_error` tells by how much they are not.
 
@@ -70,7 +70,7 @@ def fill(
     Args:
         grid: Background grid.
         shape: What to fill.
-        per_cell: Points a cell and direction.
+        per_cell: Points per cell and direction.
         density: Mass per volume (kg/m^d): a number, or a function of positions in
             DOLFINx's layout, shape (gdim, n), that returns n values.
         aligned: "grid" divides the cells of the grid; "body" divides a `Box` or a
@@ -118,8 +118,8 @@ def fill(
         x, volume, half, cell, key = divide(grid, lattice_of(grid), shape, per_cell)
     if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
         raise EmptyShapeError(
-            f"no material point falls into the shape with {per_cell} points a cell and direction; "
-            "use more points a cell, a finer grid or a larger shape"
+            f"no material point falls into the shape with {per_cell} points per cell and direction; "
+            "use more points per cell, a finer grid or a larger shape"
         )
 
     rho: Any = density

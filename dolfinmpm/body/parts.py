@@ -63,12 +63,12 @@ class Parts:
 
 
 class LatticeParts(Parts):
-    """Boxes, n a cell and direction of a rectangular grid.
+    """Boxes, n per cell and direction of a rectangular grid.
 
     Args:
         grid: Background grid.
         lattice: Its lattice.
-        n: Parts a cell and direction.
+        n: Parts per cell and direction.
         low: Lower corner (m) of what the cells must touch, or None.
         high: Upper corner (m), likewise.
     """
@@ -111,7 +111,7 @@ class CellParts(Parts):
 
     Args:
         grid: Background grid.
-        n: Parts a cell and direction.
+        n: Parts per cell and direction.
         low: Lower corner (m) of what the cells must touch, or None.
         high: Upper corner (m), likewise.
     """
@@ -133,7 +133,7 @@ class CellParts(Parts):
         self.key = (original[:, None] * self._number + np.arange(self._number)).ravel()
         rows = np.arange(len(self.cell))
         self.x = self._at(rows, xi)[0][:, 0]
-        # two Gauss points a direction integrate the Jacobian of a straight-sided box
+        # two Gauss points per direction integrate the Jacobian of a straight-sided box
         inner = np.zeros((1, self._gdim))
         if self._box:
             ends = itertools.product((-1.0, 1.0), repeat=self._gdim)

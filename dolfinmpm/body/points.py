@@ -288,7 +288,7 @@ class MaterialPoints:
         delimiter: str = ",",
         axisymmetric: bool = False,
     ) -> MaterialPoints:
-        """Points from a table of text, one a line, read on rank 0. Collective.
+        """Points from a table of text, one per line, read on rank 0. Collective.
 
         The first line names the columns: `x`, `y`, `z` as far as the grid has them and
         `volume`; `density`, `tag` and `id` if they are not given otherwise. Every other

@@ -93,7 +93,7 @@ class _Filled:
     """Cells that points of some bodies are in, on any rank. Collective.
 
     Attributes:
-        lines: Lines of the cells (m), one array a direction.
+        lines: Lines of the cells (m), one array per direction.
         cells: Numbers of the cells.
         shares: The share of each that each body fills, shape (bodies, cells).
         limits: The excess of each cell that counts as none, as a share of it.
@@ -120,7 +120,7 @@ class _Filled:
         self.limits = np.maximum(least, _POINT * np.minimum(largest / sizes, 1.0))
 
     def places(self) -> list[npt.NDArray[np.int64]]:
-        """Positions of the cells on the lattice, one array a direction."""
+        """Positions of the cells on the lattice, one array per direction."""
         whole = tuple(line.size - 1 for line in self.lines)
         return [np.asarray(k, np.int64) for k in np.unravel_index(self.cells, whole)]
 

@@ -59,7 +59,7 @@ def _constants_by_cell(grid) -> fem.FunctionSpace:
 
 
 class FacetModulus(fem.Function):
-    """A modulus in a term over ghost facets, with one value a facet.
+    """A modulus in a term over ghost facets, with one value per facet.
 
     To UFL and FFCx it is a function that is constant in every cell; whoever integrates
     puts `values` in its place.

@@ -81,7 +81,7 @@ class Nodal:
         components: Components of each field.
 
     Attributes:
-        arrays: One array a field, shape (nodes, components).
+        arrays: One array per field, shape (nodes, components).
     """
 
     def __init__(self, numberings: Sequence[Numbering], components: Sequence[int]):
@@ -119,7 +119,7 @@ class Unknowns:
         blocks: Whether there is to be a row for each component; of one field only.
 
     Attributes:
-        fields: One entry a field.
+        fields: One entry per field.
         owned, rows: Number of rows that this rank owns, and on all ranks.
         local, mine: Number of rows of nodes known here, and of nodes owned here.
         total: Number of unknowns on all ranks.

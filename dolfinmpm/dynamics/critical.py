@@ -36,7 +36,7 @@ _LUMPED |= {(2, True): 1.1, (3, True): 1.4}
 # Consistent mass with the usual ghost penalty; 1/√3 of linear functions in full cells
 _CONSISTENT = {1: 0.5, 2: 0.42, 3: 0.25}
 # The same behind C, which ties nodes: continuations make the spectrum longer. Below the least of
-# some hundred cuts of bars, and of discs and blocks with ν = 0 ... 0.45, 2² to 4² points a cell:
+# some hundred cuts of bars, and of discs and blocks with ν = 0 ... 0.45, 2² to 4² points per cell:
 # consistent 0.23 (GIMP), 0.19 and 0.13, lumped 0.81, 1.06 and 1.25. Linear functions have none here
 # either: a well-filled cell may have a single point, at its edge. Of cuts that leave points a
 # tenth of a cell they have 0.57 lumped; consistent ones need a ghost penalty, or GIMP.

@@ -374,7 +374,7 @@ class Mass:
         if ksp.getConvergedReason() <= 0:
             error = ConvergenceError(
                 f"the consistent mass is singular to rounding: CG ends after {self.iterations} "
-                'iterations; give ghost_mass=0.25, or mass="lumped", or more points a cell'
+                'iterations; give ghost_mass=0.25, or mass="lumped", or more points per cell'
             )
         raise_together(unknowns.comm, error)
         return np.array(x.getArray(readonly=True))

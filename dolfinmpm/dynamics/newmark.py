@@ -425,7 +425,7 @@ class Newmark(TimeStepping):
         time: DOLFINx constant that holds the time (s), for forms that depend on it.
 
     Attributes:
-        history: One record a step.
+        history: One record per step.
         motion: What the grid's motion was in the last step.
 
     Raises:

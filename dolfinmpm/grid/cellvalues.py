@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 
 def _nodes(function: fem.Function) -> tuple[npt.NDArray[np.int32], Array, int]:
-    """Nodes of the owned cells, positions of all nodes here, and values a node."""
+    """Nodes of the owned cells, positions of all nodes here, and values per node."""
     space = function.function_space
     grid = space.mesh
     try:
@@ -36,7 +36,7 @@ def values_of_cells(function: fem.Function, array: Array) -> Array:
         array: Its degrees of freedom on this rank.
 
     Returns:
-        Shape (owned cells, nodes of a cell, gdim + values a node).
+        Shape (owned cells, nodes of a cell, gdim + values per node).
 
     Raises:
         FormError: Its space has no values at nodes.

@@ -128,7 +128,7 @@ def build_halo(
     Args:
         comm: Communicator.
         shape: Number of cells of the lattice in each direction.
-        degree: Degree of the functions: a cell has degree + 1 nodes a direction.
+        degree: Degree of the functions: a cell has degree + 1 nodes per direction.
         cell_map: Index map of the cells.
         cell_ijk: Lattice position of every cell of that map, shape (cells, gdim).
         node_map: Index map of the nodes.

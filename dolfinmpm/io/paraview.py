@@ -40,7 +40,7 @@ class ParaView:
     """Time series of the material points, and of the background grid, for ParaView.
 
     `output/column.pvd` is the series of the points and `output/column_grid.pvd` that
-    of the grid. Each lists, for every time, an index of one compressed piece a rank
+    of the grid. Each lists, for every time, an index of one compressed piece per rank
     in the folder `output/column/`. Both are complete after every write, so that a
     run that was broken off can still be opened. Parent folders are created; files
     of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
@@ -249,7 +249,7 @@ class ParaView:
             raise OSError(f"cannot write {file}; is the folder writable and the disk not full?")
 
     def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
-        """One piece a rank, and their index on rank 0. Collective."""
+        """One piece per rank, and their index on rank 0. Collective."""
         for target, arrays in (
             (piece.GetPointData(), point_data),
             (piece.GetCellData(), cell_data),

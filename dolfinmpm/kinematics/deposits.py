@@ -205,7 +205,7 @@ class Deposit:
     ) -> Callable[[npt.ArrayLike], Array]:
         """E = E_ref (σ'_h/p_ref)^m by the horizontal effective stress at first.
 
-        A law that is given this function as E has a value a point, which stays.
+        A law that is given this function as E has a value per point, which stays.
 
         Args:
             E_ref: Young's modulus at the reference stress (Pa).

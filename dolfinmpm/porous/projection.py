@@ -42,7 +42,7 @@ __all__ = ["factor_of", "largest", "projected", "size_of", "unstable"]
 PROJECTIONS = ("auto", "none")
 # f of displacements on the pressure's cells, by their degree: the least with which a first step
 # overshoots by less than a percent wherever the surface cuts cells, as larger ones delay the
-# drainage next to it; with 2 points a cell and direction, or 3 with quadratic splines for both
+# drainage next to it; with 2 points per cell and direction, or 3 with quadratic splines for both
 _LUMPED = {1: 3.0, 2: 7.0, 3: 10.0}
 _LUMPED_QUADRATIC_LINEAR = 4.5
 # and on cells of half the size

@@ -130,7 +130,7 @@ class ArcLength(QuasiStatic):
 
     Attributes:
         path: The load factor, its equation and the length of the next step.
-        history: One record a step, with λ and displacement.
+        history: One record per step, with λ and displacement.
 
     Raises:
         ParameterError: An argument is not what it may be.

@@ -77,7 +77,7 @@ class Problem(ReadOnce):
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
 
     Attributes:
-        history: One record a step.
+        history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
         form: The weak form, made ready.

@@ -90,7 +90,7 @@ class QuasiStatic(Problem):
         petsc_options: Options of this problem alone, without the prefix.
 
     Attributes:
-        history: One record a step.
+        history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
         form: The weak form, made ready.

@@ -54,7 +54,7 @@ def with_moduli(
                 raise ParameterError(
                     f'stabilisation="{stabilisation.kind}" of field {k + 1} needs a modulus: it '
                     "is no displacement, whose law would have one; give mpm.Stabilisation("
-                    f'"{stabilisation.kind}", E=...) in a list with one entry a field, or "none"'
+                    f'"{stabilisation.kind}", E=...) in a list with one entry per field, or "none"'
                 )
             if stabilisation.needs_modulus:
                 stabilisation = _with_modulus(stabilisation, form, points, space)

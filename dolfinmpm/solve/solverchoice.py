@@ -6,7 +6,7 @@ import math
 
 __all__ = ["SolverChoice"]
 
-# Up to so many iterations a solution nothing else is tried
+# Up to so many iterations per solution nothing else is tried
 _FEW = 50
 # Attachments of a matrix until the one that lost is tried again, at first and at most
 _FIRST, _MOST = 8, 128
@@ -27,7 +27,8 @@ class SolverChoice:
 
     def __init__(self) -> None:
         self.incomplete = True
-        # ns a solution, see `dolfinmpm.solve.costs`, of incomplete factors and of the other method
+        # ns per solution, see `dolfinmpm.solve.costs`, of incomplete factors and of the other
+        # method
         self._cost = {True: math.nan, False: math.nan}
         # attachments until the other one has a turn, and the next time
         self._wait, self._next = 0, _FIRST

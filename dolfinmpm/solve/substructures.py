@@ -1,4 +1,4 @@
-"""Cholesky factors of a distributed matrix by substructures, one a rank."""
+"""Cholesky factors of a distributed matrix by substructures, one per rank."""
 
 from __future__ import annotations
 

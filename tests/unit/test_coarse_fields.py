@@ -14,7 +14,7 @@ from dolfinmpm.body.points import GHOST_FACETS
 
 
 def grid_of(cells, parts, dim=2, power=1.0):
-    """A grid of [0, 3]^d, graded by a power, with each cell in so many parts a direction."""
+    """A grid of [0, 3]^d, graded by a power, with each cell in so many parts per direction."""
     line = 3.0 * np.linspace(0, 1, cells + 1) ** power
     fine = np.interp(np.arange(parts * cells + 1) / parts, np.arange(cells + 1), line)
     return mpm.create_lattice(COMM, [fine] * dim)

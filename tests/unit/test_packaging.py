@@ -33,7 +33,7 @@ def split(requirement):
 
 
 def lines(path, start=""):
-    """What a file lists, one a line, without comments."""
+    """What a file lists, one per line, without comments."""
     text = [line.split(" #")[0].strip() for line in path.read_text().splitlines()]
     return [x.removeprefix(start) for x in text if x.startswith(start) and x and x[0] != "#"]
 
