@@ -70,7 +70,7 @@ options.add_argument(
 )
 options.add_argument("--explicit-points", type=whole, default=[10**k for k in range(3, 8)])
 options.add_argument(
-    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB per point and "
+    "--implicit-points", type=whole, default=[10**k for k in range(3, 7)], help="2 kB a point, "
     "factors or multigrid: 6 GB for the last"
 )  # fmt: skip
 options.add_argument(

@@ -127,8 +127,8 @@ def correct(comm: MPI.Comm, pieces: Pieces, shape: Shape) -> None:
     whole = comm.allreduce(float(pieces.volume.sum()), op=MPI.SUM)
     raise ParameterError(
         f"the points found in {type(shape).__name__} have the volume {whole:.6g} m^d, the shape "
-        f"has {shape.volume:.6g}: too far apart to be made equal; use more points per cell, a finer "
-        "grid or exact=False"
+        f"has {shape.volume:.6g}: too far apart to be made equal; use more points per cell, finer "
+        "cells or exact=False"
     )
 
 

@@ -221,6 +221,14 @@ class Explicit(Problem):
         """How velocities go to the grid and come back."""
         return self.settings.mapping
 
+    def _scheme(self) -> list[str]:
+        own = self.settings
+        loops = "general loops" if self.unfused else "fused loops"
+        return [
+            f'scheme: explicit, order "{own.scheme}", {self.terms.kind} mass, velocity mapping: '
+            f"{own.mapping.kind}; {loops}"
+        ]
+
     def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
         """The fused loops, or why there are none."""
         basis, stabilisation = self.fields[0].space.basis, self.fields[0].stabilisation

@@ -188,6 +188,13 @@ class TimeStepping(QuasiStatic):
         weight = (1.0 - rule.alpha_m) / (2.0 * rule.beta)
         terms.means = Means(weight, 1.0 / (1.0 - rule.alpha_f))
 
+    def _scheme(self) -> list[str]:
+        rule, motion = self.motion.rule, self.motion
+        numbers = f"β = {rule.beta:g}, γ = {rule.gamma:g}"
+        if rule.alpha_m or rule.alpha_f:
+            numbers += f", α_m = {rule.alpha_m:g}, α_f = {rule.alpha_f:g}"
+        return [f"scheme: {numbers}; velocity mapping: {motion.mapping.kind}", *super()._scheme()]
+
     @property
     def ledger(self) -> Ledger:
         """Where energy comes from and goes to."""

@@ -64,6 +64,7 @@ from dolfinmpm.solve.pressures import refuse_increments
 from dolfinmpm.solve.referencemarkers import needed_of, require_reference
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.summary import summary
 from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 
@@ -177,6 +178,14 @@ class Problem(ReadOnce):
     def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
         cls._refuse_unknown(given, ELSEWHERE)
         return super().__new__(cls)
+
+    def __str__(self) -> str:
+        """Fields, bases, stabilisation, laws, terms, conditions, scheme and solver, in lines."""
+        return summary(self)
+
+    def _scheme(self) -> list[str]:
+        """Lines of the summary on scheme and solver."""
+        return []
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""

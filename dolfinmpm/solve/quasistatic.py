@@ -243,6 +243,14 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
+    def _scheme(self) -> list[str]:
+        method = self.newton.linear.used
+        return [
+            f"solver: Newton's method to {self.tolerance:g} of the loads in {self.max_iterations} "
+            f"iterations at most, up to {self.max_halvings} halvings; linear solver: "
+            f"{method or 'chosen in the first step'}"
+        ]
+
     @together
     def info(self) -> str:
         """What takes part now and what solves it, in lines to be printed. Collective."""
