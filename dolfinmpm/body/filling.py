@@ -118,8 +118,8 @@ def fill(
         x, volume, half, cell, key = divide(grid, lattice_of(grid), shape, per_cell)
     if grid.comm.allreduce(len(x), op=MPI.SUM) == 0:
         raise EmptyShapeError(
-            f"no point falls into the shape with {per_cell} points per cell and direction: "
-            "use more points per cell, a finer grid or a larger shape"
+            f"no material point falls into the shape with {per_cell} points per cell and "
+            "direction: use more points per cell, a finer grid or a larger shape"
         )
 
     rho: Any = density

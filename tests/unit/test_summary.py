@@ -31,8 +31,8 @@ def test_a_problem_prints_what_it_is_made_of(parts):
         "terms: sums over points, integrals over the grid, contact with 'disc', friction 0.3",
         "conditions: left: component 0 held; bottom: component 0 held; bottom: component 1 held",
         "rigid body: 'disc'",
-        "solver: Newton's method to 1e-09 of the loads in 20 iterations at most, up to 10 halvings; "
-        "linear solver: chosen in the first step",
+        "solver: Newton's method to 1e-09 of the loads in 20 iterations at most, up to 10 "
+        "halvings; linear solver: chosen in the first step",
     ]
 
 
