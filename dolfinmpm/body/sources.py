@@ -136,6 +136,20 @@ def _rows(
         if n and (not np.issubdtype(numbers.dtype, np.integer) or numbers.min() < 0):
             raise ParameterError("id should be whole numbers of at least 0")
         rows["id"] = numbers.astype(np.int64)
+    rows |= _further(fields, at, reserved)
+    _, first = np.unique(rows["x"], axis=0, return_index=True)
+    if len(first) < n:
+        again = np.setdiff1d(np.arange(n), first)
+        raise ParameterError(
+            f"{len(again)} points of this rank are in the place of another, such as row {again[0]} "
+            f"at {at[again[0]]} m; give each point once"
+        )
+    return rows
+
+
+def _further(fields, at: Array, reserved) -> Rows:
+    """Further fields of points at positions (m), shape (n, gdim), checked."""
+    n, rows = len(at), {}
     if not isinstance(fields, Mapping):
         raise ParameterError(
             f"fields = {shown(fields)} must be a dictionary, such as {{'velocity': v}}"
@@ -158,13 +172,6 @@ def _rows(
                 f"field '{name}' is {given[k]} in row {k}, at {at[k]} m, and must be finite "
                 f"({int((~good).sum())} such points on this rank)"
             )
-    _, first = np.unique(rows["x"], axis=0, return_index=True)
-    if len(first) < n:
-        again = np.setdiff1d(np.arange(n), first)
-        raise ParameterError(
-            f"{len(again)} points of this rank are in the place of another, such as row {again[0]} "
-            f"at {at[again[0]]} m; give each point once"
-        )
     return rows
 
 

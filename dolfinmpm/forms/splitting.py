@@ -5,34 +5,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import ufl
-from dolfinx import fem
 from ufl.algorithms import expand_derivatives, extract_coefficients
-from ufl.classes import (
-    Curl,
-    Div,
-    Grad,
-    NablaDiv,
-    NablaGrad,
-)
-from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.checks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import FACETS
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
-from dolfinmpm.forms.operators import AveragingLaw, PointOperator
+from dolfinmpm.forms.measures import by_measure, check_derivatives
+from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagged import Tagged, tags_by_term
 from dolfinmpm.forms.termqueries import brief, contact_of, operators_in, tags_of
 from dolfinmpm.forms.throughlaws import through_laws
-
-SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 __all__ = ["BoundaryTerms", "SplitForm", "split"]
 
@@ -101,19 +90,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
     Raises:
         FormError: A term cannot be evaluated where it stands; the message names it.
     """
-    if not isinstance(form, ufl.Form):
-        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
-    for integral in form.integrals():
-        for node in unique_pre_traversal(integral.integrand()):
-            if isinstance(node, SpatialDerivative):
-                # UFL takes a field of the points for constant and would drop the term
-                inside = extract_coefficients(node)
-                for c in inside:
-                    if isinstance(c, (PointField, PointOperator)):
-                        raise FormError(
-                            f"'{brief(node)}' differentiates '{c}', which has values at the "
-                            "points only and no gradient"
-                        )
+    check_derivatives(form)
     form, contacts = _without_contacts(form, points)
     declarations = declared(form, points)
     for declaration in declarations:
@@ -140,35 +117,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         contact.bind(declarations)
     as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
     form = expand_derivatives(through_laws(form))
-    at_points: list[Any] = []
-    at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
-    ordinary: list[Any] = []
-    for integral in form.integrals():
-        if integral.integral_type() == "custom":
-            if "points" not in integral.metadata():
-                raise FormError(
-                    f"the term '{brief(integral.integrand())}' gives a measure of points metadata "
-                    "of its own; points take no quadrature degree"
-                )
-            number = integral.metadata()["points"]
-            if number in at_markers:
-                at_markers[number].append(integral)
-                continue
-            if number != points.number:
-                raise FormError(
-                    f"the term '{brief(integral.integrand())}' is integrated over material points "
-                    "that the problem does not move"
-                )
-            at_points.append(integral)
-        else:
-            _check_ordinary(integral, spaces)
-            if integral.metadata().get(FACETS, points.number) != points.number:
-                raise FormError(
-                    f"the term '{brief(integral.integrand())}' is over cells or facets of other "
-                    "material points than those that the problem moves: give mpm.ghost, mpm.soft, "
-                    "dS and dC the same points"
-                )
-            ordinary.append(integral)
+    at_points, at_markers, ordinary = by_measure(form, spaces, points, of_markers)
     _check_tags(ordinary)
     others = [(repr(c), c.tags) for c in contacts if c not in between]
     for number, boundary in of_markers.items():
@@ -327,30 +276,6 @@ def _check_tags(integrals) -> None:
                 f"the term '{brief(integral.integrand())}' has other subdomain data than another "
                 f"{kind} term of the form; put all tags of a kind into one MeshTags"
             )
-
-
-def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
-    term, kind = integral.integrand(), integral.integral_type()
-    if kind not in ("cell", "exterior_facet", "interior_facet"):
-        raise FormError(f"'{brief(term)}' is integrated over '{kind}'; use dx, ds, dS or a points'")
-    if integral.ufl_domain() != spaces[0].grid.ufl_domain():
-        raise FormError(f"'{brief(term)}' is integrated over another mesh than the grid")
-    for a in ufl.algorithms.extract_arguments(term):
-        if not any(a == space.test for space in spaces):
-            raise FormError(
-                f"'{a}' in '{brief(term)}' is not the test function of a space that the problem "
-                "solves for; use Space.test"
-            )
-    for c in extract_coefficients(term):
-        if isinstance(c, fem.Function) and c.function_space.mesh is not spaces[0].grid:
-            raise FormError(f"the function '{c}' in '{brief(term)}' lives on another mesh")
-        if isinstance(c, (PointField, PointOperator)):
-            raise FormError(
-                f"'{c}' lives at the material points, but '{brief(integral.integrand())}' is "
-                f"integrated over the grid ({integral.integral_type()}); use points.dX or points.dx"
-            )
-        if not isinstance(c, fem.Function):
-            raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
 
 
 def _regions(

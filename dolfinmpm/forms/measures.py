@@ -1,0 +1,102 @@
+"""What a weak form is integrated over: points, markers of boundaries, cells and facets."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import ufl
+from dolfinx import fem
+from ufl.algorithms import extract_coefficients
+from ufl.classes import Curl, Div, Grad, NablaDiv, NablaGrad
+from ufl.corealg.traversal import unique_pre_traversal
+
+from dolfinmpm._platform.errors import FormError
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.acting import FACETS
+from dolfinmpm.body.points import MaterialPoints, PointField
+from dolfinmpm.forms.operators import PointOperator
+from dolfinmpm.forms.termqueries import brief
+
+__all__ = ["by_measure", "check_derivatives"]
+
+SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
+
+
+def check_derivatives(form: Any) -> None:
+    """Raise FormError unless it is a form whose derivatives have a meaning at points."""
+    if not isinstance(form, ufl.Form):
+        raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
+    for integral in form.integrals():
+        for node in unique_pre_traversal(integral.integrand()):
+            if isinstance(node, SpatialDerivative):
+                # UFL takes a field of the points for constant and would drop the term
+                inside = extract_coefficients(node)
+                for c in inside:
+                    if isinstance(c, (PointField, PointOperator)):
+                        raise FormError(
+                            f"'{brief(node)}' differentiates '{c}', which has values at the "
+                            "points only and no gradient"
+                        )
+
+
+def by_measure(
+    form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints, of_markers: Mapping[int, Any]
+) -> tuple[list[Any], dict[int, list[Any]], list[Any]]:
+    """Integrals over the points, over the markers of each boundary, and over the grid.
+
+    Raises:
+        FormError: One is over other points, or has metadata of its own.
+    """
+    at_points: list[Any] = []
+    at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
+    ordinary: list[Any] = []
+    for integral in form.integrals():
+        if integral.integral_type() == "custom":
+            if "points" not in integral.metadata():
+                raise FormError(
+                    f"the term '{brief(integral.integrand())}' gives a measure of points metadata "
+                    "of its own; points take no quadrature degree"
+                )
+            number = integral.metadata()["points"]
+            if number in at_markers:
+                at_markers[number].append(integral)
+                continue
+            if number != points.number:
+                raise FormError(
+                    f"the term '{brief(integral.integrand())}' is integrated over material points "
+                    "that the problem does not move"
+                )
+            at_points.append(integral)
+        else:
+            _check_ordinary(integral, spaces)
+            if integral.metadata().get(FACETS, points.number) != points.number:
+                raise FormError(
+                    f"the term '{brief(integral.integrand())}' is over cells or facets of other "
+                    "material points than those that the problem moves: give mpm.ghost, mpm.soft, "
+                    "dS and dC the same points"
+                )
+            ordinary.append(integral)
+    return at_points, at_markers, ordinary
+
+
+def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
+    term, kind = integral.integrand(), integral.integral_type()
+    if kind not in ("cell", "exterior_facet", "interior_facet"):
+        raise FormError(f"'{brief(term)}' is integrated over '{kind}'; use dx, ds, dS or a points'")
+    if integral.ufl_domain() != spaces[0].grid.ufl_domain():
+        raise FormError(f"'{brief(term)}' is integrated over another mesh than the grid")
+    for a in ufl.algorithms.extract_arguments(term):
+        if not any(a == space.test for space in spaces):
+            raise FormError(
+                f"'{a}' in '{brief(term)}' is not the test function of a space that the problem "
+                "solves for; use Space.test"
+            )
+    for c in extract_coefficients(term):
+        if isinstance(c, fem.Function) and c.function_space.mesh is not spaces[0].grid:
+            raise FormError(f"the function '{c}' in '{brief(term)}' lives on another mesh")
+        if isinstance(c, (PointField, PointOperator)):
+            raise FormError(
+                f"'{c}' lives at the material points, but '{brief(integral.integrand())}' is "
+                f"integrated over the grid ({integral.integral_type()}); use points.dX or points.dx"
+            )
+        if not isinstance(c, fem.Function):
+            raise FormError(f"the coefficient '{c}' has no values; use dolfinx.fem.Function")
