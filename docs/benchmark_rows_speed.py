@@ -164,8 +164,8 @@ ROWS = (
         "steps: unknowns, seconds a step, most iterations of a solution",
         each("solid_3d", "--cells 20,28,36"), solids,
         "; ".join(3 * ["{:.0f}, {:.1f}, {:.0f}"])),
-    Row("repeat", SPEED, "runs on one rank beside a busy neighbour, 50 in processes of their own and "
-        "5 in one: unknowns, different results: elastic block in 3D, Mohr–Coulomb block in 2D",
+    Row("repeat", SPEED, "runs on one rank beside a busy neighbour, 50 in processes of their own "
+        "and 5 in one: unknowns, different results: elastic block in 3D, Mohr–Coulomb block in 2D",
         each("repeat", *(f"--scene {s} --count 50 --within 5 --busy" for s in ("solid", "sand"))),
         lambda *answers: [f for a in answers for f in (a["runs"][0]["unknowns"], a["results"])],
         "{:.0f}, {:.0f}; {:.0f}, {:.0f}", "the same bits: 1"),

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -89,3 +93,34 @@ def test_parts_of_the_same_fields_are_made_one():
     assert (one.row_field, one.column_field, one.values.item()) == (0, 0, 5.0)
     assert other is parts[1]
     assert merged([]) == []
+
+
+BLOCK = """
+import numpy as np
+from dolfinx import mesh
+from mpi4py import MPI
+import dolfinmpm as mpm
+for d in 2, 3:
+    kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
+    create = mesh.create_rectangle if d == 2 else mesh.create_box
+    grid = create(MPI.COMM_WORLD, [(0,) * d, (1,) * d], (3,) * d, kind)
+    points = mpm.fill(grid, mpm.Box((0,) * d, (0.9,) * d), 2, 1.0)
+    V = mpm.Space(grid)
+    F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, V.increment, V.test)
+    problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    problem.activate()
+    print(repr(np.abs(problem.stiffness().getValuesCSR()[2]).sum()))
+"""
+
+
+def test_memory_that_is_free_is_not_read():
+    """The C library fills what is freed with a pattern, or leaves it as it was."""
+    found = []
+    for pattern in ("0", "90"):
+        environment = {**os.environ, "MALLOC_PERTURB_": pattern}
+        done = subprocess.run(
+            [sys.executable, "-c", BLOCK], capture_output=True, text=True, env=environment
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        found.append(done.stdout)
+    assert found[0] == found[1]
