@@ -7,9 +7,10 @@ from petsc4py import PETSc
 __all__ = ["of_setup", "of_solution"]
 
 # By preconditioner: nanoseconds of a flop of solutions, of a flop of a set-up, and of an entry of
-# what a set-up makes. Fitted once to docs' blocks and slopes of 2,500 to 30,000 unknowns in 2D
-# and 3D, linear functions to quadratic splines, on one core of an AMD EPYC with PETSc 3.22. Only
-# their ratios matter. Dense blocks of factors make flops cheap; entries stand for the rest.
+# what a set-up makes. Fitted once, on one core of an AMD EPYC with PETSc 3.22, to scenes of
+# `demos/studies` with 2,500 to 30,000 unknowns: elastic blocks and slopes in 3D (`solid_3d.py`),
+# sand (`benchmark.py --plastic 80`) and columns in 2D, linear functions to quadratic splines. Only
+# ratios matter. In dense blocks of factors flops are cheap; what lies beside them goes by entries.
 _NANOSECONDS = {
     "ilu": (0.27, 0.25, 3.0),
     "bjacobi": (0.27, 0.25, 3.0),
