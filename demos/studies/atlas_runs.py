@@ -11,7 +11,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import atlas_bodies
+import atlas_explicit
+import atlas_impacts
 import atlas_slopes
+import atlas_water
 import numpy as np
 from atlas_checks import Checks
 from atlas_example import Example
@@ -22,10 +26,12 @@ import dolfinmpm as mpm
 __all__ = ["END", "FAMILIES", "TOLD", "WRONG", "Name", "differs", "names", "run"]
 
 END, TOLD, WRONG = "to the end", "told why", "wrong"
-FAMILIES: dict[str, Any] = {"slopes": atlas_slopes}
+FAMILIES: dict[str, Any] = {
+    "slopes": atlas_slopes, "bodies": atlas_bodies, "impacts": atlas_impacts,
+    "explicit": atlas_explicit, "water": atlas_water,
+}  # fmt: skip
 ITERATIONS = 40  # per step, over a whole run, before it is given up
 GUARD = 120.0  # s
-UNEQUAL = 1e-3  # difference of figures on several ranks, by their size
 
 
 class Guard(Exception):
@@ -137,7 +143,7 @@ def figures_of(example: Example) -> dict[str, Any]:
         "points": points.total,
         "moved": float(comm.allreduce(moved.max(initial=0.0), op=MPI.MAX)),
         "mean_moved": float(total[1] / total[0]),
-        "size": example.size,
+        "size": example.size, "equal": example.equal,
     }
 
 
@@ -146,6 +152,6 @@ def differs(one: dict[str, Any], other: dict[str, Any]) -> str:
     if one["outcome"] != other["outcome"]:
         return f"{one['outcome']} or {other['outcome']}"
     apart = abs(one["mean_moved"] - other["mean_moved"])
-    if apart > UNEQUAL * max(one["mean_moved"], 1e-3 * one["size"]):
+    if apart > one["equal"] * max(one["mean_moved"], 1e-3 * one["size"]):
         return f"mean displacement {one['mean_moved']:.8g} or {other['mean_moved']:.8g} m"
     return ""

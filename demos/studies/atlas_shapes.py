@@ -1,0 +1,76 @@
+"""Random shapes of the stability atlas, and their outlines."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import dolfinmpm as mpm
+
+__all__ = ["SHAPES", "corners_of", "random_shape", "rounded", "shape_of"]
+
+SHAPES = "disc", "box", "turned box", "polygon"
+
+
+def random_shape(rng: np.random.Generator, radius: float) -> dict[str, Any]:
+    """A disc, a box, a turned box or a convex polygon of 3 to 7 corners about the origin.
+
+    Args:
+        rng: Random numbers.
+        radius: Of a circle around it (m); polygons have their corners on it, and no edge that is
+            shorter than a third of it.
+    """
+    kind = SHAPES[rng.integers(len(SHAPES))]
+    if kind == "disc":
+        angles = 2 * np.pi * np.arange(48) / 48
+    elif kind == "polygon":
+        count = int(rng.integers(3, 8))
+        gaps = 1.0 + rng.uniform(0.0, 1.0, count)
+        angles = 2 * np.pi * np.cumsum(gaps) / gaps.sum() + rng.uniform(0.0, 2 * np.pi)
+    else:
+        diagonal = rng.uniform(0.25, 0.75) * 0.5 * np.pi
+        turned = 0.0 if kind == "box" else rng.uniform(0.1, 0.7)
+        half = [-diagonal, diagonal, np.pi - diagonal, np.pi + diagonal]
+        angles = turned + np.array(half)
+    corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return {"kind": kind, "radius": radius, "corners": corners.tolist()}
+
+
+def corners_of(shape: dict[str, Any], centre: Any) -> Any:
+    """Corners of a shape's outline (m), anticlockwise, shape (n, 2)."""
+    return np.array(shape["corners"]) + centre
+
+
+def shape_of(shape: dict[str, Any], centre: Any) -> Any:
+    """A shape of the library, about a centre (m)."""
+    if shape["kind"] == "disc":
+        return mpm.Disc((float(centre[0]), float(centre[1])), shape["radius"])
+    corners = corners_of(shape, centre)
+    if shape["kind"] == "box":
+        return mpm.Box(tuple(corners.min(axis=0)), tuple(corners.max(axis=0)))
+    return mpm.Polygon(corners)
+
+
+def rounded(corners: Any, fillet: float, count: int = 6) -> Any:
+    """The outline of a convex polygon whose corners are rounded (m), shape (m, 2).
+
+    Args:
+        corners: Corners anticlockwise (m), shape (n, 2).
+        fillet: Radius of the rounding (m).
+        count: Points on each arc.
+    """
+    if fillet <= 0:
+        return corners
+    found = []
+    for last, here, following in zip(np.roll(corners, 1, 0), corners, np.roll(corners, -1, 0)):
+        normals = [
+            np.array([d[1], -d[0]]) / np.linalg.norm(d) for d in (here - last, following - here)
+        ]
+        # the centre of the arc is a radius behind both edges
+        centre = here + np.linalg.solve(normals, [-fillet, -fillet])
+        first, end = (math.atan2(n[1], n[0]) for n in normals)
+        turn = np.linspace(0.0, (end - first) % (2 * math.pi), count)
+        found.append(centre + fillet * np.column_stack([np.cos(first + turn), np.sin(first + turn)]))
+    return np.concatenate(found)
