@@ -31,7 +31,18 @@ def _steady_pull(answer: Answer) -> list[float]:
     ]  # fmt: skip
 
 
+def _atlas(answer: Answer) -> list[float]:
+    """Random problems to the end (%): ghost penalty, aggregation, none; all, and those wrong."""
+    shares = [100 * answer["success"][name] for name in ("ghost", "aggregation", "none")]
+    return [*shares, answer["problems"], answer["wrong"]]
+
+
 ROWS = (
+    Row("atlas", STEEL, "random slopes that slide, rigid bodies dragged through soil, collisions, "
+        "soil with water, in all bases: to the end with ghost penalty, aggregation, no "
+        "stabilisation (%), of how many problems, wrong in silence",
+        ("mpirun -n 2 python3 demos/studies/stability_atlas.py --seeds 36",), _atlas,
+        "{:.1f}, {:.1f}, {:.1f}, {:.0f}, {:.0f}", picture="stability_atlas.png"),
     Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
         "r(a)/a = 1.5, cylinder and sphere (%)",
         each("cavity_expansion", "--ratio 1.5", "--ratio 1.5 --shape sphere"), percent("error"),

@@ -7,13 +7,13 @@ then 1 to 3 cells to the side. Drawn evenly between these bounds:
 - a disc, a box, a turned box or a convex polygon of 3 to 7 corners, within a circle of 1.2 to 2.2
   cells; half of those with corners have fillets of 0.1 to 0.3 cells; a third turns by up to 0.02
   per step;
-- steps of 0.1 to 0.25 cells, friction 0 to 0.4, contact penalty κ/E of 5 to 50 1/m;
+- steps of 0.1 to 0.25 cells, friction 0 to 0.4, contact penalty κ h/E of 1 to 3;
 - von Mises or Tresca (c 12 to 40 kPa), Mohr-Coulomb or Drucker-Prager (c 6 to 20 kPa, φ 15 to 35°,
   no dilation); Young's modulus 100 to 400 times the cohesion, ν from 0.2 to 0.4; no F-bar, which
   lets clay flow too much beside a rigid body; 2 to 4 points per cell and direction.
 
-Ground flows past the body: domains follow the volume, the ghost penalty is a tenth of the usual one,
-and the balance is asked for to 2e-4 of the loads, as README has it.
+Ground flows past the body: domains follow the volume, the ghost penalty is a tenth of the usual
+one, and the balance is asked for to 2e-4 of the loads, as README has it.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def draw(seed: int) -> dict[str, Any]:
         "shape": shape, "fillet": 0.0 if shape["kind"] == "disc" else fillet,
         "x": rng.uniform(4.0, 5.0) * H, "depth": rng.uniform(0.5, 1.5) * H,
         "drag": rng.uniform(1.0, 3.0) * H, "step": rng.uniform(0.1, 0.25) * H,
-        "rubs": rng.uniform(0.0, 0.4), "penalty": 10 ** rng.uniform(math.log10(5), math.log10(50)),
+        "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0) / H,
         "turns": rng.uniform(-0.02, 0.02) if rng.random() < 1 / 3 else 0.0,
     }  # fmt: skip
 

@@ -1,13 +1,13 @@
 """Bodies that collide in the stability atlas, in implicit and in explicit steps.
 
-Two bodies fly at each other in the plane, in cells of 0.1 m, from 0.05 to 1 cell apart. Drawn evenly
-between these bounds:
+Two bodies fly at each other in the plane, in cells of 0.1 m, from 0.05 to 0.5 cells apart. Drawn
+evenly between these bounds:
 
 - discs, boxes, turned boxes and convex polygons within circles of 0.2 to 0.35 m; one may be up to
   half its radius aside of the other's line; 2 or 3 points per cell and direction;
 - Hencky, neo-Hookean or von Mises (yield stress of 2 to 10 % of Young's modulus), E from 0.3 to
-  3 MPa by its logarithm, ν from 0 to 0.4, 1000 kg/m³; speeds 0.5 to 5 % of the waves' for each;
-- they fly for two to three times as long as they need to meet, or a wave to cross them four times;
+  3 MPa by its logarithm, ν from 0 to 0.4, 1000 kg/m³; speeds 1 to 5 % of the waves' for each;
+- they fly for 1 to 1.5 times as long as they need to meet, and a wave to cross a body four times;
 - implicit (`impacts`, Newmark): in one field of displacements, with fields of their own
   (`contact_between`, friction 0 to 0.5), or the first is rigid and free (`contact`); 30 steps;
 - explicit: in one field of velocities, or with contact at the nodes (`Collision` with a gap test);
@@ -44,12 +44,12 @@ def draw(seed: int, family: str = "impacts") -> dict[str, Any]:
     shapes = [random_shape(rng, rng.uniform(0.2, 0.35)) for _ in range(2)]
     middle = np.array(SIZE) / 2 + rng.uniform(-0.05, 0.05, 2)
     aside = rng.uniform(-0.5, 0.5) * min(shape["radius"] for shape in shapes)
-    gap = rng.uniform(0.05, 1.0) * H
+    gap = rng.uniform(0.05, 0.5) * H
     right = max(x for x, _ in shapes[0]["corners"])
     left = min(x for x, _ in shapes[1]["corners"])
     first = middle - [right + 0.5 * gap, 0.5 * aside]
     second = middle - [left - 0.5 * gap, -0.5 * aside]
-    speed = rng.uniform(0.005, 0.05) * wave
+    speed = rng.uniform(0.01, 0.05) * wave
     crossing = 4 * max(shape["radius"] for shape in shapes) / wave
     return {
         "law": LAWS[rng.integers(3)], "E": E, "nu": nu, "strength": rng.uniform(0.02, 0.1) * E,

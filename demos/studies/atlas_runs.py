@@ -93,13 +93,14 @@ def guarded(comm: MPI.Comm) -> Iterator[None]:
 def run(name: Name, comm: MPI.Comm) -> dict[str, Any]:
     """Take all steps of a problem; returns its name, its outcome and its figures. Collective."""
     started, outcome, reason = time.perf_counter(), END, ""
-    example = None
+    example = checks = None
     try:
         with guarded(comm), warnings.catch_warnings():
             warnings.simplefilter("ignore", mpm.errors.DolfinMPMWarning)
             family = FAMILIES[name.family]
             example = family.build(family.draw(name.seed), name.basis, name.stabilisation, comm)
-            outcome, reason = follow(example)
+            checks = Checks(example)
+            outcome, reason = follow(example, checks)
     except mpm.errors.DolfinMPMError as error:
         outcome, reason = TOLD, f"{type(error).__name__}: {error}"
     except Guard:
@@ -110,14 +111,15 @@ def run(name: Name, comm: MPI.Comm) -> dict[str, Any]:
         if time.perf_counter() - started > GUARD:
             outcome, reason = TOLD, f"time: more than {GUARD:g} s"
     figures = {} if example is None else figures_of(example)
+    figures |= {} if checks is None else {"energy_made": checks.made}
     seconds = time.perf_counter() - started
     return {**asdict(name), "outcome": outcome, "reason": reason[:300], **figures,
             "seconds": seconds}  # fmt: skip
 
 
-def follow(example: Example) -> tuple[str, str]:
+def follow(example: Example, checks: Checks) -> tuple[str, str]:
     """Take the steps, and look at each; returns the outcome and why. Collective."""
-    checks, history = Checks(example), example.problem.history
+    history = example.problem.history
     most = ITERATIONS * example.steps
     for k in range(1, example.steps + 1):
         example.go(k)
@@ -143,7 +145,8 @@ def figures_of(example: Example) -> dict[str, Any]:
         "points": points.total,
         "moved": float(comm.allreduce(moved.max(initial=0.0), op=MPI.MAX)),
         "mean_moved": float(total[1] / total[0]),
-        "size": example.size, "equal": example.equal,
+        "size": example.size,
+        "equal": example.equal,
     }
 
 

@@ -72,5 +72,6 @@ def rounded(corners: Any, fillet: float, count: int = 6) -> Any:
         centre = here + np.linalg.solve(normals, [-fillet, -fillet])
         first, end = (math.atan2(n[1], n[0]) for n in normals)
         turn = np.linspace(0.0, (end - first) % (2 * math.pi), count)
-        found.append(centre + fillet * np.column_stack([np.cos(first + turn), np.sin(first + turn)]))
+        outward = np.column_stack([np.cos(first + turn), np.sin(first + turn)])
+        found.append(centre + fillet * outward)
     return np.concatenate(found)

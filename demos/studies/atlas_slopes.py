@@ -10,7 +10,8 @@ nothing in equal steps, as in `slope_failure`. Drawn evenly between these bounds
   slope's angle at most; no dilation) or Cam-Clay;
 - cohesion between 0.25 and 0.8 of that at which even a plane wedge would slide (Culmann's number,
   `culmann`), so that the slope fails at 15 to 70 % of its weight;
-- Young's modulus 50 to 500 times the cohesion, by its logarithm, ν from 0.2 to 0.45;
+- Young's modulus 50 to 500 times the cohesion, by its logarithm, and 5 times the weight of a column
+  of the slope's height at least; ν from 0.2 to 0.45;
 - F-bar for half of them; not for Cam-Clay, and not for linear functions with 2² points.
 
 Cam-Clay (κ̂ = 0.02, λ̂ = 0.1 to 0.2, overconsolidation ratio 1 to 3) stands under an even pressure
@@ -51,7 +52,7 @@ def draw(seed: int) -> dict[str, Any]:
     return {
         "law": law, "height": height, "angle": angle, "base": h * rng.uniform(2.0, 3.0), "h": h,
         "crest_width": rng.uniform(0.5, 1.0) * height, "friction": friction, "cohesion": cohesion,
-        "E": cohesion * 10 ** rng.uniform(math.log10(50), math.log10(500)),
+        "E": max(5 * weight, cohesion * 10 ** rng.uniform(math.log10(50), math.log10(500))),
         "nu": rng.uniform(0.2, 0.45), "per_cell": int(rng.integers(2, 5)),
         "exact": bool(rng.integers(2)), "fbar": bool(rng.integers(2)) and law != "Cam-Clay",
         "compression": rng.uniform(0.1, 0.2), "ratio": rng.uniform(1.0, 3.0),

@@ -4,12 +4,12 @@ Displacement and pore pressure in one form (`poromechanics`), equal orders with 
 projection, the stabilisation on both fields. The soil begins weightless under an even effective
 stress, by the suction of its water, as in `coupled_slope`; its surface drains.
 
-- Slopes: those of `atlas_slopes` with 2 or 3 points per cell and direction; their weight grows in 20
-  steps. Mohr-Coulomb (φ 15 to 25°), whose surface is wet in half of them, or Cam-Clay, whose suction
-  is held at its surface.
+- Slopes: those of `atlas_slopes` with 2 or 3 points per cell and direction; their weight grows in
+  20 steps. Mohr-Coulomb (φ 15 to 25°), whose surface is wet in half of them, or Cam-Clay, whose
+  suction is held at its surface.
 - Footings: ground 12 by 6 cells of 0.5 m, Cam-Clay (M 0.8 to 1.2, suction 20 to 60 kPa,
   overconsolidation ratio 1 to 3), a pressure on a strip 2 to 3 cells wide beside the wall of
-  symmetry that grows in 20 steps to 0.5 to 1.5 times (2 + π) c_u.
+  symmetry that grows in 20 steps to 0.3 to 0.9 times (2 + π) c_u.
 - The rise takes 1e-4 to 1e2 of H²/c_v, by its logarithm: from no drainage to all of it.
 """
 
@@ -44,13 +44,13 @@ def draw(seed: int) -> dict[str, Any]:
     p["friction"] = rng.uniform(15.0, min(25.0, p["angle"] - 10.0))
     weight = atlas_slopes.DENSITY * atlas_slopes.GRAVITY * p["height"]
     p["cohesion"] = weight / culmann(p["angle"], p["friction"]) * rng.uniform(0.25, 0.8)
-    p["E"] = p["cohesion"] * rng.uniform(50, 200)
+    p["E"] = max(5 * weight, p["cohesion"] * rng.uniform(50, 200))
     if p["footing"]:
         M, p0 = rng.uniform(0.8, 1.2), rng.uniform(20e3, 60e3)
         p |= {
             "law": "Cam-Clay", "wet": False, "friction": math.degrees(math.asin(3 * M / (6 + M))),
             "height": GROUND[1] * CELL, "strip": int(rng.integers(2, 4)),
-            "load": rng.uniform(0.5, 1.5),
+            "load": rng.uniform(0.3, 0.9),
         }  # fmt: skip
         p["cohesion"] = p0 * math.tan(math.radians(p["friction"]))
         p["E"] = p["cohesion"] * rng.uniform(50, 200)

@@ -14,10 +14,11 @@
 # The bounds of what is drawn stand in the families' modules, `atlas_slopes` and so on.
 #
 #     mpirun -n 2 python3 demos/studies/stability_atlas.py --seeds 12 --resume
-#     python3 demos/studies/stability_atlas.py --seed 7 --family slopes --basis gimp --stabilisation ghost
+#     python3 demos/studies/stability_atlas.py --seed 7 --family slopes --basis gimp
 #
-# Under mpirun every rank takes problems of its own; with `--ranks` all take each together. Results
-# are appended to `stability_atlas.jsonl` as they come, one line each; `--resume` goes on from there.
+# Under mpirun every rank takes problems of its own; with `--ranks` all take each together. The
+# results are appended to `stability_atlas.jsonl` as they come, one line each; `--resume` goes on
+# from there.
 
 # %%
 from __future__ import annotations
@@ -54,7 +55,7 @@ def arguments(words=None):
     add("--first", type=int, help="number of problems, of all that these options name")
     add("--ranks", action="store_true", help="all ranks take each problem together")
     add("--compare", type=int, default=20, metavar="N",
-        help="on several ranks every N-th problem is run by all ranks together too; 0: none")  # fmt: skip
+        help="of several ranks: run every N-th problem by all together too; 0: none")  # fmt: skip
     add("--resume", action="store_true", help="keep the results that are there, and go on")
     given = options.parse_args(words)
     allowed = {"family": FAMILIES, "basis": BASES, "stabilisation": (*STABILISATIONS, *OTHERS)}
