@@ -11,9 +11,9 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 
-__all__ = ["BASES", "build", "draw"]
+__all__ = ["BASES", "WITHOUT", "build", "draw"]
 
-BASES = atlas_impacts.BASES
+BASES, WITHOUT = atlas_impacts.BASES, ("ghost",)
 STEPS = 20  # at whose ends the checks look
 
 
@@ -28,9 +28,8 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     points = moving(p, grid, (0, 1))
     V = mpm.Space(grid, basis)
     F = mpm.momentum(law, points, V.increment, V.test)
-    consistent = stabilisation == "ghost"
-    options: dict[str, Any] = {"mass": "consistent"} if consistent else {}
-    if p["way"] != "one field" and not consistent:
+    options: dict[str, Any] = {}
+    if p["way"] != "one field" and stabilisation == "none":
         options["contact"] = mpm.Collision((1, 2), p["friction"])
     problem = mpm.Explicit(
         F, V.increment, points, courant=p["courant"], stabilisation=stabilisation, **options

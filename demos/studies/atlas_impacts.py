@@ -10,9 +10,10 @@ evenly between these bounds:
 - they fly for 1 to 1.5 times as long as they need to meet, and a wave to cross a body four times;
 - implicit (`impacts`, Newmark): in one field of displacements, with fields of their own
   (`contact_between`, friction 0 to 0.5), or the first is rigid and free (`contact`); 30 steps;
-- explicit: in one field of velocities, or with contact at the nodes (`Collision` with a gap test);
-  steps of 0.3 to 0.8 of the critical one; a lumped mass, and with the ghost penalty a consistent
-  one and one field, since the penalty is of that mass and contact at the nodes of a lumped one.
+- explicit: in one field of velocities, or, without a stabilisation, with contact at the nodes
+  (`Collision` with a gap test); steps of 0.3 to 0.8 of the critical one, a lumped mass. No ghost
+  penalty: it is of a consistent mass, and takes two bodies that share a cell for one whose velocity
+  has a bend, see `colliding_discs`.
 """
 
 from __future__ import annotations

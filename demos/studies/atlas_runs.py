@@ -61,7 +61,7 @@ def names(families: Any, bases: Any, stabilisations: Any, seeds: Any) -> list[Na
     cells = [
         (family, basis, kind)
         for family, basis, kind in itertools.product(families, bases, stabilisations)
-        if basis in FAMILIES[family].BASES
+        if basis in FAMILIES[family].BASES and kind not in getattr(FAMILIES[family], "WITHOUT", ())
     ]
     found = []
     for seed in seeds:
