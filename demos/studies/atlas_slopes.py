@@ -36,6 +36,7 @@ __all__ = ["BASES", "build", "draw"]
 BASES = "linear", "gimp", "bspline2", "bspline3"
 LAWS = "von Mises", "Tresca", "Mohr-Coulomb", "Drucker-Prager", "Cam-Clay"
 DENSITY, GRAVITY = 2000.0, 10.0  # kg/m³, m/s²
+SWELLING = 0.02  # κ̂
 STEPS = 20
 
 
@@ -73,7 +74,7 @@ def law_of(p: dict[str, Any]) -> Any:
     sine = math.sin(math.radians(phi))
     p0 = pressure_of(p)
     return mpm.materials.CamClay(
-        swelling=0.02, compression=p["compression"], M=6 * sine / (3 - sine),
+        swelling=SWELLING, compression=p["compression"], M=6 * sine / (3 - sine),
         mu0=E / (2 * (1 + nu)), alpha=0.0, reference_pressure=p0, preconsolidation=p["ratio"] * p0,
     )  # fmt: skip
 

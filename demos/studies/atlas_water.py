@@ -6,7 +6,8 @@ stress, by the suction of its water, as in `coupled_slope`; its surface drains.
 
 - Slopes: those of `atlas_slopes` with 2 or 3 points per cell and direction; their weight grows in
   20 steps. Mohr-Coulomb (φ 15 to 25°), whose surface is wet in half of them, or Cam-Clay, whose
-  suction is held at its surface.
+  suction is held at its surface. The undrained strength is 0.25 to 0.8 of that at which even a
+  plane wedge would slide.
 - Footings: ground 12 by 6 cells of 0.5 m, Cam-Clay (M 0.8 to 1.2, suction 20 to 60 kPa,
   overconsolidation ratio 1 to 3), a pressure on a strip 2 to 3 cells wide beside the wall of
   symmetry that grows in 20 steps to 0.3 to 0.9 times (2 + π) c_u.
@@ -43,7 +44,7 @@ def draw(seed: int) -> dict[str, Any]:
     p |= {"footing": bool(rng.integers(2)), "time": 10 ** rng.uniform(-4, 2)}
     p["friction"] = rng.uniform(15.0, min(25.0, p["angle"] - 10.0))
     weight = atlas_slopes.DENSITY * atlas_slopes.GRAVITY * p["height"]
-    p["cohesion"] = weight / culmann(p["angle"], p["friction"]) * rng.uniform(0.25, 0.8)
+    p["cohesion"] = weight / culmann(p["angle"], 0.0) * rng.uniform(0.25, 0.8) / undrained(p)
     p["E"] = max(5 * weight, p["cohesion"] * rng.uniform(50, 200))
     if p["footing"]:
         M, p0 = rng.uniform(0.8, 1.2), rng.uniform(20e3, 60e3)
@@ -57,11 +58,24 @@ def draw(seed: int) -> dict[str, Any]:
     return p
 
 
+def undrained(p: dict[str, Any]) -> float:
+    """Undrained strength by the cohesion c (-), p0 tan φ being c; see `coupled_slope`.
+
+    Mohr-Coulomb c cos φ + p0 sin φ, Cam-Clay M/√3 p0 (R/2)^(1 − κ̂/λ̂).
+    """
+    phi = math.radians(p["friction"])
+    if p["law"] == "Mohr-Coulomb":
+        return 2.0 * math.cos(phi)
+    M = 6 * math.sin(phi) / (3 - math.sin(phi))
+    slope = 1 - atlas_slopes.SWELLING / p["compression"]
+    return M / math.sqrt(3) * (p["ratio"] / 2) ** slope / math.tan(phi)
+
+
 def modulus_of(p: dict[str, Any]) -> float:
     """P-wave modulus of the soil at first (Pa)."""
     G = p["E"] / (2 * (1 + p["nu"]))
     if p["law"] == "Cam-Clay":
-        return suction_of(p) / 0.02 + 4 / 3 * G
+        return suction_of(p) / atlas_slopes.SWELLING + 4 / 3 * G
     return 2 * G * (1 - p["nu"]) / (1 - 2 * p["nu"])
 
 
@@ -104,10 +118,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
         top, across = p["height"] * (1 - 1e-9), p["strip"] * CELL
         strip = mpm.Surface(points, lambda x: (x[1] > top) & (x[0] < across), (0, 1), "strip")
         F -= strip.traction(load, v)
-        # undrained strength of Cam-Clay, see `coupled_slope`
-        ratio, slope = p["ratio"] / 2, 1 - 0.02 / p["compression"]
-        strength = law.M / math.sqrt(3) * suction * ratio**slope
-        whole = p["load"] * (2 + math.pi) * strength
+        whole = p["load"] * (2 + math.pi) * undrained(p) * p["cohesion"]
     else:
         F -= ufl.inner(load, v) * points.dX
         whole = atlas_slopes.DENSITY * atlas_slopes.GRAVITY
