@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import dolfinmpm as mpm
 __all__ = ["draw"]
 
 COLOURS = {"to the end": "#A6D3C2", "told why": "#E8A87C", "wrong": "#7A1F5C"}
-NOTHING = "#FFFFFF"
+NOTHING = "#F0F0F0"
 
 
 def draw(path: Path, results: list[dict[str, Any]]) -> None:
@@ -31,8 +32,9 @@ def draw(path: Path, results: list[dict[str, Any]]) -> None:
             for panel, kind in zip(row, kinds):
                 group = [r for r in results if (r["family"], r["stabilisation"]) == (family, kind)]
                 _panel(panel, group, bases, seeds)
-                share = np.mean([r["outcome"] == "to the end" for r in group]) if group else 0.0
-                panel.set_title(f"{kind}: {100 * share:.1f} %", fontsize=7, pad=2)
+                good = sum(r["outcome"] == "to the end" for r in group)
+                title = f"{kind}: {good} of {len(group)}" if group else f"{kind}: none run"
+                panel.set_title(title, fontsize=7, pad=2)
             row[0].set_ylabel(family)
         for panel in axes[-1]:
             panel.set_xlabel("seed")
@@ -58,7 +60,7 @@ def _panel(axes: Any, group: list[dict[str, Any]], bases: list[str], seeds: list
     line = {"edgecolors": "white", "linewidth": 0.4} if len(seeds) <= 60 else {}
     axes.pcolormesh(*edges, values, cmap=colours, vmin=-1.5, vmax=2.5, **line)
     axes.set_yticks(np.arange(len(bases)) + 0.5, labels=bases)
-    shown = np.unique(np.linspace(0, len(seeds) - 1, 5).astype(int))
+    shown = np.arange(0, len(seeds), max(1, math.ceil(len(seeds) / 6)))
     axes.set_xticks(shown + 0.5, labels=[seeds[k] for k in shown])
     axes.set(xlim=(0, len(seeds)), ylim=(len(bases), 0))
     axes.tick_params(length=0)
