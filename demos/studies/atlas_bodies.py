@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import ufl
 from atlas_example import Example, Rigid, domains_of, random_of, rectangle
-from atlas_shapes import corners_of, random_shape, rounded, shape_of
+from atlas_shapes import random_shape, rounded, shape_of
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -110,7 +110,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     problem = mpm.QuasiStatic(
         F, u, points, bcs, stabilisation=a_tenth(basis, stabilisation), tolerance=2e-4
     )
-    outline = rounded(corners_of(p["shape"], centre), p["fillet"])
+    outline = rounded(corners - (body.position - centre), p["fillet"])
     return Example(
         problem, steps, lambda _: problem.step(), {0: law}, H, equal=0.05,
         rigid=[Rigid(body, outline, DEEPEST * H)],

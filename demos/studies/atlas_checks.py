@@ -133,7 +133,7 @@ def inside_by(rigid: Rigid, x: Any) -> Any:
     """
     angle = float(rigid.body.angle[0])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    corners = (rigid.corners - rigid.body.start.centre) @ turn.T + rigid.body.position
+    corners = rigid.corners @ turn.T + rigid.body.position
     ends = np.roll(corners, -1, axis=0)
     along = ends - corners
     at = x[:, None] - corners

@@ -20,7 +20,7 @@ class Rigid:
 
     Attributes:
         body: The body as the library has it.
-        corners: Corners of its outline at first (m), shape (n, 2).
+        corners: Corners of its outline by its centre, as it is at first (m), shape (n, 2).
         bound: Depth of a point's centre below the outline (m) that is taken for wrong.
     """
 

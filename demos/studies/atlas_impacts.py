@@ -106,7 +106,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
             velocity=(p["speed"], 0.0), name="body",
         )  # fmt: skip
         F += mpm.contact(body, points, u[0], v[0], friction=p["friction"])
-        rigid.append(Rigid(body, corners_of(shape, centre), 0.3 * H))
+        rigid.append(Rigid(body, corners_of(shape, centre) - body.position, 0.3 * H))
     if own:
         rims = [
             mpm.Boundary.from_polygon(points, corners_of(s, c), rule=1, spacing=H / 4)

@@ -65,9 +65,6 @@ def studies(monkeypatch):
 class Places:
     """A rigid body that has moved and turned."""
 
-    class start:
-        centre = np.array([0.0, 0.0])
-
     angle, position = np.array([0.5 * np.pi]), np.array([3.0, 0.0])
 
 
