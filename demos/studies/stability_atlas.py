@@ -228,9 +228,10 @@ def main(words=None):
     results = [known[(*vars(name).values(),)] for name in wanted]
     figures = {**summary(results), "compared": compared}
     show(figures)
-    if WORLD.rank == 0 and not args.no_plot:
+    if not args.no_plot:
         mpm.study.write_table(figures["table"], args.output / "stability_atlas.csv")
-        atlas_pictures.draw(args.output / "stability_atlas.png", results)
+        if WORLD.rank == 0:
+            atlas_pictures.draw(args.output / "stability_atlas.png", results)
     finish(args, figures)
     return figures
 

@@ -47,11 +47,12 @@ def test_a_slope_needs_its_stabilisation(tmp_path):
 def test_ranks_share_problems_and_agree(tmp_path):
     found = run(
         "stability_atlas", "--family", "slopes,bodies", "--basis", "linear", "--stabilisation",
-        "ghost", "--seeds", "2", "--compare", "2", "--output", str(tmp_path), "--no-plot", ranks=2,
+        "ghost", "--seeds", "2", "--compare", "2", "--output", str(tmp_path), ranks=2,
     )  # fmt: skip
     assert found["compared"] == 2
     assert found["success"] == {"ghost": 1.0}
     assert sum("ranks" in one for one in lines(tmp_path)) == 2
+    assert (tmp_path / "stability_atlas.png").stat().st_size > 0
 
 
 @pytest.fixture
