@@ -50,7 +50,8 @@ def arguments(words=None):
     add("--basis", type=numbers(str), default=list(BASES), help="by commas")
     add("--stabilisation", type=numbers(str), default=list(STABILISATIONS),
         help=f"by commas; also {', '.join(OTHERS)}")  # fmt: skip
-    add("--seeds", type=int, default=12, help="number of seeds, from 0 on")
+    add("--start", type=int, default=0, help="first seed")
+    add("--seeds", type=int, default=12, help="number of seeds")
     add("--seed", type=int, help="one seed alone")
     add("--first", type=int, help="number of problems, of all that these options name")
     add("--ranks", action="store_true", help="all ranks take each problem together")
@@ -214,7 +215,7 @@ def show(figures: dict[str, Any], most: int = 12) -> None:
 def main(words=None):
     """Run, print, and return the figures."""
     args = arguments(words)
-    seeds = range(args.seeds) if args.seed is None else [args.seed]
+    seeds = range(args.start, args.start + args.seeds) if args.seed is None else [args.seed]
     wanted = names(args.family, args.basis, args.stabilisation, seeds)[: args.first]
     path = args.output / "stability_atlas.jsonl"
     if WORLD.rank == 0:
