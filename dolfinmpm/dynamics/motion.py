@@ -218,12 +218,13 @@ class Motion:
             return reason
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
         moved, varying = list(zip(self.nodes, motions)), self.varying
-        work, stored = Work(external=work_of_loads(operator, x, scale, moved, dt, varying)), 0.0
+        work = Work(external=work_of_loads(operator, x, scale, moved, dt, varying))
+        stored: dict[int, float] = {}
         work.add_stresses(points, state.fields, operator)
         for one, motion in moved:
-            share, expected = self._ghost_share / scale, self.reserve.share * dt * one.V
+            share, expected = self._ghost_share / scale, self.reserve.share[one.k] * dt * one.V
             faces = self._sides.on(operator.here.fields[one.k].basis)
-            stored += count(work, one, motion, operator, share, expected, faces)
+            stored[one.k] = count(work, one, motion, operator, share, expected, faces)
         # with a lumped mass the mapping makes and takes more than the rule of the steps
         if operator.touches and self.terms.kind == "consistent":
             reason = self._gains.judge(
@@ -232,7 +233,8 @@ class Motion:
             if reason is not None:
                 return reason
         self.ledger.work.add(work)
-        self.reserve.energy += stored
+        for k, taken in stored.items():
+            self.reserve.energy[k] += taken
         new = found[0]
         for one, own in zip(self.nodes[1:], found[1:]):
             rows = rows_within(points, one.tags)
@@ -300,7 +302,7 @@ class Motion:
             "wanted part": self.wanted,
             "starting": int(self._starting),
             "largest": self._largest,
-            "reserve": self.reserve.energy,
+            "reserve": sorted(self.reserve.energy.items()),
             "gained": self._gains.made,
         }
 
@@ -308,6 +310,8 @@ class Motion:
         """Take what `memory` returned."""
         self.time, self.last = state["time"], state["last part"]
         self.wanted, self._largest = state["wanted part"], state["largest"]
-        self._starting, self.reserve.energy = bool(state["starting"]), state["reserve"]
+        self._starting = bool(state["starting"])
+        self.reserve.energy.clear()
+        self.reserve.energy.update({int(k): energy for k, energy in state["reserve"]})
         self._gains.made = state["gained"]
         self.set_time(self.time)

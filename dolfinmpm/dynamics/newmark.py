@@ -283,9 +283,9 @@ class TimeStepping(QuasiStatic):
             level = self._held.at(bases, (1 - rule.alpha_f) * step.share)[1]
             here = replace(here, prescribed=level)
         self._free(step)
-        share = motion.reserve.share * (1 - rule.alpha_f) * step.dt
+        share, free = motion.reserve.share, (1 - rule.alpha_f) * step.dt
         known = [rule.known(one.V, one.A, step.dt) for one in motion.nodes]
-        expected = [share * one.V for one in motion.nodes]
+        expected = [share[one.k] * free * one.V for one in motion.nodes]
         dashpots, factor = motion.dashpots(here, step.dt), rule.factor(step.dt)
         self.points.inertia.value = factor
         for field in self.form.parts.carried:

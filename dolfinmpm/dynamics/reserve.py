@@ -11,6 +11,7 @@ more than what is left of the energy that it has taken so far.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,13 +29,16 @@ Array = npt.NDArray[np.float64]
 class Reserve:
     """Energy that penalties on changes of velocity have taken and not given back.
 
+    Each field that moves points has its own, so that bodies apart do not know of each other.
+
     Attributes:
-        energy: That energy (J).
-        share: θ in the present step.
+        energy: That energy (J), by the number of the field.
+        share: θ in the present step, likewise.
     """
 
     def __init__(self) -> None:
-        self.energy, self.share = 0.0, 1.0
+        self.energy: defaultdict[int, float] = defaultdict(float)
+        self.share: defaultdict[int, float] = defaultdict(lambda: 1.0)
 
     def begin(
         self, here: Activation, nodes: Sequence[tuple[int, Mass, Array]], dt: float, weight: float
@@ -48,16 +52,14 @@ class Reserve:
             dt: Length of the step (s).
             weight: Share of the penalty's force in the step's mean force.
         """
-        self.share = 1.0
-        most = 0.0
+        self.share.clear()
         for k, mass, V in nodes:
             changes = changes_of(here, k)
-            if changes:
-                most += 0.25 * weight * dt**2 * mass.inner(V, changes, V)
-        # of rounding both may be a little less than nothing
-        left = max(self.energy, 0.0)
-        if most > left:
-            self.share = math.sqrt(left / most)
+            most = 0.25 * weight * dt**2 * mass.inner(V, changes, V) if changes else 0.0
+            # of rounding both may be a little less than nothing
+            left = max(self.energy[k], 0.0)
+            if most > left:
+                self.share[k] = math.sqrt(left / most)
 
 
 def changes_of(here: Activation, k: int) -> list[Blocks]:

@@ -18,7 +18,7 @@ from dolfinmpm.dynamics.reserve import Reserve
 def begun(energy, stiffness, V):
     """A reserve of so much energy at the start of a step of 2 s, with Φ(v) = stiffness v·v."""
     reserve = Reserve()
-    reserve.energy = energy
+    reserve.energy[0] = energy
     mass = SimpleNamespace(inner=lambda v, blocks, w: stiffness * float(np.sum(v * w)))
     here = SimpleNamespace(changes=[SimpleNamespace(row_field=0)])
     reserve.begin(here, [(0, mass, V)], 2.0, 1.0)
@@ -29,16 +29,26 @@ def begun(energy, stiffness, V):
 def test_a_penalty_gives_back_no_more_than_it_has_taken(energy):
     V, K = np.array([[0.6, -0.8]]), 1.5
     reserve = begun(energy, K, V)
-    assert reserve.share == pytest.approx(min(1.0, np.sqrt(energy / K)))
+    assert reserve.share[0] == pytest.approx(min(1.0, np.sqrt(energy / K)))
     # the increment that it gives most for
-    for u in (reserve.share * V, 2 * V, -V):
-        given = -K * float(np.sum(u * (u - 2 * reserve.share * V)))
+    for u in (reserve.share[0] * V, 2 * V, -V):
+        given = -K * float(np.sum(u * (u - 2 * reserve.share[0] * V)))
         assert given <= energy + 1e-12
 
 
 def test_a_reserve_of_rounding_is_none():
-    assert begun(-1e-20, 1.0, np.zeros((1, 2))).share == 1.0
-    assert begun(-1e-20, 1.0, np.ones((1, 2))).share == 0.0
+    assert begun(-1e-20, 1.0, np.zeros((1, 2))).share[0] == 1.0
+    assert begun(-1e-20, 1.0, np.ones((1, 2))).share[0] == 0.0
+
+
+def test_fields_have_reserves_of_their_own():
+    reserve, V = Reserve(), np.ones((1, 2))
+    reserve.energy[0] = 0.5
+    mass = SimpleNamespace(inner=lambda v, blocks, w: float(np.sum(v * w)))
+    here = SimpleNamespace(changes=[SimpleNamespace(row_field=k) for k in (0, 1)])
+    reserve.begin(here, [(0, mass, V), (1, mass, V)], 2.0, 1.0)
+    assert reserve.share[0] == pytest.approx(0.5)
+    assert reserve.share[1] == 0.0
 
 
 def test_a_step_that_makes_energy_is_parted():
