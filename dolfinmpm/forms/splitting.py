@@ -16,7 +16,7 @@ from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints, PointField
 from dolfinmpm.forms.carriedfields import carried_in
 from dolfinmpm.forms.declarations import Declaration, declared
 from dolfinmpm.forms.gridterms import GridTerms
-from dolfinmpm.forms.measures import by_measure, check_derivatives
+from dolfinmpm.forms.integrals import by_measure, check_derivatives
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagged import Tagged, tags_by_term
