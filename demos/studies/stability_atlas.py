@@ -129,8 +129,10 @@ def compare(wanted: list[Name], path: Path, args: Any) -> int:
     if WORLD.size == 1 or args.ranks or not args.compare:
         return 0
     known = WORLD.bcast(read(path) if WORLD.rank == 0 else None)
+    # without stabilisation rounding decides how a run ends
+    stabilised = [name for name in wanted if name.stabilisation != "none"]
     sample = [
-        name for name in wanted[:: args.compare]
+        name for name in stabilised[:: args.compare]
         if "ranks" not in known[(*vars(name).values(),)]
     ]  # fmt: skip
     for name in sample:
@@ -139,7 +141,8 @@ def compare(wanted: list[Name], path: Path, args: Any) -> int:
         unequal = differs(alone, together) if alone["outcome"] == END else ""
         result = {**alone, "ranks": WORLD.size, "mean_moved_together": together.get("mean_moved")}
         if unequal:
-            result |= {"outcome": WRONG, "reason": f"on {WORLD.size} ranks: {unequal}"}
+            told = together["reason"][:200]
+            result |= {"outcome": WRONG, "reason": f"on {WORLD.size} ranks: {unequal}. {told}"}
         if WORLD.rank == 0:
             append(path, result)
             tell(result)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -38,6 +37,7 @@ from dolfinmpm.body.markerplaces import (
 )
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
 from dolfinmpm.grid.positions import ask
 
@@ -50,8 +50,6 @@ Array = npt.NDArray[np.float64]
 
 # Deformation gradient of markers themselves, where steps need it; `F` is that of the nearest point
 OWN = "F_own"
-
-_numbers = itertools.count(1)
 
 
 class Boundary:
@@ -125,7 +123,7 @@ class Boundary:
         self.tiles = False
         moved = not np.array_equal(points["x"], points["x0"])
         self.late = points.comm.allreduce(moved, op=MPI.LOR)
-        self.name = name or f"boundary{next(_numbers)}"
+        self.name = name or f"boundary{next_on(points.grid, 'boundary')}"
         self.markers = markers = MaterialPoints.from_arrays(
             points.grid, at, sizes, 1.0, half_length=0.0,
             fields={"area": vectors, "area0": vectors}, axisymmetric=points.axisymmetric,
