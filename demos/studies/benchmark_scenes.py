@@ -32,7 +32,7 @@ class Run:
 
     Attributes:
         scene, basis, level, per_cell, stabilisation: What was run; the level is the study's own
-        measure
+            measure
             of refinement, cells or their size (m).
         error: Relative error, None where the run did not come to its end.
         seconds: Processor time of the steps, the median of repetitions (s).

@@ -122,7 +122,7 @@ class Beam:
     Args:
         args: The command line, or a variation of it.
         stabilisation: One of the stabilisations besides the penalty that `args.ghost` writes into
-        the form.
+            the form.
 
     Attributes:
         full: PL²/EI at the end.

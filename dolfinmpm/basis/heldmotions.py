@@ -75,7 +75,7 @@ def free_motions(
         space: Space of the displacement.
         active: Its active nodes.
         axisymmetric: Whether the body is one of revolution, which along its axis alone moves
-        rigidly.
+            rigidly.
     """
     x, gdim, comm = node_coordinates(space), space.grid.geometry.dim, space.grid.comm
     moved = np.zeros(len(x), bool)

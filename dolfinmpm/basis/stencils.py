@@ -37,7 +37,7 @@ class Placement:
         volume: Volumes (m^gdim), shape (n,).
         cell: Local cells, shape (n,).
         axisymmetric: Whether they are those of a body of revolution; averages of gradients are
-        those around the axis.
+            those around the axis.
     """
 
     x: npt.NDArray[np.float64]

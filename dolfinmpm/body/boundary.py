@@ -68,7 +68,7 @@ class Boundary:
         x: Positions (m), shape (n, gdim). Each rank gives some of the markers, or all, or none;
             those that several ranks give alike count once.
         area: Area vectors (m^(d-1)), area times outward unit normal, likewise; of axisymmetric
-        bodies the
+            bodies the
             whole ones (m²), 2π r times the length of the section. Other constructors find them.
         follows: Whether the markers move with the body; else they stay where they are.
         name: Name in messages and checkpoints.

@@ -246,7 +246,7 @@ class MaterialPoints:
             grid: Background grid.
             x: Positions (m), shape (n, gdim).
             volume: Volumes (m^d), a number or shape (n,); of axisymmetric bodies the whole ones
-            (m³).
+                (m³).
             density: Mass per volume (kg/m^d): a number, shape (n,), or a function of
                 positions in DOLFINx's layout, shape (gdim, n), to n values.
             tag: Which part of the body the points belong to, a number or shape (n,).

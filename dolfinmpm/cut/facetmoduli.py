@@ -74,7 +74,7 @@ class FacetModulus(fem.Function):
     Attributes:
         points, increment, target, scaling: The arguments.
         moduli: M and G of each facet (Pa; of axisymmetric bodies, times 2π r), in the order of the
-        field's
+            field's
             entities, shape (facets, 2).
         values: Value at each facet (Pa), shape (facets,).
     """

@@ -73,7 +73,7 @@ def set_penalties(
         moduli: Function that gives the elastic moduli M and G at the points (Pa).
         increments: Increments of the fields.
         stabilised: Whether a stabilisation bounds the constants of cells with small cuts, so that
-        they
+            they
             change little with the cut.
     """
     for number, of in enumerate(boundaries):
