@@ -133,13 +133,13 @@ def kill_saves(kills, folder):
     def save_for_ever():
         for k in range(1_000_000):
             problem.points["x"][:] = first + 1e-6 * k
-            problem._share = 1.0 / (k + 1)
+            problem.share = 1.0 / (k + 1)
             problem.save(target)
 
     def check():
         # all in the file is of one and the same save
         problem.load(target)
-        saves = round(1.0 / problem._share) - 1
+        saves = round(1.0 / problem.share) - 1
         assert np.array_equal(problem.points["x"], first + 1e-6 * saves)
 
     for _ in range(kills):

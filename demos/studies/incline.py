@@ -137,7 +137,7 @@ class Elastic:
         self.gravity.value[:] = self.along, -self.down
         options = {} if args.integrator == "explicit" else {"stabilisation": stabilisation}
         self.problem = INTEGRATORS[args.integrator](F, u, points, (), **options)
-        (self.contact,) = self.problem.form.parts.contacts
+        (self.contact,) = self.problem.bodies.contacts
         self.taken = self.contact.dissipated
         self.start = self.middle()
         self.angle, self.arms = 0.0, self.by_id(points["x"] - self.start)
@@ -229,7 +229,7 @@ class Rigid:
         if d == 3 and args.integrator != "explicit":
             options["petsc_options"] = {"ksp_type": "preonly", "pc_type": "lu"}
         self.problem = INTEGRATORS[args.integrator](F, u, points, mpm.fixed(V, *sides), **options)
-        (self.contact,) = self.problem.form.parts.contacts
+        (self.contact,) = self.problem.bodies.contacts
 
     def look(self):
         """Displacement (m) and rotation (rad) so far."""

@@ -322,7 +322,7 @@ def explicit_calls(args) -> int:
         made.problem.form.given, made.problem.fields[0].space.increment, made.problem.points,
         made.problem.bcs, fused=False,
     )  # fmt: skip
-    with mock.patch.object(evaluation.Evaluation, "add_tangent") as asked:
+    with mock.patch.object(evaluation.Evaluation, "tangent") as asked:
         problem.step(2 * problem.critical_step())
     return asked.call_count
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from dolfinmpm.assembly.functions import function_values
 from dolfinmpm.assembly.region import PointFailure, Region
 from dolfinmpm.assembly.stencilsums import Entries
+from dolfinmpm.assembly.term import ActiveTerm
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import ActiveRegion
@@ -24,7 +25,7 @@ __all__ = ["Evaluation"]
 Array = npt.NDArray[np.float64]
 
 
-class Evaluation:
+class Evaluation(ActiveTerm):
     """The point terms of a weak form on an activation.
 
     Fluxes and tangents are pure functions of the points' state and the nodal
@@ -44,6 +45,8 @@ class Evaluation:
         gradient: Their gradients, shape (points, components, gdim).
         failure: Where a law found no stress when it was last asked, or None.
     """
+
+    kind = "points"
 
     def __init__(
         self,
@@ -70,16 +73,8 @@ class Evaluation:
             Region(t, points, unknowns, part, shared) for t, part in zip(regions, parts)
         ]
 
-    def update_constants(self) -> None:
-        """Take the values of the DOLFINx constants as they are now."""
-        for region in self.regions:
-            region.update_constants()
-
-    def interpolate(self, u: Sequence[Array]) -> None:
-        """Take nodal increments, (nodes, components) for each field.
-
-        Collective if a law takes means over cells.
-        """
+    def move(self, u: Sequence[Array]) -> None:
+        """See `ActiveTerm`. Collective if a law takes means over cells."""
         for region in self.regions:
             for s, nodal, value, gradient in zip(
                 region.part.stencils, u, self.value, self.gradient
@@ -110,26 +105,18 @@ class Evaluation:
                 return False
         return True
 
-    def add_internal(self, out: Sequence[Array]) -> bool:
-        """Add the nodal forces of the internal terms; returns whether every law found a stress.
-
-        Args:
-            out: Nodal forces (N), (nodes, components) for each field.
-        """
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`."""
         return self._all(lambda region: region.add_flux(region.terms.internal, out))
 
-    def add_external(self, out: Sequence[Array]) -> None:
-        """Add the nodal forces of the terms that do not depend on the increments."""
+    def external(self, out: Sequence[Array]) -> None:
+        """See `ActiveTerm`. DOLFINx constants and functions are taken as they are now."""
+        for region in self.regions:
+            region.update_constants()
         self._all(lambda region: region.add_flux(region.terms.external, out))
 
-    def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
-        """Add the tangent of the internal terms to the matrix.
-
-        Collective if a law takes means over cells.
-
-        Args:
-            entries: The matrix under assembly, by row and column field.
-        """
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """See `ActiveTerm`. Collective if a law takes means over cells."""
         for region in self.regions:
             region.add_tangent(entries)
 

@@ -26,6 +26,7 @@ from dolfinmpm.assembly.stencilsums import Entries, Matrix, Slope, add_blocks, a
 from dolfinmpm.basis import Stencils
 from dolfinmpm.basis.stencils import pushed_forward
 from dolfinmpm.body.axisymmetry import in_section
+from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 
@@ -97,12 +98,8 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
         flat = np.ascontiguousarray(values[s.order]).reshape(n, width**2)
         valued = width > field.components * d
         add_stiffness(s, s, 0, s.groups.size - 1, Slope(flat, valued, valued), entries)
-    penalty = here.fields[k].penalty
-    blocks = (
-        [] if not grid else [*here.grid, *here.changes, *([penalty] if penalty is not None else [])]
-    )
-    for b in blocks:
-        if (b.row_field, b.column_field) == (k, k):
+    for kind in ("stiffness", "pattern", "changes", "penalty") if grid else ():
+        for b in here.blocks_of(kind, k):
             add_blocks(b, entries)
     matrix.finish()
     return matrix
@@ -195,30 +192,27 @@ def _largest_of_free(energy: Array, traction: Array) -> float:
 def trace_constants(
     here: Activation,
     k: int,
-    points: MaterialPoints,
+    boundary: Boundary,
     moduli: Array,
-    markers: MaterialPoints,
     at_markers: Array,
-    boundary: int,
 ) -> Array:
     """The constants at the markers of a boundary (Pa/m), shape (markers,). Collective.
 
     Args:
         here: What is active.
         k: Number of the displacement's field.
-        points: Material points.
+        boundary: The boundary.
         moduli: Elastic moduli M and G at the points (Pa), shape (points, 2).
-        markers: The boundary's markers.
-        at_markers: Moduli there, shape (markers, 2).
-        boundary: Which of the activation's boundaries it is.
+        at_markers: Moduli at its markers, shape (markers, 2).
 
     Raises:
         StateError: A marker is in a cell without material and without stabilisation.
     """
-    d, s, own = points.gdim, here.fields[k].of_markers[boundary], here.fields[k].stencils
+    points, markers, field = boundary.points, boundary.markers, here.fields[k]
+    d, s, own = points.gdim, field.of_markers[markers.number], field.stencils
     if here.total:
         own = pushed_forward(own, in_section(points, points["F"]))
-        s = pushed_forward(s, here.terms.boundaries[boundary].boundary.deformation())
+        s = pushed_forward(s, boundary.deformation())
     inside, square = _energies(points, moduli), _tractions(markers, at_markers)
     energy = _assembled(here, k, [(own, inside)], True)
     tractions = _assembled(here, k, [(s, square)], False)

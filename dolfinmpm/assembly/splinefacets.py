@@ -325,7 +325,7 @@ class FacetBlock:
             self._penalties[code][k] = row
         return values
 
-    def memory(self) -> dict[str, npt.NDArray]:
+    def state(self) -> dict[str, npt.NDArray]:
         """The tensors kept: rounding differs between the facets that a class was integrated on."""
         if self._values is None:
             return {}
@@ -339,8 +339,8 @@ class FacetBlock:
             "penalties": np.concatenate([np.empty(0), *(p.ravel() for p in known)]),
         }
 
-    def remember(self, kept: dict[str, npt.NDArray]) -> None:
-        """Keep the tensors that `memory` returned, and no others."""
+    def set_state(self, kept: dict[str, npt.NDArray]) -> None:
+        """Keep the tensors that `state` returned, and no others."""
         self._values = kept.get("constants")
         self._tensors, self._penalties, start = {}, {}, 0
         for code, shape in zip(kept.get("codes", ()), kept.get("shapes", ())):

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
+from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.candidates import candidates, touchable
-from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
+from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.means import Means, mean_forces
-from dolfinmpm.contact.passing import entered, passes, suspected, within
+from dolfinmpm.contact.passing import entered, passes, suspected, too_far, travelled, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners, lessened
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.cut.participants import Participants
@@ -30,7 +31,7 @@ Chosen = npt.NDArray[np.bool_]
 _ROUNDING = 1e-12
 
 
-class ActiveContact:
+class ActiveContact(ActiveTerm):
     """A contact where the points and the body are at the start of a step. Collective.
 
     Args:
@@ -53,8 +54,11 @@ class ActiveContact:
         states: Whether they are free, stick or slip, likewise.
     """
 
+    kind = "contact"
+    pushes = True
+
     def __init__(
-        self, contact: Contact, sight: Sight, field: int = 0, among: Rows | None = None,
+        self, contact: DeclaredContact, sight: Sight, field: int = 0, among: Rows | None = None,
         distance: float = math.inf, means: Means | None = None,
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
@@ -102,14 +106,12 @@ class ActiveContact:
         return kept
 
     @staticmethod
-    def on(
-        contact: Contact, here: Participants, in_time: bool = False, means: Means | None = None
-    ) -> ActiveContact:
-        """A contact on what is active in a step, in time or not. Collective."""
+    def on(contact: DeclaredContact, here: Participants) -> ActiveContact:
+        """A contact on what is active in a step. Collective."""
         fields = here.fields
         k = next(k for k, f in enumerate(fields) if f.space.increment is contact.u)
-        sight = Sight.of(fields[k], here.total, len(contact.points), in_time)
-        return ActiveContact(contact, sight, k, means=means)
+        sight = Sight.of(fields[k], here.total, len(contact.points), contact.in_time)
+        return ActiveContact(contact, sight, k, means=contact.means)
 
     # -- which points may touch -----------------------------------------------
 
@@ -133,6 +135,34 @@ class ActiveContact:
         inside = bool(rows.size) and entered(body.surface, body.half_thickness, start, end).any()
         return self.contact.points.comm.allreduce(bool(inside), op=MPI.LOR)
 
+    def fault(self, new: NewState) -> str | None:
+        """See `ActiveTerm`: points that passed the body, or got into it unseen. Collective."""
+        if not new.moves:
+            return None
+        points = self.contact.points
+        # all ranks have the same answer
+        if self.missed(new.fields["x"], points["x"]):
+            return "material points got into a rigid body from further away than was looked at"
+        found = points.comm.allgather(self.passed())
+        return next((reason for reason in found if reason is not None), None)
+
+    def passed(self) -> str | None:
+        """Why the body, where it has been put, and points of this rank have passed each other."""
+        body = self.contact.body
+        if body.freedom is not None:
+            # what prescribes the others has been asked before
+            way = travelled(body.surface, body.start, body.pose)
+            fault = too_far(body, way, self.contact.limit)
+            if fault is not None:
+                return fault
+        how = self.passes()
+        if how is None:
+            return None
+        return (
+            f"points that touch '{body.name}' {how}: take smaller steps or "
+            "a larger penalty, or bound the penetration"
+        )
+
     def passes(self) -> str | None:
         """How corners of this rank pass through the body instead of touching it, or None."""
         body = self.contact.body
@@ -143,15 +173,14 @@ class ActiveContact:
 
     # -- forces ---------------------------------------------------------------
 
-    def move(self, u: Array) -> None:
-        """Find the forces under nodal increments, with the body where it has been put.
-
-        Args:
-            u: Increments (m), shape (nodes, gdim).
-        """
-        if len(self.x):
-            clings = self.clings and not u.any()
-            self.shift(self.corners.displacement(u), clings)
+    def touch(self, u: Sequence[Array], scale: float) -> None:
+        """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
+        if not len(self.x):
+            return
+        own = u[self.field]
+        if self.means is not None and self.means.scale != scale:
+            own = self.means.scale / scale * own
+        self.shift(self.corners.displacement(own), self.clings and not own.any())
 
     def shift(self, way: Array, clings: bool = False) -> None:
         """Find the forces on corners that have moved, with the body where it has been put.
@@ -250,10 +279,11 @@ class ActiveContact:
         """What the law of contact gives of each corner; forces in the frame of the body."""
         return self.forces, self._traction, self.pressures, self._slope
 
-    def add_internal(self, out: Array) -> None:
-        """Add the nodal forces, as internal forces count, which resist: −f (N)."""
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`: forces as they were last found, which resist, −f (N)."""
         if self.states.any():
-            self.corners.add(-self._weight * self.forces, out)
+            self.corners.add(-self._weight * self.forces, out[self.field])
+        return True
 
     def add_forces(self, out: Array) -> None:
         """Add the nodal forces (N)."""
@@ -278,12 +308,12 @@ class ActiveContact:
         middle = 0.5 * (self.corners.x + self.x)
         return np.asarray(middle - 0.5 * (body.start.centre + body.pose.centre))
 
-    def add_tangent(self, to: Entries) -> None:
-        """Add the derivative of `add_internal` by the increments to the matrix."""
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """See `ActiveTerm`."""
         active = np.flatnonzero(self.states != FREE)
         if active.size == 0:
             return
-        seen = self.corners.entries()
+        seen, to = self.corners.entries(), entries[self.field, self.field]
         add_corners(active, seen, seen, -self._slope_weight * self._world_slope(active), to)
 
     # -- multipliers and what is kept -----------------------------------------
@@ -319,7 +349,7 @@ class ActiveContact:
         return both[:d], both[d:]
 
     def add_slopes(self, out: Array) -> None:
-        """Add the derivative of `add_internal` by the body's motion.
+        """Add the derivative of `internal` by the body's motion.
 
         Args:
             out: Nodal forces by motions (N/m, N/rad), shape (nodes, gdim, components).
@@ -374,14 +404,12 @@ class ActiveContact:
             return np.einsum("ij,cjk,lk->cil", P, self._slope[active], Q)
         return np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
 
-    def new_fields(self) -> dict[str, Array]:
-        """What the points keep of it at the end of the step."""
+    def update(self, new: NewState) -> None:
+        """See `ActiveTerm`."""
         points, c = self.contact.points, self.corners
-        new: dict[str, Any] = {}
         for name, values in self.kept():
-            new[name] = np.zeros_like(points[name])
-            new[name][c.rows, c.which] = values
-        return new
+            new.fields[name] = np.zeros_like(points[name])
+            new.fields[name][c.rows, c.which] = values
 
     def kept(self) -> list[tuple[str, Array]]:
         """What corners keep of it at the end of the step, by the name of the points' field."""

@@ -10,21 +10,24 @@ import numpy as np
 import scipy
 import ufl
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.means import Means
+from dolfinmpm.contact.touching import LAYERS, ActiveBetween, Facing
+from dolfinmpm.cut.participants import Activation, Coupling, Participants
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height
 
 __all__ = ["Between", "contact_between"]
 
 
-class Between:
+class Between(Term):
     """Contact of two boundaries, as a form declares it; see `contact_between`.
 
     Attributes:
@@ -39,11 +42,10 @@ class Between:
         names: Fields of the first boundary's markers: forces along the surface (N), normal ones
             (N), the work that friction has taken (J), steps taken, what is stored (J), and what is
             spare (J), see `dolfinmpm.contact.starts`.
-        integrand: What the form has in its place.
     """
 
     def __init__(
-        self, boundaries, u, friction, penalty, stiffness, slip_share, penetration, integrand
+        self, boundaries, u, friction, penalty, stiffness, slip_share, penetration
     ):  # fmt: skip
         self.boundaries: tuple[Boundary, Boundary] = boundaries
         self.u: tuple[Any, Any] = u
@@ -52,18 +54,52 @@ class Between:
         self._penalty: float | None = penalty if stiffness is None else None
         self.slip_share: float = slip_share
         self.penetration: float | None = penetration
-        self.integrand: Expr = integrand
         points = boundaries[0].points
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
+        self.means: Means | None = None
         parts = ("traction", "pressure", "work", "steps", "stored", "spare")
         self.names = tuple(f"{self.name}_{part}" for part in parts)
+
+    layers = LAYERS
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """See `Term`: what slips has no symmetric tangent."""
+        return not self.friction
+
+    @property
+    def sides(self) -> Sequence[tuple[Boundary, Any]]:
+        """See `Term`."""
+        return list(zip(self.boundaries, self.u))
+
+    def start_in_time(self, means: Means | None) -> None:
+        """See `Term`."""
+        self.means = means
+
+    def couple(self, here: Participants) -> list[Coupling]:
+        """See `Term`. Collective."""
+        return [Facing(self, here)]
+
+    def on(self, here: Activation) -> ActiveBetween | None:
+        """See `Term`."""
+        own = (c for c in here.couplings if isinstance(c, Facing) and c.contact is self)
+        facing = next(own, None)
+        return None if facing is None else ActiveBetween(facing, self.means)
+
+    def energy(self) -> tuple[float, float]:
+        """See `Term`. Collective."""
+        return self.stored, self.dissipated
+
+    def summary(self) -> str:
+        """See `Term`."""
+        return f"contact of two bodies, friction {self.friction:g}"
 
     def __repr__(self) -> str:
         return f"the contact of {self.boundaries[0]} with {self.boundaries[1]}"
 
     @property
-    def points(self) -> MaterialPoints:
+    def points(self) -> MaterialPoints:  # type: ignore[override]
         """The points of both bodies."""
         return self.boundaries[0].points
 
@@ -236,13 +272,11 @@ def contact_between(
     number("slip_stiffness", slip_stiffness, 0.0)
     if penetration is not None:
         number("penetration", penetration, 0.0, unit="m")
-    integrand = ufl.inner(u[0], v[0])
     term = Between(
         (first, second), (u[0], u[1]), friction, penalty, stiffness_per_area, slip_stiffness,
-        penetration, integrand,
+        penetration,
     )  # fmt: skip
-    metadata = {**points.dX.metadata(), "contact": term}
-    return integrand * points.dX.reconstruct(metadata=metadata)
+    return as_form(term, u[0], v[0])
 
 
 def _pair(name: str, given: Any) -> tuple[Any, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.contactterm import Contact
-from dolfinmpm.contact.passing import travelled
+from dolfinmpm.contact.passing import limit_of, too_far
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.grid.lattice import smallest_height
 
@@ -36,13 +36,17 @@ class Bodies:
             far as half its own thickness: what it goes over must be within it at the end, on the
             side that it came from.
 
+    Attributes:
+        contacts: The argument.
+        all: The bodies, each once.
+
     Raises:
         FormError: Points touch a body in two contacts at once.
         ParameterError: A body does not begin where its shape is.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
-        self._contacts = list(contacts)
+        self.contacts = list(contacts)
         for one, other in itertools.combinations(contacts, 2):
             if _same(one, other):
                 raise FormError(
@@ -58,6 +62,7 @@ class Bodies:
         self.given: float | None = None
         self._before = 0.0
         for contact in contacts:
+            contact.limit = self._limit
             if not any(contact.body is body for body in self.all):
                 contact.body.check_start()
                 self.all.append(contact.body)
@@ -74,7 +79,7 @@ class Bodies:
     @property
     def rubbed(self) -> float:
         """Work that friction on them has taken (J)."""
-        return sum(contact.dissipated for contact in self._contacts)
+        return sum(contact.dissipated for contact in self.contacts)
 
     def take(self) -> None:
         """Take the bodies for a step. A body that another problem has moved since is not to be had.
@@ -88,7 +93,7 @@ class Bodies:
         for body in self.all:
             if body.mover is None or body.mover[0] is self._token or body.time == 0.0:
                 continue
-            if self._has_moved or body.mover[1]() is not self._contacts[0].points:
+            if self._has_moved or body.mover[1]() is not self.contacts[0].points:
                 raise ParameterError(
                     f"'{body.name}' has been moved by another problem, to t = {body.time:g}: a "
                     "rigid body is where the steps of one problem have brought it; make one for "
@@ -100,7 +105,7 @@ class Bodies:
         """Note that the steps of this problem have brought the bodies where they are."""
         self._has_moved = True
         for body in self.all:
-            body.mover = self._token, weakref.ref(self._contacts[0].points)
+            body.mover = self._token, weakref.ref(self.contacts[0].points)
 
     def begin(self, dt: float) -> None:
         """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
@@ -129,46 +134,11 @@ class Bodies:
             body.begin(dt)
             if body.freedom is not None:
                 body.freedom.go_on(dt if inertia else 0.0)
-            fault = self._too_far(body, body.travel())
+            fault = too_far(body, body.travel(), self._limit)
             if body.freedom is not None:
                 body.freedom.go_on(0.0)
             if fault is not None:
                 return fault
-        return None
-
-    def _limit_of(self, body: RigidBody) -> float:
-        """How far a body may go at once (m)."""
-        return min(self._limit, body.half_thickness)
-
-    def _too_far(self, body: RigidBody, travel: float) -> str | None:
-        """Why a body may not go so far (m) at once, or None."""
-        limit = self._limit_of(body)
-        if travel <= limit * (1 + 1e-9):
-            return None
-        what = "a cell" if limit == self._limit else "half its mean thickness"
-        return f"'{body.name}' moves {travel:.3g} m at once, more than {what} ({limit:.3g} m)"
-
-    def passed(self, contacts: Sequence[ActiveContact]) -> str | None:
-        """Why bodies, where they have been put, and points have passed each other, or None.
-
-        Not collective: other ranks may have another reason, or none.
-
-        Args:
-            contacts: The contacts, at the end of the step.
-        """
-        for body in self.all:
-            if body.freedom is not None:
-                # what prescribes the others has been asked `fault`
-                fault = self._too_far(body, travelled(body.surface, body.start, body.pose))
-                if fault is not None:
-                    return fault
-        for active in contacts:
-            how = active.passes()
-            if how is not None:
-                return (
-                    f"points that touch '{active.contact.body.name}' {how}: take smaller steps or "
-                    "a larger penalty, or bound the penetration"
-                )
         return None
 
     def driven(self, dt: float) -> str | None:
@@ -192,7 +162,7 @@ class Bodies:
         """
         if count > 1:
             for body in self.all:
-                count = min(count, body.ahead(dt, count, self._limit_of(body)))
+                count = min(count, body.ahead(dt, count, limit_of(body, self._limit)))
         return count
 
     def push(self, contacts: Sequence[ActiveContact], kick: float) -> None:
@@ -244,22 +214,30 @@ class Bodies:
         """What records of steps have of the bodies, by name."""
         return {body.name: body.record() for body in self.all}
 
-    def memory(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+    def acting(self, operator: Any) -> list[ActiveContact]:
+        """Their contacts in the equations of a step.
+
+        Args:
+            operator: The equations.
+        """
+        return [operator.of(contact) for contact in self.contacts]
+
+    def state(self) -> dict[str, Any]:
+        """What they, and their contacts, keep from step to step."""
         if not self.all:
             return {}
-        rows = {f"rigid body {k}": body.memory() for k, body in enumerate(self.all)}
-        rubbed = np.array([c.dissipated for c in self._contacts])
+        rows = {f"rigid body {k}": body.state() for k, body in enumerate(self.all)}
+        rubbed = np.array([c.dissipated for c in self.contacts])
         stored = np.array([self.stored, math.nan if self.given is None else self.given])
         return {**rows, "friction's work": rubbed, "stored in contact": stored}
 
-    def remember(self, state: dict[str, Any]) -> None:
-        """Take what `memory` returned."""
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Take what `state` returned."""
         for k, body in enumerate(self.all):
-            body.remember(state[f"rigid body {k}"])
+            body.set_state(state[f"rigid body {k}"])
         self.own()
         if self.all:
-            for contact, done in zip(self._contacts, state["friction's work"]):
+            for contact, done in zip(self.contacts, state["friction's work"]):
                 contact.dissipated = float(done)
             self.stored, given = (float(energy) for energy in state["stored in contact"])
             self.given = None if math.isnan(given) else given

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import ALL, Rows, Sites, Which, longest
+from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.passing import within
 
 __all__ = ["MARGIN", "candidates", "touchable"]
@@ -21,7 +21,7 @@ Chosen = npt.NDArray[np.bool_]
 MARGIN = 4.0
 
 
-def touchable(contact: Contact, sites: Sites, rows: Which) -> Chosen | None:
+def touchable(contact: DeclaredContact, sites: Sites, rows: Which) -> Chosen | None:
     """Which of some points can touch at all, or None if all can."""
     can = sites.marked(rows)
     if contact.tags is None:
@@ -30,7 +30,7 @@ def touchable(contact: Contact, sites: Sites, rows: Which) -> Chosen | None:
     return chosen if can is None else chosen & can
 
 
-def candidates(contact: Contact, sites: Sites, among: Rows | None, distance: float) -> Rows:
+def candidates(contact: DeclaredContact, sites: Sites, among: Rows | None, distance: float) -> Rows:
     """Which points may touch in a step, increasing. Collective before the first step.
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,17 +12,20 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.units import friction_coefficient
+from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
+from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.corners import corner_count
+from dolfinmpm.contact.means import Means
 from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.declarations import Declaration
 
 __all__ = ["Contact", "contact"]
@@ -29,7 +33,7 @@ __all__ = ["Contact", "contact"]
 Array = npt.NDArray[np.float64]
 
 
-class Contact:
+class Contact(Term):
     """Contact of material points with a rigid body, as a form declares it; see `contact`.
 
     Attributes:
@@ -42,16 +46,18 @@ class Contact:
         penalty: Penalty by Young's modulus (1/m), else.
         slip_share: ε_T/ε_N.
         penetration: Bound of the penetration (m) by multipliers, or None.
-        integrand: What the form has in its place.
         names: Fields of the points: tangential forces on corners (N) in the frame of the body,
             normal ones (N), Young's modulus (Pa), the stiffness of corners that touch (N/m), and
             by how much gaps have closed in the last step (m).
         dissipated: Work that friction has taken (J), on all ranks.
+        means: How mean forces over a step enter its balance; None for forces at its end.
+        in_time: Whether steps have inertia.
+        limit: How far the body may go at once (m).
     """
 
     def __init__(
         self, body, points, u, surface, material, tags, friction, stiffness, penalty, slip_share,
-        penetration, integrand,
+        penetration,
     ):  # fmt: skip
         self.body: RigidBody = body
         self.points: MaterialPoints = points
@@ -62,12 +68,29 @@ class Contact:
         self.penalty: float = penalty
         self.slip_share: float = slip_share
         self.penetration: float | None = penetration
-        self.integrand: Expr = integrand
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         first = f"contact{next(counter)}"
         kept = "traction", "pressure", "modulus", "stiffness", "closing"
         self.names = tuple(f"{first}_{name}" for name in kept)
         self.dissipated = 0.0
+        self.means: Means | None = None
+        self.in_time, self.limit = False, math.inf
+
+    definite = False
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        """See `Term`: what slips has no symmetric tangent."""
+        return not self.friction
+
+    @property
+    def loads(self) -> list[Any]:
+        """See `Term`: those on what is free of the body."""
+        return self.body.loads
+
+    def start_in_time(self, means: Means | None) -> None:
+        """See `Term`."""
+        self.means, self.in_time = means, True
 
     def __repr__(self) -> str:
         return f"the contact with '{self.body.name}'"
@@ -109,9 +132,24 @@ class Contact:
             )
         raise_together(points.comm, error)
 
+    def on(self, here: Activation) -> ActiveContact:
+        """See `Term`. Collective."""
+        return ActiveContact.on(self, here)
+
+    def summary(self) -> str:
+        """See `Term`."""
+        return f"contact with '{self.body.name}', friction {self.friction:g}"
+
+    def describe(self) -> str:
+        """See `Term`."""
+        return (
+            f"friction = {self.friction:g}, penalty = {self.penalty:g}, stiffness_per_area = "
+            f"{self.stiffness}, tag = {self.tags}"
+        )
+
     def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
         """Which points, of some rows or of all, have its tags."""
-        return np.isin(self.points["tag"][rows], self.tags)
+        return np.isin(self.points["tag"][rows], self.tags or ())
 
     def rate(self) -> float:
         """Largest square of a frequency that contact gives the body (1/s²). Collective.
@@ -216,10 +254,8 @@ def contact(
     if tags is None:
         # corners of others would not move
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
-    integrand = ufl.inner(u, v)
     term = Contact(
         body, points, u, surface, corners == "material", tags, friction,
-        stiffness_per_area, penalty, slip_stiffness, penetration, integrand,
+        stiffness_per_area, penalty, slip_stiffness, penetration,
     )  # fmt: skip
-    metadata = {**points.dX.metadata(), "contact": term}
-    return integrand * points.dX.reconstruct(metadata=metadata)
+    return as_form(term, u, v)

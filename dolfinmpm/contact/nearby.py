@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from dolfinmpm.contact.activecontact import ActiveContact
 from dolfinmpm.contact.candidates import MARGIN
-from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import Rows, Sight, Sites, longest
+from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.passing import travelled, within
 
 __all__ = ["Nearby"]
@@ -41,7 +41,7 @@ class Nearby:
     _rows: Rows | None = None
     _left = 0.0
 
-    def __init__(self, contact: Contact):
+    def __init__(self, contact: DeclaredContact):
         self.contact = contact
 
     def forget(self, sight: Sight, cell: Array) -> None:

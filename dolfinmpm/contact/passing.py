@@ -7,6 +7,7 @@ beyond the middle of the body, it is pushed out on the far side, and nothing tel
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,16 @@ from dolfinmpm.contact.pose import Pose
 from dolfinmpm.contact.revolution import Revolved
 from dolfinmpm.contact.surfaces import RigidSurface, Round, Rounded
 
-__all__ = ["entered", "half_thickness", "passes", "suspected", "travelled", "within"]
+__all__ = [
+    "entered",
+    "half_thickness",
+    "limit_of",
+    "passes",
+    "suspected",
+    "too_far",
+    "travelled",
+    "within",
+]
 
 Array = npt.NDArray[np.float64]
 Chosen = npt.NDArray[np.bool_]
@@ -63,6 +73,26 @@ def travelled(surface: RigidSurface, start: Pose, end: Pose) -> float:
         return float(np.linalg.norm(end.shift - start.shift))
     corners = _box_corners(surface.low, surface.high)
     return float(np.linalg.norm(end.forth(corners) - start.forth(corners), axis=1).max())
+
+
+def limit_of(body: Any, cell: float) -> float:
+    """How far a body may go at once (m): no further than a cell, or half its own thickness."""
+    return min(cell, body.half_thickness)
+
+
+def too_far(body: Any, travel: float, cell: float) -> str | None:
+    """Why a body may not go so far (m) at once, or None.
+
+    Args:
+        body: The rigid body.
+        travel: How far it goes (m).
+        cell: Smallest size of a cell (m).
+    """
+    limit = limit_of(body, cell)
+    if travel <= limit * (1 + 1e-9):
+        return None
+    what = "a cell" if limit == cell else "half its mean thickness"
+    return f"'{body.name}' moves {travel:.3g} m at once, more than {what} ({limit:.3g} m)"
 
 
 def within(poses: list[Pose], surface: RigidSurface, x: Array, reach: Array | float) -> Chosen:

@@ -327,7 +327,7 @@ class RigidBody(ReadOnce):
         }  # fmt: skip
         return {name: [float(v) for v in values] for name, values in parts.items()}
 
-    def memory(self) -> Array:
+    def state(self) -> Array:
         """What a checkpoint keeps, as one row of numbers."""
         pose = self.start
         parts = [pose.shift, pose.rotation.ravel(), pose.turn, self.force, self.moment]
@@ -339,8 +339,8 @@ class RigidBody(ReadOnce):
             parts.append(np.array([float(free.acceleration is not None)]))
         return np.concatenate([np.array([self.time]), *parts])
 
-    def remember(self, row: Array) -> None:
-        """Take what `memory` returned."""
+    def set_state(self, row: Array) -> None:
+        """Take what `state` returned."""
         d, turns = self.gdim, len(self.moment)
         sizes = np.cumsum([1, d, d * d, turns, d])
         sizes = np.append(sizes, sizes[-1] + turns)

@@ -11,10 +11,11 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.stencilsums import Entries
+from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.contact.between import Between
 from dolfinmpm.contact.corners import stencil_matrix
 from dolfinmpm.contact.cutpieces import pieces_in_cells
+from dolfinmpm.contact.declared import DeclaredBetween
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
@@ -46,9 +47,9 @@ class Facing:
     Args:
         contact: The contact.
         here: What is active.
-        numbers: Numbers of its two boundaries among those of the form.
 
     Attributes:
+        contact: The contact.
         rows: Markers of the first boundary whose places face the other one, shape (m,): of
             boundaries that tile each has as many as there are cells that its segment is in.
         shares: Share of its marker's area that each place has, likewise.
@@ -62,8 +63,8 @@ class Facing:
         ParameterError: The bodies overlap before the first step.
     """
 
-    def __init__(self, contact: Between, here: Participants, numbers: tuple[int, int]):
-        self.contact, self.numbers = contact, numbers
+    def __init__(self, contact: DeclaredBetween, here: Participants):
+        self.contact = contact
         first, second = (b.markers for b in contact.boundaries)
         self.reach = smallest_height(contact.points.grid)
         own = [
@@ -191,7 +192,7 @@ def _seen(field: ActiveField, x: Array, beside: Array) -> scipy.sparse.csr_matri
     return N if field.C is None else scipy.sparse.csr_matrix(N @ field.C)
 
 
-class ActiveBetween:
+class ActiveBetween(ActiveTerm):
     """Forces of two bodies on each other under nodal increments, and what is kept of them.
 
     Args:
@@ -206,6 +207,8 @@ class ActiveBetween:
         pressures: Their normal parts (N), shape (m,).
         states: Whether places are free, stick or slip, likewise.
     """
+
+    kind = "contact"
 
     def __init__(self, facing: Facing, means: Means | None = None):
         self.contact, self.facing, self.clings = facing.contact, facing, False
@@ -235,9 +238,11 @@ class ActiveBetween:
         self._loss: Array = np.zeros(m)
         self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
 
-    def move(self, u: Sequence[Array]) -> None:
-        """Find the forces under nodal increments of all fields, (nodes, d) each."""
+    def touch(self, u: Sequence[Array], scale: float) -> None:
+        """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
         contact, facing = self.contact, self.facing
+        if self._means is not None and self._means.scale != scale:
+            u = [self._means.scale / scale * values for values in u]
         if not len(facing.rows):
             return
         one, other = facing.sides
@@ -268,16 +273,17 @@ class ActiveBetween:
             slip_stiffness = contact.slip_share * self._stiffness[sticks]
             self._slope[sticks] -= slip_stiffness[:, None, None] * along
 
-    def add_internal(self, out: Sequence[Array]) -> None:
-        """Add the nodal forces of all fields, as internal forces count, which resist (N)."""
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`: forces as they were last found, which resist (N)."""
         if self.states.any():
             one, other = self.facing.sides
             weight = 1.0 if self._means is None else self._means.weight
             one.add(-weight * self.forces, out)
             other.add(weight * self.forces, out)
+        return True
 
-    def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
-        """Add the derivative of `add_internal` by the increments to the matrix."""
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """See `ActiveTerm`."""
         active = np.flatnonzero(self.states != FREE)
         if not active.size:
             return
@@ -301,13 +307,9 @@ class ActiveBetween:
         self._multiplier = self.pressures.copy()
         return True
 
-    def missed(self, moved: Sequence[Array]) -> str | None:
-        """Why places may have met that were not looked at, or None. Collective.
-
-        Args:
-            moved: Displacements of the markers of all boundaries (m), shape (markers, d) each.
-        """
-        sides = [moved[k] for k in self.facing.numbers]
+    def fault(self, new: NewState) -> str | None:
+        """See `ActiveTerm`: places that may have met without being looked at. Collective."""
+        sides = [new.moved[boundary.markers.number] for boundary in self.contact.boundaries]
         comm, d = self.contact.points.comm, self.contact.points.gdim
         ends = [-part.min(axis=0, initial=np.inf) for part in sides]
         ends += [part.max(axis=0, initial=-np.inf) for part in sides]
@@ -321,11 +323,19 @@ class ActiveBetween:
             f"cell ({self.facing.reach:.3g} m)"
         )
 
+    def record(self) -> dict[str, dict[str, list[float]]]:
+        """See `ActiveTerm`. Collective."""
+        return {self.contact.name: {"force": [float(f) for f in self.total()]}}
+
     def total(self) -> Array:
         """Force on the first body (N), shape (d,), on all ranks. Collective."""
         return self.contact.points.comm.allreduce(self.forces.sum(axis=0), op=MPI.SUM)
 
-    def new_fields(self) -> dict[str, Array]:
+    def follow(self, new: NewState, step: int) -> None:
+        """Add what the markers of the first boundary keep of it at the end of the step."""
+        new.of(self.contact.boundaries[0].markers).update(self._kept())
+
+    def _kept(self) -> dict[str, Array]:
         """What the markers of the first boundary keep of it at the end of the step."""
         markers, rows = self.contact.boundaries[0].markers, self.facing.rows
         traction, pressure, work, steps, stored, spare = self.contact.names

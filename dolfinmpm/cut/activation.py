@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,36 +17,34 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.basis import LatticeBasis, Placement, Stencils
-from dolfinmpm.basis.space import Space, extraction
-from dolfinmpm.basis.stencils import joined, pushed_forward, selected, spread, together
-from dolfinmpm.body.axisymmetry import in_section
-from dolfinmpm.body.location import bounds
-from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS, MaterialPoints
-from dolfinmpm.cut.active import active_cells, active_nodes, ghost_facets
+from dolfinmpm.basis.space import extraction
+from dolfinmpm.basis.stencils import selected, spread, together
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.active import active_cells, active_nodes, entities
 from dolfinmpm.cut.aggregation import SEARCH_RADIUS, mesh_roots
-from dolfinmpm.cut.cellmeans import CellMeans, layers_needed, sharing
+from dolfinmpm.cut.cellmeans import layers_needed
 from dolfinmpm.cut.couplings import KeptCouplings, lists_of, pairs_of
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import (
     Activation,
+    ActiveBoundary,
     ActiveField,
-    ActiveRegion,
     Basis,
     BoundaryOf,
-    Entities,
     Field,
-    Inertia,
     Later,
     Participants,
-    RegionTerms,
     Terms,
 )
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.prolongation import Prolongation
+from dolfinmpm.cut.regions import region_on, regions_of
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["activate", "active_on_grid", "regions_of"]
+__all__ = ["activate", "active_on_grid"]
+
+Fixed = npt.NDArray[np.bool_]
 
 
 def activate(
@@ -71,67 +69,46 @@ def activate(
         kept: Couplings that the pattern is to have if the same nodes are active.
         blocks: Whether so many unknowns are to stand in blocks, see `Unknowns`; never without.
     """
-    configuration = fields[0].space.configuration
-    where = points.placement(configuration)
-    total = configuration == "total"
-    if total and old is not None and _unmoved(points, where, terms.boundaries, old):
+    total = fields[0].space.configuration == "total"
+    bodies = points.placement(fields[0].space.configuration)
+    if total and old is not None and _unmoved(points, bodies, terms.boundaries, old):
         return _renewed(points, held, terms, share, old)
-    averages = any(region.averages for region in terms.regions)
-    bodies, sets = where, [b.boundary.placement() for b in terms.boundaries]
-    # markers activate cells as points without volume do
-    where = together([bodies, *sets])
-    bases = _bases(fields, where, averages, points.partition, terms.beyond)
-    members: list[npt.NDArray[Any]] = [
-        np.asarray(np.flatnonzero(b.boundary.present()), np.int32) for b in terms.boundaries
-    ]
-    views = [_View(field.space, points["tag"], terms.boundaries) for field in fields]
-    if not all(b.boundary.activates for b in terms.boundaries):
-        members = _in_active_cells(terms.boundaries, bodies, sets, bases, views)
-        where = together([bodies, *(one.of(rows) for one, rows in zip(sets, members))])
-    keys = [(id(field.space.basis), view.key) for field, view in zip(fields, views)]
-    seen = _shared(keys, lambda k: views[k].stencils(bases[k], where, members))
-    nodes = _shared(keys, lambda k: active_nodes(seen[k], bases[k].nodes))
-    bases, nodes, roots = _with_roots(fields, keys, bases, where, seen, nodes)
-    fixed, prescribed = held.at(bases, share)
-    entities = _entities(points, keys, bases, seen, terms.moving)
-    active = []
-    for k, field in enumerate(fields):
-        found = _field(
-            field, k, bases[k], where, seen[k], nodes[k], fixed[k], roots[k], entities[k],
-            points.axisymmetric,
-        )  # fmt: skip
-        active.append(found)
-    active = _parted(active, len(bodies.x), members)
+    builder = _Builder(points, fields, terms, bodies)
+    active, fixed, prescribed = builder.fields(held, share)
     unknowns = None if old is None else old.unknowns
     remaining = [f.nodes for f in active]
     blocked = blocks is not None and _in_blocks(active, fixed, blocks)
     if unknowns is None or not unknowns.same(remaining, fixed, blocked):
-        unknowns = Unknowns([b.nodes for b in bases], remaining, fixed, blocked)
+        unknowns = Unknowns([f.basis.nodes for f in active], remaining, fixed, blocked)
         old = None
-    grid, soft, changes = terms.grid_blocks(active)
+    of_terms = {"penalty": builder.penalties, **terms.blocks(active)}
     here = Participants(bodies, total, tuple(active), unknowns)
     regions = [region_on(region, points, here) for region in terms.regions]
-    of_boundaries = regions_of(terms.boundaries, here, terms.boundaries)
-    mass = terms.mass_blocks(active)
-    penalties = (f.penalty for f in active if f.penalty)
-    pairs = pairs_of([*grid, *soft, *changes, *mass, *penalties], unknowns)
+    boundaries = _boundaries(terms.boundaries, builder.boundaries, here)
+    pairs = pairs_of([b for own in of_terms.values() for b in own], unknowns)
     pairs += [] if kept is None else kept.pairs(unknowns)
     former = None if old is None else old.later.known
-    every = [*regions, *(region for parts in of_boundaries for region in parts)]
-    facing = terms.facing(here)
-    couple = functools.partial(_pattern, every, active, unknowns, facing, pairs, former)
-    later = Later(couple)
-    driven = held.changing and held.driven
+    every = [*regions, *(region for one in boundaries.values() for region in one.regions)]
+    couplings = terms.couple(here)
+    couple = functools.partial(_pattern, every, active, unknowns, couplings, pairs, former)
     return Activation(
-        bodies, total, here.fields, unknowns, terms, prescribed, driven, regions, grid, soft,
-        Inertia(mass, changes), later, of_boundaries, facing, tuple(sets),
+        bodies, total, here.fields, unknowns, terms, prescribed, held.changing and held.driven,
+        regions, boundaries, of_terms, couplings, Later(couple),
     )  # fmt: skip
 
 
-def _pattern(every, active, unknowns: Unknowns, facing, pairs, former: Pattern | None) -> Pattern:
+def _pattern(every, active, unknowns: Unknowns, couplings, pairs, former: Pattern | None):
     """Where the matrix has entries."""
-    lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in facing]
+    lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in couplings]
     return Pattern.build(lists, unknowns, pairs, former)
+
+
+def _boundaries(
+    terms: Sequence[BoundaryOf], found: dict[int, ActiveBoundary], here: Participants
+) -> dict[int, ActiveBoundary]:
+    """Boundaries with their parts on what is active."""
+    number = {of.boundary.markers.number: of for of in terms}
+    return {n: replace(one, regions=regions_of(number[n], here)) for n, one in found.items()}
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
@@ -153,62 +130,14 @@ def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], boo
     return blocks(numbering.comm.allreduce(int(np.count_nonzero(~fixed[0][owned]))))
 
 
-def region_on(region: RegionTerms, points: MaterialPoints, here: Participants) -> ActiveRegion:
-    """Stencils and means of a part of the body. Collective if it takes means over cells.
-
-    Args:
-        region: The part.
-        points: Material points.
-        here: What is active.
-    """
-    fields, unknowns = here.fields, here.unknowns
-    F = in_section(points, points["F"]) if here.total else None
-    chosen = region.chosen(points["tag"])
-
-    def part(s: Stencils) -> Stencils:
-        return s if chosen is None else selected(s, chosen)
-
-    def made(stencils: list[Stencils]) -> list[Stencils]:
-        once = {id(s): part(s) for s in stencils}
-        return joined([once[id(s)] for s in stencils])
-
-    def pushed(stencils: list[Stencils]) -> list[Stencils]:
-        return stencils if F is None else _pushed(stencils, F)
-
-    own, means = [f.stencils for f in fields], None
-    if not region.averages:
-        stencils = pushed(made(own))
-    else:
-        first = fields[0]
-        for mover in (fields[k] for k in here.movers):
-            if mover.space.tags is not None and (region.tags or set()) <= set(mover.space.tags):
-                first = mover
-        *stencils, shared = made([*own, sharing(here.where, first.seen, first.basis)])
-        stencils = pushed(stencils)
-        where = here.where
-        if region.by_centres:
-            # a point on the grid's upper edge is in the last cell
-            inside = np.nextafter(bounds(points.grid)[1], -np.inf)
-            x = np.minimum(where.x, inside)
-            where = replace(where, x=x, half=np.zeros_like(where.half))
-        means = CellMeans(points["V"], where, shared, first.basis)
-    within = [(f.basis.nodes, u.nodes) for f, u in zip(fields, unknowns.fields)]
-    return ActiveRegion(stencils, means, within)
-
-
-def _pushed(stencils: Sequence[Stencils], F: npt.NDArray[np.float64]) -> list[Stencils]:
-    """Stencils with gradients by present positions; those that are one object stay one."""
-    now = {id(s): pushed_forward(s, F) for s in stencils}
-    return [now[id(s)] for s in stencils]
-
-
 def _unmoved(
     points: MaterialPoints, where: Placement, boundaries: Sequence[BoundaryOf], old: Activation
 ) -> bool:
     """Whether points and markers are those of an activation at first positions. Collective."""
     same = where.x is old.where.x and where.cell.size == old.where.cell.size
-    for of, former in zip(boundaries, old.sets):
+    for of in boundaries:
         # what a wall meets is found anew
+        former = old.boundaries[of.boundary.markers.number].seen
         same = same and of.boundary.follows and of.boundary.seen is former.x
     return points.comm.allreduce(same, op=MPI.LAND)
 
@@ -217,60 +146,216 @@ def _renewed(
     points: MaterialPoints, held: Held, terms: Terms, share: float, old: Activation
 ) -> Activation:
     """The same activation at first positions, with gradients by the present ones. Collective."""
-    bases = [f.basis for f in old.fields]
-    _, prescribed = held.at(bases, share)
+    _, prescribed = held.at([f.basis for f in old.fields], share)
     regions = [region_on(region, points, old) for region in terms.regions]
-    of_boundaries = regions_of(terms.boundaries, old, terms.boundaries)
-    grid, soft, changes = terms.grid_blocks(old.fields)
-    driven = held.changing and held.driven
+    boundaries = _boundaries(terms.boundaries, old.boundaries, old)
+    blocks = {**old.blocks, **terms.blocks(old.fields)}
     return replace(
-        old, prescribed=prescribed, driven=driven, regions=regions, grid=grid, soft=soft,
-        inertia=replace(old.inertia, changes=changes), of_boundaries=of_boundaries,
+        old, prescribed=prescribed, driven=held.changing and held.driven, regions=regions,
+        boundaries=boundaries, blocks=blocks,
     )  # fmt: skip
 
 
-class _View:
-    """Which points, and markers of which boundaries, a field sees.
-
-    Args:
-        space: The field's space.
-        tags: Tags of the points, shape (points,).
-        boundaries: Boundaries that do not fit the grid.
+@dataclass
+class _Draft:
+    """A field while it is built. Fields of one key see the same, and share what is found.
 
     Attributes:
-        key: What is the same for fields that see the same.
-        boundaries: Whether it sees each boundary's markers.
+        field: The field.
+        number: Its number.
+        chosen: Which points it sees, or None for all.
+        sees: Whether it sees the markers of each boundary, by their number.
+        basis: Its basis, with the overlap that the step needs.
+        seen: Stencils of points and markers on all active nodes.
+        nodes: Active nodes.
+        roots: Roots of ill-filled cells on meshes that are no lattices.
+        entities: Ghost facets and active cells.
     """
 
-    def __init__(self, space: Space, tags: npt.NDArray[np.int32], boundaries: Sequence[BoundaryOf]):
-        self._chosen = None if space.tags is None else np.isin(tags, space.tags)
-        self.boundaries = [space.tags is None or b.sees(space.increment) for b in boundaries]
-        self.key = space.tags, tuple(self.boundaries)
+    field: Field
+    number: int
+    chosen: Fixed | None
+    sees: dict[int, bool]
+    basis: Basis
+    seen: Any = None
+    nodes: Any = None
+    roots: Any = None
+    entities: Any = None
 
-    def stencils(
-        self, basis: Basis, where: Placement, members: Sequence[npt.NDArray[Any]]
-    ) -> Stencils:
-        """Stencils in a basis; what it does not see is there without nodes. Collective.
+    @property
+    def key(self) -> Hashable:
+        """What is the same for fields that see the same."""
+        return id(self.field.space.basis), self.field.space.tags, tuple(self.sees.values())
+
+    def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
+        """Stencils in the basis; what the field does not see is there without nodes. Collective.
 
         Args:
-            basis: The basis.
-            where: The points, behind them the markers of each boundary.
-            members: Which markers of each boundary take part.
+            where: The points, behind them the markers that take part of each boundary.
+            sets: The boundaries, by the number of their markers.
         """
-        if self._chosen is None:
-            return basis.stencils(where)
-        of_markers = [np.full(len(m), sees) for m, sees in zip(members, self.boundaries)]
-        rows = np.flatnonzero(np.concatenate([self._chosen, *of_markers]))
-        return spread(basis.stencils(where.of(rows)), rows, len(where.x))
+        if self.chosen is None:
+            return self.basis.stencils(where)
+        of_markers = [np.full(len(one.rows), self.sees[n]) for n, one in sets.items()]
+        rows = np.flatnonzero(np.concatenate([self.chosen, *of_markers]))
+        return spread(self.basis.stencils(where.of(rows)), rows, len(where.x))
 
 
-def _shared(keys: Sequence[Hashable], make: Callable[[int], Any]) -> list[Any]:
-    """What is made for a field, by its number, once for all fields of the same key."""
-    made: dict[Hashable, Any] = {}
-    for k, key in enumerate(keys):
-        if key not in made:
-            made[key] = make(k)
-    return [made[key] for key in keys]
+class _Builder:
+    """Builds the active fields of a step, one after the other. Collective.
+
+    Args:
+        points: Material points.
+        fields: Fields of the problem.
+        terms: The weak form.
+        bodies: The points as the stencils see them.
+
+    Attributes:
+        boundaries: Boundaries that do not fit the grid, by the number of their markers.
+        penalties: Penalties of weak aggregation.
+    """
+
+    def __init__(
+        self, points: MaterialPoints, fields: Sequence[Field], terms: Terms, bodies: Placement
+    ):
+        self._points, self._bodies, self._moving = points, bodies, terms.moving
+        self.penalties: list[Blocks] = []
+        self._terms, of_all = terms.boundaries, {}
+        for of in terms.boundaries:
+            rows = np.asarray(np.flatnonzero(of.boundary.present()), np.int32)
+            of_all[of.boundary.markers.number] = ActiveBoundary(of.boundary.placement(), rows)
+        # markers activate cells as points without volume do
+        where = together([bodies, *(one.seen for one in of_all.values())])
+        averages = any(region.averages for region in terms.regions)
+        bases = _bases(fields, where, averages, points.partition, terms.layers)
+        self._drafts = [self._draft(k, *both) for k, both in enumerate(zip(fields, bases))]
+        self.boundaries = of_all
+        if not all(of.boundary.activates for of in terms.boundaries):
+            self.boundaries = self._in_active_cells(of_all)
+            where = together([bodies, *(one.seen.of(one.rows) for one in self.boundaries.values())])
+        self._where = where
+
+    def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:
+        """A field, and which points and markers it sees."""
+        space = field.space
+        chosen = None if space.tags is None else np.isin(self._points["tag"], space.tags)
+        sees = {
+            of.boundary.markers.number: space.tags is None or of.sees(space.increment)
+            for of in self._terms
+        }
+        return _Draft(field, number, chosen, sees, basis)
+
+    def _in_active_cells(self, sets: dict[int, ActiveBoundary]) -> dict[int, ActiveBoundary]:
+        """Markers that take part: those of passive boundaries in cells that points see. Collective.
+
+        Args:
+            sets: The boundaries, with all markers that are present.
+        """
+        flags = {of.boundary.markers.number: of.boundary.present() for of in self._terms}
+        once = {(id(d.basis), tuple(d.sees.values()), d.field.space.tags): d for d in self._drafts}
+        for draft in once.values():
+            cells = active_cells(draft.stencils(self._bodies, {}), draft.basis.cells)
+            for of in self._terms:
+                n = of.boundary.markers.number
+                if of.boundary.activates or not draft.sees[n]:
+                    continue
+                s = draft.basis.stencils(sets[n].seen)
+                # a marker without a domain is in one cell
+                flags[n][s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
+        rows = {n: np.asarray(np.flatnonzero(chosen), np.int32) for n, chosen in flags.items()}
+        return {n: replace(one, rows=rows[n]) for n, one in sets.items()}
+
+    def fields(self, held: Held, share: float) -> tuple[list[ActiveField], Any, Any]:
+        """The active fields; what is held of each, and by which increments. Collective.
+
+        Args:
+            held: The essential conditions; nodes that they hold are not tied to others.
+            share: Share of the step's prescribed increments.
+        """
+        self._share("seen", lambda d: d.stencils(self._where, self.boundaries))
+        self._share("nodes", lambda d: active_nodes(d.seen, d.basis.nodes))
+        self._find_roots()
+        fixed, prescribed = held.at([d.basis for d in self._drafts], share)
+        grid, moving = self._points.grid, self._moving
+        self._share("entities", lambda d: entities(grid, moving, d.seen, d.basis))
+        active = [self._parted(self._active(d, own)) for d, own in zip(self._drafts, fixed)]
+        return active, fixed, prescribed
+
+    def _share(self, name: str, make: Callable[[_Draft], Any]) -> None:
+        """Find something for each field, once for all fields that see the same. Collective."""
+        made: dict[Hashable, Any] = {}
+        for draft in self._drafts:
+            if draft.key not in made:
+                made[draft.key] = make(draft)
+            setattr(draft, name, made[draft.key])
+
+    def _find_roots(self) -> None:
+        """Let bases know roots on other ranks, for grids that are not rectangular. Collective."""
+        for draft in self._drafts:
+            tying, basis = draft.field.tying, draft.basis
+            if tying is None or isinstance(basis, LatticeBasis):
+                continue
+            filled = tying.measure(self._where, draft.seen, basis)
+            draft.roots = mesh_roots(basis, draft.nodes, filled, tying.level(basis.degree))
+            wider = basis.knowing(*draft.roots.unknown)
+            for other in self._drafts:
+                # fields of one basis stay fields of one basis
+                other.basis = wider if other.basis is basis else other.basis
+        self._share("nodes", lambda d: active_nodes(d.seen, d.basis.nodes))
+
+    def _active(self, draft: _Draft, fixed: Fixed) -> ActiveField:
+        """One field on the active cells, with points and markers together. Collective."""
+        field, basis, seen, nodes = draft.field, draft.basis, draft.seen, draft.nodes
+        tying, active = field.tying, nodes
+        C = None
+        if tying is not None:
+            C = tying.ties(self._where, basis, seen, nodes, fixed, draft.roots)
+        if C is not None and field.stabilisation.kind == "weak-aggregation":
+            owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
+            radius = basis.node_coordinates()[:, 0] if self._points.axisymmetric else None
+            entries = field.stabilisation.penalty(field.space, C, owned, radius)
+            self.penalties.append(Blocks(draft.number, draft.number, *entries))
+            C = None
+        level = None if C is None or tying is None else tying.level(basis.degree)
+        if field.prolongate is not None:
+            from scipy import sparse
+
+            own = sparse.csr_matrix(field.prolongate(seen, nodes))
+            C = own if C is None else C @ own
+        to_grid, stencils = extraction(field.space, basis), seen
+        if C is not None:
+            prolongation = Prolongation(C)
+            C = prolongation.matrix
+            to_grid = C if to_grid is None else to_grid @ C
+            stencils = prolongation.stencils(seen)
+            nodes = nodes[~prolongation.tied[nodes]]
+        return ActiveField(
+            field.space, basis, seen, active, stencils, nodes, C, to_grid, draft.entities, seen,
+            level=level,
+        )  # fmt: skip
+
+    def _parted(self, field: ActiveField) -> ActiveField:
+        """A field with the stencils of the points, and those of each boundary's markers apart."""
+        if not self.boundaries:
+            return field
+        n = len(self._bodies.x)
+
+        def part(s: Stencils, first: int, rows: npt.NDArray[np.int32]) -> Stencils:
+            number = np.arange(len(self._where.x))
+            own = selected(s, (number >= first) & (number < first + len(rows)))
+            return replace(own, order=rows[own.order - first])
+
+        of_markers, first = {}, n
+        for number, one in self.boundaries.items():
+            of_markers[number] = part(field.stencils, first, one.rows)
+            first += len(one.rows)
+        own = np.arange(n, dtype=np.int32)
+        return replace(
+            field,
+            seen=part(field.seen, 0, own),
+            stencils=part(field.stencils, 0, own),
+            of_markers=of_markers,
+        )
 
 
 def _bases(
@@ -281,167 +366,17 @@ def _bases(
     least: int = 0,
 ) -> list[Basis]:
     """The bases with the overlap that domains, roots and cell means need. Collective."""
-    keys = [id(f.space.basis) for f in fields]
-    reach = _shared(keys, lambda k: fields[k].space.basis.reach(where))
+    reach = {id(f.space.basis): f.space.basis for f in fields}
+    reaches = {key: basis.reach(where) for key, basis in reach.items()}
     layers: dict[int, int] = {}
     # cell means are of all fields' nodes around the cells that the first one's domains overlap
-    span = max(count for _, count in reach)
-    for field, (beyond, _) in zip(fields, reach):
-        basis = field.space.basis
-        need = max(beyond, least)
+    span = max(count for _, count in reaches.values())
+    for one in fields:
+        basis = one.space.basis
+        need = max(reaches[id(basis)][0], least)
         if averages:
             need = max(need, layers_needed(span, basis))
-        if field.ties_nodes:
+        if one.ties_nodes:
             need += SEARCH_RADIUS + basis.degree + 1
         layers[id(basis)] = max(layers.get(id(basis), 0), need)
     return [f.space.basis.grown(layers[id(f.space.basis)], partition) for f in fields]
-
-
-def _with_roots(
-    fields: Sequence[Field], keys, bases: list[Basis], where: Placement, seen, nodes
-):  # fmt: skip
-    """The bases that know roots on other ranks, for grids that are not rectangular. Collective."""
-    roots: list[Any] = [None] * len(fields)
-    for k, field in enumerate(fields):
-        basis = bases[k]
-        tying = field.tying
-        if tying is None or isinstance(basis, LatticeBasis):
-            continue
-        filled = tying.measure(where, seen[k], basis)
-        roots[k] = mesh_roots(basis, nodes[k], filled, tying.level(basis.degree))
-        wider = basis.knowing(*roots[k].unknown)
-        # fields of one basis stay fields of one basis
-        bases = [wider if b is basis else b for b in bases]
-    nodes = _shared(keys, lambda k: active_nodes(seen[k], bases[k].nodes))
-    return bases, nodes, roots
-
-
-def _entities(points: MaterialPoints, keys, bases: Sequence[Basis], seen, moving: set[int]):
-    """What terms integrate over, for every field. Collective."""
-    tables = ghost_facets(points.grid) if GHOST_FACETS in moving else None
-
-    def find(k: int) -> Entities:
-        if not moving:
-            return {}
-        basis = bases[k]
-        cells = active_cells(seen[k], basis.cells)
-        entities: Entities = {}
-        if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
-            entities[GHOST_FACETS] = tables.select_coarse(cells, basis)
-        if basis.grid_cells is not None:
-            cells = cells[basis.grid_cells]
-        if tables is not None and GHOST_FACETS not in entities:
-            entities[GHOST_FACETS] = tables.select(cells)
-        if ACTIVE_CELLS in moving:
-            topology = points.grid.topology
-            owned = np.flatnonzero(cells[: topology.index_map(topology.dim).size_local])
-            entities[ACTIVE_CELLS] = owned.astype(np.int32)
-        return entities
-
-    return _shared(keys, find)
-
-
-def _field(
-    field: Field, number: int, basis: Basis, where: Placement, seen: Stencils, nodes, fixed, roots,
-    entities: Entities, axisymmetric: bool,
-) -> ActiveField:  # fmt: skip
-    """One field on the active cells. Collective."""
-    tying, penalty, active = field.tying, None, nodes
-    C = None if tying is None else tying.ties(where, basis, seen, nodes, fixed, roots)
-    if C is not None and field.stabilisation.kind == "weak-aggregation":
-        owned = nodes[: np.searchsorted(nodes, basis.nodes.owned)]
-        radius = basis.node_coordinates()[:, 0] if axisymmetric else None
-        rows, columns, values = field.stabilisation.penalty(field.space, C, owned, radius)
-        penalty, C = Blocks(number, number, rows, columns, values), None
-    level = None if C is None or tying is None else tying.level(basis.degree)
-    if field.prolongate is not None:
-        from scipy import sparse
-
-        own = sparse.csr_matrix(field.prolongate(seen, nodes))
-        C = own if C is None else C @ own
-    to_grid, stencils = extraction(field.space, basis), seen
-    if C is not None:
-        prolongation = Prolongation(C)
-        C = prolongation.matrix
-        to_grid = C if to_grid is None else to_grid @ C
-        stencils = prolongation.stencils(seen)
-        nodes = nodes[~prolongation.tied[nodes]]
-    return ActiveField(
-        field.space, basis, seen, active, stencils, nodes, C, to_grid, entities, penalty, seen,
-        level=level,
-    )  # fmt: skip
-
-
-def _in_active_cells(
-    boundaries: Sequence[BoundaryOf], bodies: Placement, sets: Sequence[Placement], bases, views
-) -> list[npt.NDArray[Any]]:
-    """Which markers take part: those of passive boundaries in cells that points see. Collective."""
-    members = [of.boundary.present() for of in boundaries]
-    for view, basis in {(id(b), v.key): (v, b) for b, v in zip(bases, views)}.values():
-        cells = active_cells(view.stencils(basis, bodies, ()), basis.cells)
-        for of, one, chosen, sees in zip(boundaries, sets, members, view.boundaries):
-            if of.boundary.activates or not sees:
-                continue
-            s = basis.stencils(one)
-            # a marker without a domain is in one cell
-            chosen[s.order] &= np.repeat(cells[s.cells], np.diff(s.groups))
-    return [np.asarray(np.flatnonzero(chosen), np.int32) for chosen in members]
-
-
-def _parted(
-    fields: list[ActiveField], points: int, members: Sequence[npt.NDArray[np.int32]]
-) -> list[ActiveField]:
-    """Fields with the stencils of the points, and those of each boundary's markers apart.
-
-    Args:
-        fields: Fields with stencils of all together.
-        points: How many points there are on this rank.
-        members: Which markers of each boundary take part.
-    """
-    if not members:
-        return fields
-    ends = np.cumsum([points, *(len(rows) for rows in members)])
-    number = np.arange(ends[-1])
-    rows_of = [np.arange(points, dtype=np.int32), *members]
-
-    def part(s: Stencils, k: int) -> Stencils:
-        first = ends[k] - len(rows_of[k])
-        own = selected(s, (number >= first) & (number < ends[k]))
-        return replace(own, order=rows_of[k][own.order - first])
-
-    return [
-        replace(
-            field,
-            seen=part(field.seen, 0),
-            stencils=part(field.stencils, 0),
-            of_markers=tuple(part(field.stencils, k) for k in range(1, len(rows_of))),
-        )
-        for field in fields
-    ]
-
-
-def regions_of(
-    boundaries: Sequence[BoundaryOf], here: Participants, of_main: Sequence[BoundaryOf]
-) -> list[list[ActiveRegion]]:
-    """The parts of boundaries that do not fit the grid, on what is active.
-
-    Args:
-        boundaries: Terms over them.
-        here: What is active.
-        of_main: Those of the form that the activation is made for, among which they are.
-    """
-    within = [(f.basis.nodes, u.nodes) for f, u in zip(here.fields, here.unknowns.fields)]
-    number = {id(of.boundary): k for k, of in enumerate(of_main)}
-    made = []
-    for of in boundaries:
-        parts, k = [], number[id(of.boundary)]
-        for region in of.regions:
-            chosen = region.chosen(of.boundary.markers["tag"])
-            whole = {id(f.of_markers[k]): f.of_markers[k] for f in here.fields}
-            if chosen is not None:
-                whole = {key: selected(s, chosen) for key, s in whole.items()}
-            once = joined([whole[id(f.of_markers[k])] for f in here.fields])
-            own = once if not here.total else _pushed(once, of.boundary.deformation())
-            parts.append(ActiveRegion(own, None, within))
-        made.append(parts)
-    return made

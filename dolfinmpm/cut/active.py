@@ -10,11 +10,12 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.compat import ghosted_partitioner
 from dolfinmpm._platform.errors import UnsupportedGridError
-from dolfinmpm.basis import LatticeBasis, Stencils
+from dolfinmpm.basis import LatticeBasis, LinearBasis, Stencils
+from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
 from dolfinmpm.grid.halo import Numbering
 from dolfinmpm.grid.lattice import once_per_grid
 
-__all__ = ["GhostFacets", "active_cells", "active_nodes"]
+__all__ = ["GhostFacets", "active_cells", "active_nodes", "entities"]
 
 GhostRows = npt.NDArray[np.int32]
 
@@ -161,3 +162,31 @@ def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.
 def ghost_facets(grid: Mesh) -> GhostFacets:
     """The facet tables of a grid, built once. Collective."""
     return GhostFacets(grid)
+
+
+def entities(
+    grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis
+) -> dict[int, npt.NDArray[np.int32]]:
+    """What terms integrate over in the active cells of a field, by subdomain id. Collective.
+
+    Args:
+        grid: The grid.
+        moving: Ids of the facets and cells that terms integrate over.
+        seen: Stencils of the points on all active nodes.
+        basis: The basis of the field.
+    """
+    found: dict[int, npt.NDArray[np.int32]] = {}
+    if not moving:
+        return found
+    cells = active_cells(seen, basis.cells)
+    tables = ghost_facets(grid) if GHOST_FACETS in moving else None
+    if tables is not None and isinstance(basis, LatticeBasis) and basis.coarsen > 1:
+        found[GHOST_FACETS] = tables.select_coarse(cells, basis)
+    if basis.grid_cells is not None:
+        cells = cells[basis.grid_cells]
+    if tables is not None and GHOST_FACETS not in found:
+        found[GHOST_FACETS] = tables.select(cells)
+    if ACTIVE_CELLS in moving:
+        owned = np.flatnonzero(cells[: grid.topology.index_map(grid.topology.dim).size_local])
+        found[ACTIVE_CELLS] = owned.astype(np.int32)
+    return found

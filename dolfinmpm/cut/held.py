@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from dolfinx.la import InsertMode
 from mpi4py import MPI
 
@@ -91,6 +92,19 @@ class Held:
             self.conditions[:] = now
             self._fixed.clear()
             self._still.clear()
+
+    def state(self) -> dict[str, Any]:
+        """Values of the constants that conditions prescribe."""
+        return {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned."""
+        for k, value in enumerate(self._constants):
+            value.value = values[f"{k}"]
+
+    @property
+    def _constants(self) -> list[fem.Constant]:
+        return [c.value for c in self.conditions if isinstance(c.value, fem.Constant)]
 
     @property
     def driven(self) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Activation",
+    "ActiveBoundary",
     "ActiveField",
     "ActiveRegion",
     "Basis",
     "BoundaryOf",
+    "Coupling",
     "Entities",
     "Field",
-    "Inertia",
     "Later",
     "Participants",
     "Prolongate",
@@ -83,6 +84,13 @@ class BoundaryOf(Protocol):
         """Whether its markers are of the field of an increment, of those that have tags."""
 
 
+class Coupling(Protocol):
+    """Nodes that a term couples beside those that the points couple."""
+
+    def lists(self, unknowns: Unknowns) -> tuple[npt.NDArray, npt.NDArray]:
+        """Lists of coupled nodes, numbered with the offsets of their fields."""
+
+
 class Terms(Protocol):
     """What an activation must know of a weak form."""
 
@@ -91,29 +99,22 @@ class Terms(Protocol):
         """Parts of the body with terms of their own."""
 
     @property
-    def moving(self) -> set[int]:
-        """Subdomain ids of the facets and cells that it integrates over as they are active."""
-
-    @property
     def boundaries(self) -> Sequence[BoundaryOf]:
         """Boundaries that do not fit the grid, with the parts that have terms of their own."""
 
-    def grid_blocks(
-        self, fields: Sequence[ActiveField]
-    ) -> tuple[list[Blocks], list[Blocks], list[Blocks]]:
-        """Tangent of its terms over the grid, of those of the tangent only, and of penalties on
-        changes of the velocity. Collective.
-        """
-
-    def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
-        """The mass, if there are inertial forces. Collective."""
+    @property
+    def moving(self) -> set[int]:
+        """Ids of the facets and cells that it integrates over as they are active."""
 
     @property
-    def beyond(self) -> int:
-        """Layers of cells around a rank's own that its terms look at at least."""
+    def layers(self) -> int:
+        """Layers of cells around the cells of a rank that its terms look at, at least."""
 
-    def facing(self, here: Participants) -> list[Any]:
-        """Places where bodies face each other, with `lists` of nodes to couple. Collective."""
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """Blocks that are the same for a whole step, by their kind. Collective."""
+
+    def couple(self, here: Participants) -> list[Coupling]:
+        """Which nodes its terms couple beside those that the points couple. Collective."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,9 @@ class ActiveField:
         C: Matrix from the nodes that remain to all nodes, or None.
         to_grid: Matrix from the nodes that remain to DOLFINx's Lagrange nodes, or None.
         entities: Ghost facets and active cells, by subdomain id, as far as terms need them.
-        penalty: Penalty of weak aggregation, or None.
         whole: Stencils of points and markers on all active nodes.
-        of_markers: Stencils of each boundary's markers on the nodes that remain behind C.
+        of_markers: Stencils of the markers of boundaries on the nodes that remain behind C, by
+            the number of the markers.
         level: Share to which a cell must be filled to have no nodes tied to others, or None if
             no stabilisation ties any.
     """
@@ -180,9 +181,8 @@ class ActiveField:
     C: sparse.csr_matrix | None
     to_grid: sparse.csr_matrix | None
     entities: Entities
-    penalty: Blocks | None
     whole: Stencils
-    of_markers: tuple[Stencils, ...] = ()
+    of_markers: Mapping[int, Stencils] = field(default_factory=dict)
     level: float | None = None
 
     @functools.cached_property
@@ -259,19 +259,6 @@ def movers(spaces: Sequence[Space]) -> tuple[int, ...]:
     return tuple(own)
 
 
-@dataclass(frozen=True)
-class Inertia:
-    """What acts with velocities that change.
-
-    Attributes:
-        mass: The mass (kg).
-        changes: Penalties on what steps in time change of the velocity, as terms of the increments.
-    """
-
-    mass: list[Blocks]
-    changes: list[Blocks]
-
-
 class Later:
     """The pattern of a matrix, made when it is first asked for.
 
@@ -294,6 +281,21 @@ class Later:
 
 
 @dataclass(frozen=True)
+class ActiveBoundary:
+    """A boundary that does not fit the grid, in a step.
+
+    Attributes:
+        seen: Its markers as the stencils see them.
+        rows: Which markers take part, increasing.
+        regions: Its parts that have terms of their own.
+    """
+
+    seen: Placement
+    rows: npt.NDArray[np.int32]
+    regions: list[ActiveRegion] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class Activation(Participants):
     """What takes part in a step.
 
@@ -302,37 +304,28 @@ class Activation(Participants):
         prescribed: Values of prescribed components, (nodes, components) for each field.
         driven: Whether any of them is not zero.
         regions: The parts of the body.
-        grid: Tangent of terms over the grid at the start of the step, between the nodes
-            that remain behind C.
-        soft: The same of terms of the tangent only.
-        inertia: What acts with velocities that change, between these nodes.
+        boundaries: Boundaries that do not fit the grid, by the number of their markers.
+        blocks: What is the same for the whole step between the nodes that remain behind C, by
+            kind: "stiffness" of terms over the grid, "penalty" of weak aggregation, "soft" terms
+            of the tangent only, "mass" (kg), and "changes", penalties on what a step changes of
+            the velocity, as terms of the increments.
+        couplings: What terms couple beside the points.
         later: What is made when it is first asked for.
-        of_boundaries: The parts of each boundary that does not fit the grid.
-        facing: Where bodies with fields of their own face each other.
-        sets: The markers of each boundary as the stencils see them.
     """
 
     terms: Terms
     prescribed: list[npt.NDArray[np.float64]]
     driven: bool
     regions: list[ActiveRegion]
-    grid: list[Blocks]
-    soft: list[Blocks]
-    inertia: Inertia
+    boundaries: dict[int, ActiveBoundary]
+    blocks: Mapping[str, list[Blocks]]
+    couplings: list[Any]
     later: Later
-    of_boundaries: list[list[ActiveRegion]]
-    facing: list[Any]
-    sets: tuple[Placement, ...] = ()
 
-    @property
-    def mass(self) -> list[Blocks]:
-        """The mass between the nodes that remain behind C (kg), if there are inertial forces."""
-        return self.inertia.mass
-
-    @property
-    def changes(self) -> list[Blocks]:
-        """Penalties on what steps in time change of the velocity, likewise."""
-        return self.inertia.changes
+    def blocks_of(self, kind: str, field: int | None = None) -> list[Blocks]:
+        """Blocks of a kind, of all fields or between the nodes of one."""
+        found = self.blocks.get(kind, [])
+        return [b for b in found if field is None or b.row_field == b.column_field == field]
 
     @property
     def pattern(self) -> Pattern:

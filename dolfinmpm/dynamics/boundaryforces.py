@@ -96,10 +96,12 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
     """
     field, points = here.fields[0], form.points
     m = _node_masses(field, points)
-    made, rate, share = [], 0.0, 0.0
+    made, share = {}, 0.0
     sums = Nodal([field.basis.nodes], [1])
-    for k, of in enumerate(form.boundaries):
-        markers, parts = of.boundary.markers, here.of_boundaries[k]
+    for of in form.boundaries:
+        markers = of.boundary.markers
+        active = here.boundaries[markers.number]
+        parts = active.regions
         exact = any(condition.exact for condition in of.conditions)
         if field.C is None and not exact:
             kept = np.ones(len(markers))
@@ -110,7 +112,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
             ]
             for condition in of.conditions:
                 markers[condition.stiffness] *= kept
-        made.append(parts)
+        made[markers.number] = replace(active, regions=parts)
         for condition in of.conditions:
             stiff = condition.stiffest() * markers["V"] * (2.0 if condition.exact else 1.0)
             share = max(share, _NITSCHE * condition.exact)
@@ -123,7 +125,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
     moves = (m > 0) & ~fixed & (np.arange(m.size) < owned)
     rate = float(np.max(rows[moves] / m[moves], initial=0.0))
     rate = points.comm.allreduce(rate, op=MPI.MAX)
-    return replace(here, of_boundaries=made), Stiffness(rate, share)
+    return replace(here, boundaries=made), Stiffness(rate, share)
 
 
 def _node_masses(field: ActiveField, points: MaterialPoints) -> Array:

@@ -56,7 +56,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
             'Collision goes with scheme="musl" or "usl", without bulk viscosity, filters of light '
             "nodes, or stabilisations that tie nodes"
         )
-    if parts.contacts or any(d.fbar for d in parts.declarations):
+    if problem.bodies.contacts or any(d.fbar for d in parts.declarations):
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
     if problem.form.boundaries:
         return FormError(

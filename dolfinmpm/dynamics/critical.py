@@ -109,8 +109,7 @@ def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: floa
         scaling: Factor of the mass.
     """
     # explicit steps take no tangent, and so no penalties on the increment
-    fields = tuple(replace(field, penalty=None) for field in here.fields)
-    operator = Operator(form, replace(here, grid=[], soft=[], fields=fields))
+    operator = Operator(form, replace(here, blocks={"mass": here.blocks_of("mass")}))
     operator.rest()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
     operator.tangent(K)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time as clock
+from collections.abc import Mapping as StateOf
 from collections.abc import Sequence, Set
 from dataclasses import replace
 from typing import Any
@@ -53,6 +54,7 @@ from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.step import Step
 
 __all__ = ["Explicit"]
@@ -121,8 +123,7 @@ class Explicit(Problem):
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
-    _of_step = MotionRecord
-    _in_time = True
+    scheme: Marching
 
     # `time` is that of the state
     _live = frozenset({"courant", "time"})
@@ -165,7 +166,7 @@ class Explicit(Problem):
         check_clock(time, points.grid)
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
-        super().__init__(form, increment, points, conditions, **options)
+        super().__init__(form, increment, points, conditions, scheme=Marching(self), **options)
         refuse_bodies(self.fields, "Explicit", "bodies collide with contact=mpm.Collision(tags)")
         check_boundaries(self.form, mass)
         if points.dt in extract_constants(form):
@@ -174,9 +175,11 @@ class Explicit(Problem):
                 "their forces; take Newmark or Transient, or bulk_viscosity and damping"
             )
         check_masses(self.bodies)
-        self.form.inertia = mass_terms(self.form, self.fields, mass, ghost_mass)
-        self.settings, self.time = settings, 0.0
-        ledger = Ledger(points, self.form, settings.scaling, by_points=True)
+        terms = mass_terms(self.form, self.fields, mass, ghost_mass)
+        self.form.add(terms)
+        self.form.start_in_time(None)
+        self.scheme.settings, self.scheme.terms, self.time = settings, terms, 0.0
+        ledger = Ledger(points, self.form, self.bodies, settings.scaling, by_points=True)
         self.balance = EnergyBalance(ledger)
         markers = [of.boundary.markers for of in self.form.boundaries]
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
@@ -185,11 +188,11 @@ class Explicit(Problem):
         if contact is not None:
             check_kind("contact", contact, Collision, "give mpm.Collision(tags=(1, 2))")
             raise_together(points.comm, why_it_does_not_collide(self, mass, settings))
-            self._loop = Colliding(self, self._held, self._updates, settings, sides, contact)
+            self._loop = Colliding(self, self.held, self.form.updates, settings, sides, contact)
             return
         found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
         if isinstance(found, str):
-            self._loop = General(self, self._held, self._updates, settings, sides, found)
+            self._loop = General(self, self.held, self.form.updates, settings, sides, found)
         else:
             self._loop = found
 
@@ -211,23 +214,19 @@ class Explicit(Problem):
         return self.balance.ledger
 
     @property
+    def settings(self) -> Settings:
+        """How steps are taken."""
+        return self.scheme.settings
+
+    @property
     def terms(self) -> MassTerms:
         """What the mass is made of."""
-        assert isinstance(self.form.inertia, MassTerms)
-        return self.form.inertia
+        return self.scheme.terms
 
     @property
     def mapping(self) -> Mapping:
         """How velocities go to the grid and come back."""
         return self.settings.mapping
-
-    def _scheme(self) -> list[str]:
-        own = self.settings
-        loops = "general loops" if self.unfused else "fused loops"
-        return [
-            f'scheme: explicit, order "{own.scheme}", {self.terms.kind} mass, velocity mapping: '
-            f"{own.mapping.kind}; {loops}"
-        ]
 
     def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
         """The fused loops, or why there are none."""
@@ -240,7 +239,7 @@ class Explicit(Problem):
         if not settings.plain:
             return "bulk viscosity or filters of light nodes act"
         domains = self.fields[0].space.domains
-        if self._held.follows:
+        if self.held.follows:
             return "conditions whose place follows something"
         if stabilisation.ties_nodes or options.get("prolongation") or options.get("updates"):
             return "nodes are tied, or fields updated"
@@ -253,10 +252,10 @@ class Explicit(Problem):
         if not loads.known or loads.varies:
             return "loads that depend on functions of the grid or on what moves"
         laws = Laws(self.points, self.form.parts.declarations)
-        contacts, rigid = self.form.parts.contacts, None
+        contacts, rigid = self.bodies.contacts, None
         if contacts:
             rigid = RigidContacts(contacts, self.bodies, self.points)
-        return Fused(self.points, basis, self._held, laws, loads, settings, sides, domains, rigid)
+        return Fused(self.points, basis, self.held, laws, loads, settings, sides, domains, rigid)
 
     @together
     def energies(self) -> Energies:
@@ -302,14 +301,13 @@ class Explicit(Problem):
         )
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
         # a corner in contact is a spring on a light node
-        springs = sum(contact.rate() for contact in self.form.parts.contacts)
+        springs = sum(term.rate() for term in self.form.terms)
         held = self._loop.held() if isinstance(self._loop, General) else Stiffness()
         rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
         return math.sqrt(scaling / rate)
 
     def _set_penalties(self, here: Activation) -> None:
-        fields = tuple(replace(field, penalty=None) for field in here.fields)
-        self.form.set_penalties(replace(here, grid=[], soft=[], fields=fields), ghost=False)
+        self.form.set_penalties(replace(here, blocks={}), ghost=False)
 
     @together(given=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
@@ -335,7 +333,7 @@ class Explicit(Problem):
                 f"t = {target:g} s must be later than the time of the state, {self.time:g} s"
             )
         record, between = MotionRecord(), self._between
-        check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
+        check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
         self._begin()
         whole = target - self.time
         touched = self._touched()
@@ -375,7 +373,7 @@ class Explicit(Problem):
                 self.time = target
             if record.parts >= most:
                 break
-        self._loads.release()
+        self.loads.release()
         self._check_energy(record.dt)
         record.time = self.time
         record.unknowns = self.here.unknowns.total if self.here is not None else 0
@@ -484,19 +482,50 @@ class Explicit(Problem):
         self._loop.renew()
         self._between.moment = None
 
-    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        state, local, cells = super()._memory()
-        return {**state, "time": self.time, **self.ledger.memory()}, local, cells
 
-    def _remember(self, state, local, cells) -> None:
-        super()._remember(state, local, cells)
-        self.time = state["time"]
-        self.ledger.remember(state)
+class Marching(Scheme):
+    """What explicit steps keep, and say of themselves.
 
-    def _description(self) -> dict[str, str]:
-        own = self.settings
-        steps = f"scheme = {own.scheme}, {self.terms.kind} mass, damping = {own.damping:g}"
-        return {**super()._description(), "steps": f"{steps}, mass_scaling = {own.scaling:g}"}
+    Args:
+        problem: The problem.
 
-    def _problem(self) -> dict[str, Any]:
-        return {**super()._problem(), "mapping": repr(self.mapping)}
+    Attributes:
+        settings: How steps are taken.
+        terms: What the mass is made of.
+    """
+
+    record = MotionRecord
+    in_time = True
+    settings: Settings
+    terms: MassTerms
+
+    def __init__(self, problem: Explicit):
+        self._problem = problem
+
+    def summary(self) -> list[str]:
+        """See `Scheme`."""
+        own, problem = self._problem.settings, self._problem
+        loops = "general loops" if problem.unfused else "fused loops"
+        return [
+            f'scheme: explicit, order "{own.scheme}", {problem.terms.kind} mass, velocity mapping: '
+            f"{own.mapping.kind}; {loops}"
+        ]
+
+    def description(self) -> dict[str, str]:
+        """See `Scheme`."""
+        own, kind = self._problem.settings, self._problem.terms.kind
+        steps = f"scheme = {own.scheme}, {kind} mass, damping = {own.damping:g}"
+        return {"steps": f"{steps}, mass_scaling = {own.scaling:g}"}
+
+    def identity(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        return {"mapping": repr(self._problem.mapping)}
+
+    def state(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        return {"time": self._problem.time, **self._problem.ledger.state()}
+
+    def set_state(self, values: StateOf[str, Any]) -> None:
+        """See `Scheme`."""
+        self._problem.time = values["time"]
+        self._problem.ledger.set_state(values)

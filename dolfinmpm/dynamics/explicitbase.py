@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence, Set
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import NewState, advance
+from dolfinmpm.solve.advance import advance
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
 
 __all__ = ["ExplicitBase"]
@@ -45,7 +46,7 @@ class ExplicitBase(ABC):
 
     def __init__(
         self,
-        problem: Problem,
+        problem: Any,
         held: Held,
         updates: Sequence,
         settings: Settings,

@@ -17,7 +17,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
 from dolfinmpm.forms.declarations import Declaration
-from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
+from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
@@ -61,7 +61,7 @@ def why_not(form: WeakForm) -> str | None:
         return "terms over boundaries that do not fit the grid"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
-        if contact_of(integral) or any(integral.integrand() is term for term in own):
+        if term_of(integral) or any(integral.integrand() is term for term in own):
             continue
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):

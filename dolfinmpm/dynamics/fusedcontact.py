@@ -171,7 +171,8 @@ class RigidContacts:
         """
         # one place more: whether points and bodies have passed each other
         look = np.zeros(len(self._near) + 1, np.uint8)
-        passed = self._bodies.passed(self._active)
+        faults = (active.passed() for active in self._active)
+        passed = next((fault for fault in faults if fault is not None), None)
         look[-1] = passed is not None
         for k, near in enumerate(self._near):
             gone = way * near.cell + near.way()

@@ -19,6 +19,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import raise_together
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
@@ -31,10 +32,10 @@ from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.halfstep import late_by_contact, lateness, taken
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
+from dolfinmpm.dynamics.mass import Mass, point_masses
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
-from dolfinmpm.solve.advance import NewState, commit
+from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
@@ -81,9 +82,7 @@ class General(ExplicitBase):
             here, self._stiffness = weighed(problem.form, here)
         field = here.fields[0]
         s, x_node = field.stencils, field.basis.node_coordinates()
-        terms = problem.form.inertia
-        assert isinstance(terms, MassTerms)
-        mass = Mass(terms, here, settings.scaling)
+        mass = Mass(problem.terms, here, settings.scaling)
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         momenta = self._momenta(mass, s, x_node)
         before = self._before(step, held, field.basis)
@@ -98,7 +97,7 @@ class General(ExplicitBase):
             return forces
         if held_by is not None:
             forces.arrays[0][:] -= held_by
-        problem.bodies.push(operator.contacts, kick)
+        problem.bodies.push(problem.bodies.acting(operator), kick)
         self._resist(forces, mass, s, V)
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
@@ -136,7 +135,7 @@ class General(ExplicitBase):
             new["velocity_gradient"] = turned
         state.fields.update(new)
         self._find_lateness(operator, net, grid)
-        self._work.external += problem.bodies.commit(operator.contacts)
+        self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
 
     def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
@@ -149,9 +148,9 @@ class General(ExplicitBase):
         work, bodies = self._work, self._problem.bodies
         late = self._settings.scheme == "usf"
         work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
-        if operator.contacts:
-            comm = self._problem.comm
-            more, work.late_bodies = late_by_contact(bodies, operator.contacts, comm)
+        if bodies.contacts:
+            acting, comm = bodies.acting(operator), self._problem.comm
+            more, work.late_bodies = late_by_contact(bodies, acting, comm)
             work.late += more
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
@@ -208,7 +207,7 @@ class General(ExplicitBase):
         if not self._by_stress:
             if state is None:
                 operator.rest()
-            forces.arrays[0][:] = -operator.forces(boundaries=False, penalties=False)[0]
+            forces.arrays[0][:] = -operator.forces(without=("boundary", "penalty"))[0]
             return forces
         weight = points["V"]
         if state is not None:
@@ -220,20 +219,18 @@ class General(ExplicitBase):
         forces.arrays[0][:] *= -1.0
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
-        if operator.contacts:
-            touching = mass.nodal()
+        if operator.has("contact"):
             operator.touch()
-            operator.contact_forces(touching.arrays)
-            forces.arrays[0][:] -= touching.arrays[0]
+            forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
     def _held_by(self, operator: Operator, u: Array | None) -> Array | None:
         """Internal forces of boundaries, after an increment or before any. Collective."""
-        if not operator.markers:
+        if not operator.has("boundary"):
             return None
         if u is not None:
-            operator.place_markers([u])
-        return operator.boundary_forces()[0]
+            operator.place_in("boundary", [u])
+        return operator.forces_of("boundary")[0]
 
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:

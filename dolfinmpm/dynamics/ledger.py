@@ -25,6 +25,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import UnknownNameError
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.dynamics.energies import kinetic_energy, stress_volumes
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
@@ -179,6 +180,7 @@ class Ledger:
     Args:
         points: Material points.
         form: The weak form.
+        bodies: Its rigid bodies.
         scaling: Factor of the points' mass in the inertia.
         by_points: Whether steps sum up what the mapping takes, see `Work`.
 
@@ -190,11 +192,12 @@ class Ledger:
         self,
         points: MaterialPoints,
         form: WeakForm,
+        bodies: Bodies,
         scaling: float = 1.0,
         by_points: bool = False,
     ):
         self.work = Work()
-        self._points, self._form, self._bodies = points, form, form.bodies
+        self._points, self._form, self._bodies = points, form, bodies
         self.scaling, self._by_points = scaling, by_points
         self._first = dict.fromkeys(_FIRST, 0.0)
         self._last = 0.0
@@ -250,9 +253,9 @@ class Ledger:
 
     def _touching(self) -> tuple[float, float]:
         """What bodies that face each other store, and all work of friction (J). Collective."""
-        between = self._form.parts.between
-        rubbed = self._bodies.rubbed + sum(one.dissipated for one in between)
-        return sum(one.stored for one in between), rubbed
+        energies = [term.energy() for term in self._form.terms]
+        rubbed = self._bodies.rubbed + sum(rubbed for _, rubbed in energies)
+        return sum(stored for stored, _ in energies), rubbed
 
     def _strain(self) -> float:
         """What the laws store (J). Collective."""
@@ -293,13 +296,13 @@ class Ledger:
         losses["integrator"] = self.whole - known
         return Energies(kinetic, strain, work.external, bodies, contact, initial, losses)
 
-    def memory(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+    def state(self) -> dict[str, Any]:
+        """What it keeps from step to step."""
         first = np.array([*self._first.values(), self._last])
         return {"work": self.work.values(), "first energies": first}
 
-    def remember(self, state: Mapping[str, Any]) -> None:
-        """Take what `memory` returned."""
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Take what `state` returned."""
         self.work.take(state["work"])
         *first, self._last = (float(v) for v in state["first energies"])
         self._first = dict(zip(_FIRST, first))

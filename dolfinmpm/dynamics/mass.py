@@ -22,8 +22,8 @@ from dolfinmpm._platform.errors import (
     warn,
 )
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
+from dolfinmpm.assembly.term import Term
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
@@ -52,7 +52,7 @@ def point_masses(points: MaterialPoints) -> Array:
     return points["density"] * points["V0"]
 
 
-class MassTerms:
+class MassTerms(Term):
     """What the mass of the fields that move points is made of, on any activation.
 
     Args:
@@ -71,24 +71,27 @@ class MassTerms:
     ):
         self.points, self.kind, self.ghost, self.factorised = points, kind, ghost, factorised
         self._matrix: Matrix | None = None
-        #: How contacts act in the mean over a step, or None where they act at its start.
-        self.means: Means | None = None
         #: Whether it has been told that the mass is next to singular.
         self.warned = False
 
     @property
     def moving(self) -> set[int]:
-        """Subdomain ids of the facets that it integrates over."""
+        """See `Term`."""
         return set() if self.ghost is None else self.ghost.moving
 
-    def blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
-        """The mass between the nodes that remain behind C, this rank's share. Collective."""
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """See `Term`: the mass between the nodes that remain behind C. Collective."""
         own = movers([field.space for field in fields])
         found = [self._of(k, fields[k]) for k in own]
         if self.ghost is not None:
-            grid, _, _ = self.ghost.grid_blocks(fields)
+            grid = self.ghost.blocks(fields).get("stiffness", [])
             found += [b for b in grid if b.row_field == b.column_field and b.row_field in own]
-        return found
+        return {"mass": found}
+
+    def regrid(self) -> None:
+        """See `Term`."""
+        if self.ghost is not None:
+            self.ghost.regrid()
 
     def _of(self, k: int, field: ActiveField) -> Blocks:
         """The mass of the k-th field, without a penalty."""
@@ -182,7 +185,7 @@ class Mass:
     def __init__(self, terms: MassTerms, here: Activation, scaling: float = 1.0, k: int = 0):
         self._terms, self._here, self._k = terms, here, k
         self._field = here.fields[k]
-        self.blocks = [b for b in here.mass if b.row_field == k]
+        self.blocks = here.blocks_of("mass", k)
         if scaling != 1.0:
             self.blocks = [replace(b, values=scaling * b.values) for b in self.blocks]
         self.iterations = 0

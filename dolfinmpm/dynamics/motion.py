@@ -11,12 +11,14 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.gains import Gains
+from dolfinmpm.dynamics.inertiaterm import Dashpots
 from dolfinmpm.dynamics.ledger import Ledger, Work
 from dolfinmpm.dynamics.mappings import Mapping, NodalMotion
 from dolfinmpm.dynamics.mass import Mass, MassTerms, point_masses
@@ -31,7 +33,6 @@ from dolfinmpm.dynamics.stepwork import (
 )
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.solve.advance import NewState
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
@@ -101,8 +102,6 @@ class Motion:
 
     def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrid`."""
-        if self.terms.ghost is not None:
-            self.terms.ghost.regrid()
         self._sides.regrid()
 
     def set_time(self, t: float) -> None:
@@ -124,12 +123,12 @@ class Motion:
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
             plain.start()
-            start = plain.forces(contacts=False)
+            start = plain.forces(without=("contact",))
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])
             for k in here.movers
         ]
-        if here.changes:
+        if here.blocks_of("changes"):
             moving = [(one.k, one.mass, one.V) for one in self.nodes]
             self.reserve.begin(here, moving, dt, self._ghost_share * (1 - self.rule.alpha_f))
 
@@ -164,13 +163,8 @@ class Motion:
         A = mass.solve(forces, np.zeros_like(V)).arrays[0]
         return MovingNodes(k, field.space.tags, mass, given, V, A)
 
-    def dashpots(self, here: Activation, dt: float) -> tuple[Blocks, Array] | None:
-        """Dashpots of absorbing faces at the level where forces balance. Collective.
-
-        Returns:
-            Their derivative by the increments, this rank's nodes, and the forces of velocities
-            without increments (N), shape (nodes, d), at the nodes' owners; or None.
-        """
+    def dashpots(self, here: Activation, dt: float) -> Dashpots | None:
+        """Dashpots of absorbing faces at the level where forces balance, or None. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return None
@@ -181,7 +175,7 @@ class Motion:
         owned = here.unknowns.fields[0].owned_nodes
         nodes = owned[c[owned].any(axis=1)]
         values = rule.gamma / (rule.beta * dt) * c[nodes][:, :, None] * np.eye(d)
-        return Blocks(0, 0, nodes, nodes, values), c * start
+        return Dashpots(Blocks(0, 0, nodes, nodes, values), c * start, owned)
 
     @stages.commit
     def to_points(
@@ -209,7 +203,7 @@ class Motion:
             A_end = rule.acceleration(u, one.V, one.A, dt)
             V_end = rule.velocity(one.V, one.A, A_end, dt)
             push = None
-            if operator.touches:
+            if operator.has("contact"):
                 push = self._push(one, operator)
                 V_end, A_end = rule.pushed(V_end, A_end, push, dt)
             motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
@@ -226,7 +220,7 @@ class Motion:
             faces = self._sides.on(operator.here.fields[one.k].basis)
             stored[one.k] = count(work, one, motion, operator, share, expected, faces)
         # with a lumped mass the mapping makes and takes more than the rule of the steps
-        if operator.touches and self.terms.kind == "consistent":
+        if operator.has("contact") and self.terms.kind == "consistent":
             reason = self._gains.judge(
                 work, work_of_contact(operator, self.nodes), self.ledger.whole, parts
             )
@@ -294,8 +288,8 @@ class Motion:
         self._largest = max(self._largest, both[1])
         return None
 
-    def memory(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+    def state(self) -> dict[str, Any]:
+        """What it keeps from step to step."""
         return {
             "time": self.time,
             "last part": self.last,
@@ -306,8 +300,8 @@ class Motion:
             "gained": self._gains.made,
         }
 
-    def remember(self, state: dict[str, Any]) -> None:
-        """Take what `memory` returned."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take what `state` returned."""
         self.time, self.last = state["time"], state["last part"]
         self.wanted, self._largest = state["wanted part"], state["largest"]
         self._starting = bool(state["starting"])

@@ -64,4 +64,4 @@ class Reserve:
 
 def changes_of(here: Activation, k: int) -> list[Blocks]:
     """Penalties on changes of velocity that act on a field."""
-    return [b for b in here.changes if b.row_field == k]
+    return here.blocks_of("changes", k)

@@ -34,7 +34,7 @@ class Snapshot:
         self, points: MaterialPoints, bodies: Bodies, markers: Sequence[MaterialPoints] = ()
     ):
         self.time = math.nan
-        self._bodies, self._of_bodies = bodies, bodies.memory()
+        self._bodies, self._of_bodies = bodies, bodies.state()
         self._sets, self._work = [points, *markers], Work().values()
         self._revision = -1
         self._fields: list[dict[str, npt.NDArray]] = [{} for _ in self._sets]
@@ -48,7 +48,7 @@ class Snapshot:
         revision = self._sets[0].revision
         still = _FIXED - touched if revision == self._revision else frozenset()
         self._revision = revision
-        self.time, self._of_bodies = time, self._bodies.memory()
+        self.time, self._of_bodies = time, self._bodies.state()
         self._work = work.values()
         for k, (points, kept) in enumerate(zip(self._sets, self._fields)):
             self._fields[k] = {}
@@ -64,7 +64,7 @@ class Snapshot:
 
     def put(self, work: Work) -> None:
         """Give all back what it had, points on the ranks that had them. Collective."""
-        self._bodies.remember(self._of_bodies)
+        self._bodies.set_state(self._of_bodies)
         work.take(self._work)
         for points, fields in zip(self._sets, self._fields):
             for name, values in fields.items():

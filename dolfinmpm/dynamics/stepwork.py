@@ -46,9 +46,7 @@ def pressed(operator: Operator) -> list[Array]:
     """Mean forces of contact on the nodes of each field (N). Collective."""
     means = operator.form.means
     assert means is not None
-    out = [np.zeros_like(u) for u in operator.increments]
-    operator.contact_forces(out)
-    return [np.asarray(-force / means.weight) for force in out]
+    return [np.asarray(-force / means.weight) for force in operator.forces_of("contact")]
 
 
 def work_of_contact(operator: Operator, nodes: Sequence[MovingNodes]) -> float:
@@ -89,9 +87,9 @@ def work_of_loads(
         plain.move(x, scale)
         return plain.load_work()
     plain.start()
-    start = plain.forces(contacts=False)
+    start = plain.forces(without=("contact",))
     plain.move(x, scale)
-    both = zip(start, plain.forces(contacts=False), pressed(operator))
+    both = zip(start, plain.forces(without=("contact",)), pressed(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
     for one, motion in moved:
         forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
@@ -129,7 +127,7 @@ def count(
     losses["ghost mass"] += found[1][1] - found[0][1]
     u = motion.u
     assert u is not None
-    plain = [b for b in operator.penalties if b.row_field == b.column_field == one.k]
+    plain = [*here.blocks_of("stiffness", one.k), *here.blocks_of("penalty", one.k)]
     stored = share * mass.inner(u, changes_of(here, one.k), u - expected)
     losses["ghost stiffness"] += share * mass.inner(u, plain, u) + stored
     if faces is not None and faces.dashpots is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import (
@@ -27,12 +28,12 @@ from dolfinmpm.dynamics.clock import (
     mean_increment,
 )
 from dolfinmpm.dynamics.faces import divided, set_velocities
-from dolfinmpm.solve.advance import NewState
-from dolfinmpm.solve.agreement import of_step
+from dolfinmpm.solve.arguments import check_points
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.step import Step
+from dolfinmpm.solve.scheme import Static, ended
+from dolfinmpm.solve.step import Step, StepRecord
 
 __all__ = ["Transient"]
 
@@ -63,6 +64,106 @@ class _TransientClock:
     rates: bool = False
 
 
+class Rates(Static):
+    """Quasi-static steps in time; rates are over the length of the step.
+
+    Args:
+        points: Material points.
+        error: Bound of a step's error, see `Transient`, or None.
+        constant: DOLFINx constant that holds the time (s), or None.
+
+    Attributes:
+        clock: Where in time the problem is.
+    """
+
+    record = MotionRecord
+    in_time = True
+
+    def __init__(self, points: MaterialPoints, error: float | None, constant: fem.Constant | None):
+        self._points, self._error, self._constant = points, error, constant
+        self.clock = _TransientClock()
+
+    def begin(self, problem: Any, t: float | None) -> None:
+        """See `Static`.
+
+        Raises:
+            ParameterError: The time is missing, or not later.
+        """
+        clock, t = self.clock, as_yielded(t, self.clock.time)
+        clock.end = end_of(t, clock.time, clock.wanted if self._error is not None else None)
+        clock.start, self._t = clock.time, t
+
+    def end(self, record: StepRecord | None) -> None:
+        """See `Static`."""
+        if record is None:
+            return
+        assert isinstance(record, MotionRecord)
+        record.time, record.dt = self.clock.time, self.clock.last
+        if isinstance(self._t, Time):
+            self._t.reached = self.clock.time
+
+    def part(self, done: float, share: float) -> Step:
+        """See `Static`."""
+        whole = self.clock.end - self.clock.start
+        return Step(self.clock.start + (done + share) * whole, share * whole, share)
+
+    def system(self, problem: Any, step: Step) -> Operator:
+        """See `Static`. Collective."""
+        self._points.dt.value = step.dt
+        if self._constant is not None:
+            self._constant.value = step.t
+        set_velocities(problem.bcs, lambda v: mean_increment(v, step))
+        first = problem.here is None
+        operator = super().system(problem, step)
+        if first:
+            refuse_idle(problem.bcs, operator.here)
+            refuse_undetermined(operator)
+        return operator
+
+    def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
+        """See `Static`. Collective."""
+        state = ended(problem, operator)
+        if isinstance(state, str):
+            return state
+        if self._error is not None:
+            reason = self._judge(operator, state, step.dt)
+            if reason is not None:
+                return reason
+        self.clock.time, self.clock.last = step.t, step.dt
+        return state
+
+    def _judge(self, operator: Operator, state: NewState, dt: float) -> str | None:
+        """Bound the error ½ Δt |u/Δt − rate| of a step, and choose the next. Collective."""
+        assert self._error is not None
+        u, clock = operator.points.motion(operator.here.movers)[0], self.clock
+        rate = u / dt
+        change = rate - self._points[_RATE] if clock.rates else np.zeros_like(rate)
+        both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])
+        self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
+        found, allowed = 0.5 * dt * both[0], self._error * max(clock.largest, both[1])
+        growth = 0.9 * math.sqrt(allowed / found) if found else 2.0
+        clock.wanted = dt * min(max(growth, 0.2), 2.0)
+        if found > allowed:
+            return (
+                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
+            )
+        clock.largest, clock.rates = max(clock.largest, both[1]), True
+        state.fields[_RATE] = np.asarray(rate, np.float64)
+        return None
+
+    def state(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        c = self.clock
+        return {"clock": np.array([c.time, c.last, c.wanted, c.largest, float(c.rates)])}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """See `Scheme`."""
+        time, last, wanted, largest, rates = (float(value) for value in values["clock"])
+        self.clock = _TransientClock(time, time, time, last, wanted, largest, bool(rates))
+        if self._constant is not None:
+            self._constant.value = time
+
+
 class Transient(QuasiStatic):
     """Quasi-static steps in time: forces balance at the end of each, rates are over `points.dt`.
 
@@ -84,8 +185,8 @@ class Transient(QuasiStatic):
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
-    _of_step = MotionRecord
-    _in_time = True
+    scheme: Rates
+    _takes_scheme = False
 
     @together
     def __init__(
@@ -107,100 +208,14 @@ class Transient(QuasiStatic):
                 f"the face at '{faces[0].where}' acts on velocities, and Transient has no inertia: "
                 "hold the side with mpm.rollers or mpm.fixed, or take Newmark"
             )
-        super().__init__(form, increment, points, conditions, **options)
+        check_points(points)
         check_clock(time, points.grid)
-        self._error, self._constant = error, time
-        self.clock = _TransientClock()
+        scheme = Rates(points, error, time)
+        super().__init__(form, increment, points, conditions, scheme=scheme, **options)
         if error is not None:
             points.add_field(_RATE, (points.gdim,), "m/s")
 
     @property
     def time(self) -> float:
         """Time that the state is of (s)."""
-        return self.clock.time
-
-    @together(given=of_step)
-    def step(self, t: float | None = None) -> MotionRecord:
-        """Go to a time. Collective.
-
-        Args:
-            t: The time (s), later than `time`; or one of `times(end, dt="auto")`, for a step
-                whose length follows from the error of the last one.
-
-        Raises:
-            ParameterError: The time is not later.
-            ConvergenceError, PointsOutsideGridError: See `QuasiStatic.step`. The state, and
-                `time`, are those of the last converged part of the step.
-        """
-        clock, t = self.clock, as_yielded(t, self.time)
-        clock.end = end_of(t, clock.time, clock.wanted if self._error is not None else None)
-        clock.start = clock.time
-        record = super().step()
-        assert isinstance(record, MotionRecord)
-        record.time, record.dt = clock.time, clock.last
-        if isinstance(t, Time):
-            t.reached = clock.time
-        return record
-
-    def _part(self, done: float, share: float) -> Step:
-        whole = self.clock.end - self.clock.start
-        return Step(self.clock.start + (done + share) * whole, share * whole, share)
-
-    def _operator(self, step: Step) -> Operator:
-        self.points.dt.value = step.dt
-        if self._constant is not None:
-            self._constant.value = step.t
-        set_velocities(self.bcs, lambda v: mean_increment(v, step))
-        first = self.here is None
-        operator = super()._operator(step)
-        if first:
-            refuse_idle(self.bcs, operator.here)
-            refuse_undetermined(operator)
-        return operator
-
-    def _advance(
-        self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
-    ) -> NewState | str:
-        state = super()._advance(operator, x, step, kept)
-        if isinstance(state, str):
-            return state
-        if self._error is not None:
-            reason = self._judge(operator, state, step.dt)
-            if reason is not None:
-                return reason
-        self.clock.time, self.clock.last = step.t, step.dt
-        return state
-
-    def _judge(self, operator: Operator, state: NewState, dt: float) -> str | None:
-        """Bound the error ½ Δt |u/Δt − rate| of a step, and choose the next. Collective."""
-        assert self._error is not None
-        u, clock = operator.points.motion(operator.here.movers)[0], self.clock
-        rate = u / dt
-        change = rate - self.points[_RATE] if clock.rates else np.zeros_like(rate)
-        both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])
-        self.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        found, allowed = 0.5 * dt * both[0], self._error * max(clock.largest, both[1])
-        growth = 0.9 * math.sqrt(allowed / found) if found else 2.0
-        clock.wanted = dt * min(max(growth, 0.2), 2.0)
-        if found > allowed:
-            return (
-                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
-            )
-        clock.largest, clock.rates = max(clock.largest, both[1]), True
-        state.fields[_RATE] = np.asarray(rate, np.float64)
-        return None
-
-    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        state, local, cells = super()._memory()
-        c = self.clock
-        kept = np.array([c.time, c.last, c.wanted, c.largest, float(c.rates)])
-        return {**state, "clock": kept}, local, cells
-
-    def _remember(
-        self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
-    ) -> None:
-        super()._remember(state, local, cells)
-        time, last, wanted, largest, rates = (float(value) for value in state["clock"])
-        self.clock = _TransientClock(time, time, time, last, wanted, largest, bool(rates))
-        if self._constant is not None:
-            self._constant.value = time
+        return self.scheme.clock.time

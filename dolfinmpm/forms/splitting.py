@@ -20,7 +20,7 @@ from dolfinmpm.forms.integrals import by_measure, check_derivatives
 from dolfinmpm.forms.operators import AveragingLaw
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.tagged import Tagged, tags_by_term
-from dolfinmpm.forms.termqueries import brief, contact_of, operators_in, tags_of
+from dolfinmpm.forms.termqueries import brief, operators_in, tags_of, term_of
 from dolfinmpm.forms.throughlaws import through_laws
 
 __all__ = ["BoundaryTerms", "SplitForm", "split"]
@@ -64,8 +64,7 @@ class SplitForm:
         declarations: What the laws in the form keep at the points.
         carried: Fields that its terms carry from step to step, or renew as one begins.
         boundaries: Terms over boundaries that do not fit the grid.
-        contacts: Contacts with rigid bodies, see `dolfinmpm.contact`.
-        between: Contacts of two boundaries of bodies that deform.
+        terms: Terms that are no quadrature of its points, see `dolfinmpm.assembly.term`.
         tagged: What of it is for points of some tags only.
     """
 
@@ -74,8 +73,7 @@ class SplitForm:
     declarations: list[Declaration]
     carried: list[PointField]
     boundaries: list[BoundaryTerms]
-    contacts: list[Any]
-    between: list[Any]
+    terms: list[Any]
     tagged: Tagged
 
 
@@ -91,15 +89,14 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         FormError: A term cannot be evaluated where it stands; the message names it.
     """
     check_derivatives(form)
-    form, contacts = _without_contacts(form, points)
+    form, terms = _without_terms(form, points)
     declarations = declared(form, points)
     for declaration in declarations:
         declaration.bind()
     kept = carried_in(form)
     for one in kept:
         points.add_field(one.name, one.ufl_shape, one.unit, one.first)
-    between = [c for c in contacts if hasattr(c, "boundaries")]
-    touching = _touching(between, spaces)
+    touching = _touching(terms, spaces)
     of_markers = {b.markers.number: b for b in _boundaries(form, points)}
     with_terms = set(of_markers)
     of_markers |= {number: boundary for number, (boundary, _) in touching.items()}
@@ -113,13 +110,13 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             take_state(boundary, tags[number])
         for declaration in of_laws[number]:
             declaration.bind()
-    for contact in contacts:
-        contact.bind(declarations)
+    for term in terms:
+        term.bind(declarations)
     as_given = [i for i in form.integrals() if (i.metadata() or {}).get("points") == points.number]
     form = expand_derivatives(through_laws(form))
     at_points, at_markers, ordinary = by_measure(form, spaces, points, of_markers)
     _check_tags(ordinary)
-    others = [(repr(c), c.tags) for c in contacts if c not in between]
+    others = [(repr(term), term.tags) for term in terms if not term.sides]
     for number, boundary in of_markers.items():
         name = f"a term over {boundary!r}"
         others += [(name, tags) for _, tags in tags_by_term(at_markers[number])]
@@ -142,32 +139,31 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
             )
             for number, boundary in of_markers.items()
         ],
-        [c for c in contacts if c not in between],
-        between,
+        terms,
         tagged,
     )
 
 
-def _touching(between, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]:
-    """Boundaries that touch others, and the increments that move them, by their markers' number.
+def _touching(terms, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]:
+    """Boundaries that terms need, and the increments that move them, by their markers' number.
 
     Raises:
-        FormError: The problem does not solve for the increment, two contacts differ in it, or are
+        FormError: The problem does not solve for the increment, two terms differ in it, or are
             of the same boundaries.
     """
-    pairs = [{b.markers.number for b in contact.boundaries} for contact in between]
+    pairs = [{b.markers.number for b, _ in term.sides} for term in terms]
     for k, pair in enumerate(pairs):
-        if pair in pairs[:k]:
+        if pair and pair in pairs[:k]:
             raise FormError(
-                f"the form has {between[k]!r} twice, and the bodies would feel its force twice: "
+                f"the form has {terms[k]!r} twice, and the bodies would feel its force twice: "
                 "leave one out"
             )
     found: dict[int, tuple[Boundary, Any]] = {}
-    for contact in between:
-        for boundary, u in zip(contact.boundaries, contact.u):
+    for term in terms:
+        for boundary, u in term.sides:
             if not any(u is space.increment for space in spaces):
                 raise FormError(
-                    f"{contact!r} is of a field that the problem does not solve for; name its "
+                    f"{term!r} is of a field that the problem does not solve for; name its "
                     "increment when the problem is made"
                 )
             known = found.setdefault(boundary.markers.number, (boundary, u))
@@ -241,27 +237,27 @@ def _increments(form, number: int, spaces: Sequence[Space], touching=None) -> li
     return found
 
 
-def _without_contacts(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, list[Any]]:
-    """The form's other terms, and its contacts, which are no quadrature of its points.
+def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, list[Any]]:
+    """The form's UFL terms, and its other terms, which are no quadrature of its points.
 
     Raises:
-        FormError: A contact is not simply added, or is one of other points.
+        FormError: A term is not simply added, or is one of other points.
     """
-    others, contacts = [], []
+    others, terms = [], []
     for integral in form.integrals():
-        contact = contact_of(integral)
-        if contact is None:
+        term = term_of(integral)
+        if term is None:
             others.append(integral)
             continue
-        if integral.integrand() != contact.integrand:
+        if integral.integrand() != term.integrand:
             raise FormError(
-                f"{contact!r} is scaled or subtracted in the weak form; it counts as internal "
+                f"{term!r} is scaled or subtracted in the weak form; it counts as internal "
                 "forces do and is added: write F += mpm.contact(...)"
             )
-        if contact.points is not points:
-            raise FormError(f"{contact!r} is of material points that the problem does not move")
-        contacts.append(contact)
-    return (ufl.Form(others), contacts) if contacts else (form, contacts)
+        if term.points is not points:
+            raise FormError(f"{term!r} is of material points that the problem does not move")
+        terms.append(term)
+    return (ufl.Form(others), terms) if terms else (form, terms)
 
 
 def _check_tags(integrals) -> None:

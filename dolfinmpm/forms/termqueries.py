@@ -13,7 +13,7 @@ from dolfinmpm._platform.checks import Tags, as_tags
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["brief", "contact_of", "operators_in", "summands", "tags_of"]
+__all__ = ["brief", "operators_in", "summands", "tags_of", "term_of"]
 
 
 def brief(expression: Expr) -> str:
@@ -39,9 +39,9 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
     )
 
 
-def contact_of(integral) -> Any:
-    """The contact that a term stands for, or None; see `dolfinmpm.contact`."""
-    return (integral.metadata() or {}).get("contact")
+def term_of(integral) -> Any:
+    """The term that an integral stands for, or None; see `dolfinmpm.assembly.term.as_form`."""
+    return (integral.metadata() or {}).get("term")
 
 
 def operators_in(term: Expr) -> list[PointOperator]:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import CheckpointError, raise_together
+from dolfinmpm.assembly.state import Local, OfCells
 from dolfinmpm.body.exchange import exchange
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints
@@ -36,7 +37,7 @@ __all__ = ["VERSION", "Checkpoint", "read", "write"]
 Arrays = dict[str, npt.NDArray[Any]]
 State = dict[str, Any]
 
-FORMAT, VERSION = "dolfinmpm checkpoint", 1
+FORMAT, VERSION = "dolfinmpm checkpoint", 2
 
 # Positions of which ranks ask each other at a time.
 _ASKED = 50_000
@@ -48,17 +49,14 @@ class Checkpoint:
 
     Attributes:
         fields: Fields of the points by name, shape (points, ...).
-        state: What `write` was given as such.
-        local: Likewise; None if ranks or the partition of the grid are others.
-        cells: Rows of this rank's own cells, in their order.
+        state: What `write` was given; without what is `Local` if ranks or the partition of the
+            grid are others.
         history: Records of the steps.
         computed: Which rank computes the points in a cell, None if nobody but DOLFINx says so.
     """
 
     fields: Arrays
     state: State
-    local: Arrays | None
-    cells: Arrays
     history: list[dict[str, Any]]
     computed: Partition | None = None
 
@@ -75,9 +73,7 @@ def write(
     path: str | os.PathLike[str],
     points: MaterialPoints,
     state: State,
-    local: Arrays,
     history: list[dict[str, Any]],
-    cells: Arrays | None = None,
     laws: Sequence[str] = (),
 ) -> None:
     """Write a checkpoint: beside the file of that name, which it replaces when whole. Collective.
@@ -85,17 +81,20 @@ def write(
     Args:
         path: File to write, in a folder that is there.
         points: Material points.
-        state: Numbers, words, None and small arrays, the same on all ranks.
-        local: Arrays of this rank alone, of the same names on all ranks.
+        state: What the problem keeps, see `dolfinmpm.assembly.state`: numbers, words, None and
+            small arrays that are the same on all ranks; `Local` and `OfCells` of the same names
+            on all ranks.
         history: Records of the steps, the same on all ranks.
-        cells: Arrays of one row for every cell that this rank owns.
         laws: What the laws at the points are, in words.
 
     Raises:
         CheckpointError: The file cannot be written, or h5py is missing. A file that had the
             name before is as it was.
     """
-    grid, cells = points.grid, dict(cells or {})
+    grid = points.grid
+    local = {name: one.values for name, one in state.items() if isinstance(one, Local)}
+    cells = {name: one.values for name, one in state.items() if isinstance(one, OfCells)}
+    plain = {k: _plain(v) for k, v in state.items() if not isinstance(v, (Local, OfCells))}
     if cells:
         cells["middle"] = owned_corners(grid).mean(axis=1)
     header = {
@@ -106,7 +105,7 @@ def write(
         "laws": sorted(laws),
         "configuration": points.configuration,
         "computed": None if points.partition is None else dataclasses.asdict(points.partition),
-        "state": {name: _plain(value) for name, value in state.items()},
+        "state": plain,
         "history": [{k: _plain(v) for k, v in record.items()} for record in history],
     }
     with RowWriter(points.comm, path, FORMAT, VERSION) as file:
@@ -169,7 +168,9 @@ def read(
     state = {name: _value(value) for name, value in header["state"].items()}
     if computed is not None:
         computed = Partition.restored(computed)
-    return Checkpoint(fields, state, local, cells, header["history"], computed)
+    state |= {name: OfCells(values) for name, values in cells.items()}
+    state |= {name: Local(values) for name, values in (local or {}).items()}
+    return Checkpoint(fields, state, header["history"], computed)
 
 
 def _even(total: int, parts: int) -> list[int]:

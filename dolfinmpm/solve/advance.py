@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -12,36 +11,21 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.ownstress import OwnStress
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.body.location import Destinations, destinations
+from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.tensors import products
-from dolfinmpm.solve.boundaries import MarkerState, advance_markers, commit_markers
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["NewState", "advance", "commit"]
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class NewState:
-    """The points' state at the end of a step.
-
-    Attributes:
-        fields: New values by field.
-        to: Where the points go, or None where they stay in their cells.
-        markers: Likewise of boundaries that do not fit the grid.
-    """
-
-    fields: dict[str, Array]
-    to: Destinations | None
-    markers: Sequence[MarkerState] = ()
 
 
 @stages.commit
@@ -90,65 +74,57 @@ def advance(
     reason = _out_of_bounds(points, operator.form.parts.carried, new)
     if reason is not None:
         return reason
-    operator.touch()
-    for contact in operator.contacts:
-        new.update(contact.new_fields())
+    state = NewState(new, moves)
     bad: npt.NDArray[np.intp] = np.empty(0, np.intp)
     if moves:
-        u, gradient = evaluation.motion(operator.here.movers)
-        dF = deformation(points, u, gradient)
-        new["F"], J = products(np.ascontiguousarray(dF), points["F"])
-        bad = np.flatnonzero(~(J > 0))
-        new["V"] = J * points["V0"]
-        new["x"] = points["x"] + u if x is None else x
-        if any(operator.here.fields[k].basis.averaged for k in operator.here.movers):
-            new["l"] = _domains(operator, new["F"])
+        bad = _move(operator, new, x)
+    operator.touch()
+    for term in operator.terms:
+        term.update(state)
     finite = all(np.isfinite(values).all() for values in new.values())
     if not comm.allreduce(finite and bad.size == 0, op=MPI.LAND):
         if bad.size:
             evaluation.blame(int(bad[0]))
         return "a material point's state is not finite or its volume not positive"
-    if operator.contacts and moves:
-        reason = _through(operator, new["x"])
+    for term in operator.terms:
+        reason = term.fault(state)
         if reason is not None:
             return reason
-    if operator.between:
-        moved = [terms.motion(operator.here.movers)[0] for terms in operator.markers]
-        for one in operator.between:
-            reason = one.missed(moved)
-            if reason is not None:
-                return reason
     if not moves:
-        return NewState(new, None)
-    if operator.here.total:
-        return NewState(new, None, _markers(operator, step))
-    to = destinations(points.grid, new["x"], points["cell"], points.partition)
-    lost = np.flatnonzero(to.rank < 0)
-    far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
-    if comm.allreduce(bool(far), op=MPI.LOR):
-        # Newton may find a state of equilibrium on the far side of a singular one
-        return "material points would be thrown out of the grid, further than a cell"
-    raise_together(comm, _outside(points, new["x"], lost, step))
-    markers = _markers(operator, step)
-    for one in operator.between:
-        markers[one.facing.numbers[0]][1].update(one.new_fields())
-    return NewState(new, to, markers)
+        return state
+    if not operator.here.total:
+        state.to = destinations(points.grid, new["x"], points["cell"], points.partition)
+        lost = np.flatnonzero(state.to.rank < 0)
+        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
+        if comm.allreduce(bool(far), op=MPI.LOR):
+            # Newton may find a state of equilibrium on the far side of a singular one
+            return "material points would be thrown out of the grid, further than a cell"
+        raise_together(comm, _outside(points, new["x"], lost, step))
+    for term in operator.terms:
+        term.follow(state, step)
+    return state
 
 
-def _through(operator: Operator, x: Array) -> str | None:
-    """Why points have got into a body, or through it, at new positions (m), or None. Collective."""
-    points, contacts = operator.form.points, operator.contacts
-    # all ranks have the same answer
-    if any(contact.missed(x, points["x"]) for contact in contacts):
-        return "material points got into a rigid body from further away than was looked at"
-    found = points.comm.allgather(operator.form.bodies.passed(contacts))
-    return next((reason for reason in found if reason is not None), None)
+def _move(operator: Operator, new: dict[str, Array], x: Array | None) -> npt.NDArray[np.intp]:
+    """Deform the points and move them, in a new state.
 
+    Args:
+        operator: The operator.
+        new: New values by field, which are added to.
+        x: New positions (m), shape (n, d), if they do not follow from the increment.
 
-def _markers(operator: Operator, step: int) -> list[MarkerState]:
-    """The new state of the markers of boundaries. Collective."""
-    form, here = operator.form, operator.here
-    return advance_markers(form.boundaries, form.updates, operator.markers, step, here.movers)
+    Returns:
+        Points whose volume would not be positive.
+    """
+    points, here = operator.form.points, operator.here
+    u, gradient = operator.points.motion(here.movers)
+    dF = deformation(points, u, gradient)
+    new["F"], J = products(np.ascontiguousarray(dF), points["F"])
+    new["V"] = J * points["V0"]
+    new["x"] = points["x"] + u if x is None else x
+    if any(here.fields[k].basis.averaged for k in here.movers):
+        new["l"] = _domains(operator, new["F"])
+    return np.flatnonzero(~(J > 0))
 
 
 @stages.commit
@@ -160,7 +136,11 @@ def commit(points: MaterialPoints, state: NewState) -> int:
     """
     for name, values in state.fields.items():
         points.fields[name][...] = values
-    commit_markers(state.markers)
+    for markers, fields, to in state.beside:
+        for name, values in fields.items():
+            markers.fields[name][...] = values
+        if to is not None:
+            markers.migrate(to)
     return 0 if state.to is None else points.migrate(state.to) + balance(points)
 
 

@@ -44,7 +44,7 @@ def of_step(problem: Problem, t: Any = None) -> Told:
     end = getattr(t, "end", t)
     found: Told = [("the number of the points' fields", len(problem.points.fields))]
     found += [("t", _at_once(t)), ("the last time", _at_once(end))]
-    constants = [c for c in problem._loads.items if isinstance(c, fem.Constant)]
+    constants = [c for c in problem.loads.items if isinstance(c, fem.Constant)]
     found += [(_name_of(c, k), _at_once(c.value)) for k, c in enumerate(constants)]
     for k, condition in enumerate(problem.bcs):
         if condition.velocity is not None:
@@ -185,7 +185,7 @@ def _form(form: ufl.Form) -> Any:
         marks = integral.metadata() or {}
         carried = [*marks.get(CARRIED, ()), *extract_coefficients(integral.integrand())]
         parts += _carried(carried)
-        for mark in ("contact", "condition"):
+        for mark in ("term", "condition"):
             if mark in marks:
                 parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
         if "boundary" in marks:

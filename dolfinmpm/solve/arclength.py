@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,9 +29,9 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.loadfactor import Constraint, LoadFactor
-from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.path import PathBorder
 from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Failed, Step, StepRecord
 from dolfinmpm.solve.timeless import refuse_time
 
@@ -96,6 +96,45 @@ class Pace:
         return math.copysign(min(size, self._longest), length)
 
 
+class AlongPath(Static):
+    """Static steps whose load factor is found; it keeps the path, and the length of a step.
+
+    Attributes:
+        path: The load factor, its equation and the length of the next step.
+        pace: How long the next step is to be.
+    """
+
+    record = ArcRecord
+    path: PathBorder
+    pace: Pace
+
+    def identity(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        load, kind = self.path.load.describe(), self.path.constraint.kind
+        return {"load at factor 1": load, "control": kind}
+
+    def state(self) -> dict[str, Any]:
+        """See `Scheme`."""
+        path = self.path
+        return {
+            "factor": path.factor,
+            "length": path.length,
+            "last_change": path.last_change,
+            "psi": path.constraint.psi,
+            "travelled": path.travelled,
+            "counts": np.array(self.pace.counts, np.int64),
+        }
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """See `Scheme`."""
+        path = self.path
+        path.factor, path.travelled = values["factor"], values["travelled"]
+        self.pace.counts = values["counts"].tolist()
+        path.length, path.last_change = values["length"], values["last_change"]
+        path.constraint.psi = values["psi"]
+        path.load.set(path.factor)
+
+
 class ArcLength(QuasiStatic):
     """Quasi-static problem whose load factor λ is unknown: it follows rising and falling loads.
 
@@ -138,7 +177,8 @@ class ArcLength(QuasiStatic):
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
-    _of_step = ArcRecord
+    scheme: AlongPath
+    _takes_scheme = False
 
     @together
     def __init__(
@@ -173,7 +213,8 @@ class ArcLength(QuasiStatic):
         # what a point did last goes with it from grid to grid and from rank to rank
         trail = points.add_field("arc_increment", (points.gdim,), "m")
         updates["arc_increment"] = u
-        super().__init__(form, increment, points, bcs, updates=updates, **options)
+        scheme = AlongPath()
+        super().__init__(form, increment, points, bcs, updates=updates, scheme=scheme, **options)
         refuse_bodies(self.fields, "ArcLength", "take QuasiStatic")
         if self.bodies.free:
             raise ParameterError(
@@ -187,15 +228,10 @@ class ArcLength(QuasiStatic):
         if factor and moved:
             self.path.speed = moved / abs(factor)
         self.solver = Bordered(self.newton, self.path)
+        scheme.path, scheme.pace = self.path, Pace(target_iterations, max_length)
         load_factor.set(factor)
-        self._loads.release()
+        self.loads.release()
         self.path.factor = float(factor)
-        self._pace = Pace(target_iterations, max_length)
-
-    @property
-    def newton(self) -> Newton:
-        """Newton's method within the one that has the load factor as an unknown."""
-        return self.solver.newton if isinstance(self.solver, Bordered) else super().newton
 
     @property
     def factor(self) -> float:
@@ -236,7 +272,7 @@ class ArcLength(QuasiStatic):
             path.length = wanted
             raise
         finally:
-            self._loads.release()
+            self.loads.release()
         assert path.length is not None
         # of the attempt that succeeded alone: the predictor and the corrections
         last = len(record.residuals)
@@ -245,40 +281,10 @@ class ArcLength(QuasiStatic):
         record.parts, record.length = 1, path.length
         path.travelled += path.length if path.constraint.linear else 0.0
         record.displacement = path.travelled if path.constraint.linear else self._moved()
-        path.length = self._pace.next(path.length, last)
+        path.length = self.scheme.pace.next(path.length, last)
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
-
-    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        state, local, cells = super()._memory()
-        path = self.path
-        state |= {
-            "factor": self.factor,
-            "length": path.length,
-            "last_change": path.last_change,
-            "psi": path.constraint.psi,
-            "travelled": path.travelled,
-            "counts": np.array(self._pace.counts, np.int64),
-        }
-        return state, local, cells
-
-    def _remember(self, state, local, cells) -> None:
-        super()._remember(state, local, cells)
-        path = self.path
-        path.factor, path.travelled = state["factor"], state["travelled"]
-        self._pace.counts = state["counts"].tolist()
-        path.length, path.last_change = state["length"], state["last_change"]
-        path.constraint.psi = state["psi"]
-        path.load.set(self.factor)
-        self._loads.release()
-
-    def _problem(self) -> dict[str, Any]:
-        return {
-            **super()._problem(),
-            "load at factor 1": self.path.load.describe(),
-            "control": self.path.constraint.kind,
-        }
 
     def _moved(self) -> float:
         """Root mean square of the points' displacements (m). Collective."""

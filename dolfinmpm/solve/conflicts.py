@@ -11,15 +11,15 @@ import numpy as np
 from dolfinmpm._platform.alike import told
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.forms.declarations import Declaration, in_words
-from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.kinematics.walls import Wall
+from dolfinmpm.terms.boundaryterm import BoundaryTerm
 
 __all__ = ["check_boundaries_of"]
 
 
 def check_boundaries_of(
-    boundaries: Sequence[BoundaryTerms], declarations: Sequence[Declaration]
+    boundaries: Sequence[BoundaryTerm], declarations: Sequence[Declaration]
 ) -> None:
     """Refuse conditions that are there twice, and such with another law than the body's.
 

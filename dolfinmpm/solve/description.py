@@ -39,11 +39,8 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
         found[f"basis of field {k + 1}"] = f'"{name}", {domains}, {more}'
         found[f"stabilisation of field {k + 1}"] = str(field.stabilisation)
     found["conditions"] = "; ".join(sorted(_condition(one) for one in bcs)) or "none"
-    for k, contact in enumerate(form.parts.contacts):
-        found[f"contact {k + 1}"] = (
-            f"friction = {contact.friction:g}, penalty = {contact.penalty:g}, stiffness_per_area = "
-            f"{contact.stiffness}, tag = {contact.tags}"
-        )
+    told = [told for term in form.terms if (told := term.describe()) is not None]
+    found |= {f"term {k + 1}": one for k, one in enumerate(told)}
     return found
 
 

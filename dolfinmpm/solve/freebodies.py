@@ -62,7 +62,7 @@ class FreeBodies:
 
     def __init__(self, bodies: Bodies, tolerance: float):
         self.tolerance = tolerance
-        self._bodies: list[RigidBody] = bodies.free
+        self._all, self._bodies = bodies, bodies.free
         self.inertial: Inertial | None = None
 
     def begin(self, operator: Operator) -> None:
@@ -122,7 +122,8 @@ class FreeBodies:
         return np.column_stack(out) if out else np.zeros((unknowns.owned, 0))
 
     def _contacts(self, body: RigidBody):
-        return [c for c in self._operator.contacts if c.contact.body is body]
+        acting = self._all.acting(self._operator)
+        return [c for c in acting if c.contact.body is body]
 
     def slopes(self, x: Array) -> Array:
         """See `Border`. Collective."""

@@ -65,15 +65,15 @@ class Guess:
         """By what increments of each field grow with the step; what the form carries are none."""
         return [self.length if name is None else 1.0 for name in operator.form.values]
 
-    def memory(self) -> dict[str, npt.NDArray[Any]]:
-        """What a checkpoint keeps on this rank."""
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """What it keeps on this rank."""
         kept: dict[str, npt.NDArray[Any]] = {}
         for k, (nodes, values) in enumerate(self._parts):
             kept |= {f"guess {k} nodes": nodes, f"guess {k}": values}
         return kept
 
-    def remember(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:
-        """Take what `memory` returned, or nothing.
+    def set_state(self, local: dict[str, npt.NDArray[Any]], partition: Partition | None) -> None:
+        """Take what `state` returned, or nothing.
 
         Args:
             local: Arrays of this rank.

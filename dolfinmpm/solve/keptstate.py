@@ -26,10 +26,10 @@ class KeptState:
         self._fields: Arrays = {name: points.fields.read(name).copy() for name in points.fields}
         self._of_markers = [set(markers.fields) for markers in self._markers]
         self._partition = points.partition
-        self._memory = problem._memory()
+        self._state = problem.state()
         self._history = list(problem.history)
         # what the user has set since the last step
-        self._set = [(item, np.array(_array(item))) for item in problem._loads.items]
+        self._set = [(item, np.array(_array(item))) for item in problem.loads.items]
         self._set += [(u, u.x.array.copy()) for u in self._increments]
         self._dt = float(points.dt.value)
 
@@ -55,7 +55,7 @@ class KeptState:
             for name in [*markers.fields]:
                 if name not in names:
                     del markers.fields[name]
-        problem._remember(*self._memory)
+        problem.set_state(self._state)
         problem.history[:] = self._history
         for item, values in self._set:
             _array(item)[...] = values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,9 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm.assembly.state import OfCells
 from dolfinmpm.basis.conditions import Condition
+from dolfinmpm.grid.cellvalues import set_values, values_of_cells
 from dolfinmpm.grid.constants import is_own, reached, take_reached
 
 __all__ = ["Loads", "check_loads", "load_name", "loads_of"]
@@ -71,6 +73,25 @@ class Loads:
     def converged(self) -> list[tuple[Any, npt.NDArray[np.float64]]]:
         """Each constant and function, with its values in the last converged state."""
         return list(zip(self.items, self._start))
+
+    def state(self) -> dict[str, Any]:
+        """The values of the last converged state, functions by cells; and the last change."""
+        found: dict[str, Any] = {"change": np.array(self.change)}
+        for k, (item, value) in enumerate(self.converged()):
+            function = isinstance(item, fem.Function)
+            found[f"load {k}"] = OfCells(values_of_cells(item, value)) if function else value
+        return found
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned. Collective."""
+        for k, (item, _) in enumerate(self.converged()):
+            own = values[f"load {k}"]
+            if isinstance(own, OfCells):
+                set_values(item, own.values)
+            else:
+                item.value = own
+        self.release()
+        self.change = values["change"].tolist()
 
     def jumps(self) -> bool:
         """Whether a load jumps from the last converged state to what is set now.

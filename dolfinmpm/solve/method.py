@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from petsc4py import PETSc
 
-from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
+from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = [
@@ -173,7 +173,7 @@ def only_momentum(form: WeakForm, boundaries: bool = True) -> bool:
     own = [term for d in form.parts.declarations for term in d.terms]
     increments = [space.increment for space in form.spaces]
     for integral in form.given.integrals():
-        if contact_of(integral) or any(integral.integrand() is term for term in own):
+        if term_of(integral) or any(integral.integrand() is term for term in own):
             continue
         metadata = integral.metadata() or {}
         if "boundary" in metadata and not boundaries:
@@ -192,7 +192,7 @@ def symmetric(form: WeakForm) -> bool:
     which has no say as long as it is zero. Terms over the grid are linear and show in any tangent.
     """
     laws = form.parts.declarations
-    if any(contact.friction for contact in (*form.parts.contacts, *form.parts.between)):
+    if not all(term.symmetric for term in form.terms):
         return False
     return only_momentum(form) and all(
         d.law.symmetric and d.strain != "jaumann" and not d.fbar for d in laws

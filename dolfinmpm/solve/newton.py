@@ -181,7 +181,7 @@ class Newton:
         displacements less volumes by pressures, which says nothing of how long it should be.
         """
         here = operator.here
-        return bool(operator.contacts and self.searches) and len(here.movers) == len(here.fields)
+        return operator.pushed and bool(self.searches) and len(here.movers) == len(here.fields)
 
     def _touch(self, operator: Operator, outcome: Outcome) -> None:
         """Solve where rigid bodies touch: from the last increments, then from rest. Collective."""
@@ -329,11 +329,11 @@ def _references(operator: Operator, matrix: PETSc.Mat, x: PETSc.Vec, parts: Arra
     Returns:
         Norms of residual and reference, shape (fields, 2).
     """
-    own = np.maximum(parts[:, 1], operator.terms(matrix, x).max(axis=0))
+    own = np.maximum(parts[:, 1], operator.sizes(matrix, x).max(axis=0))
     if np.all(parts[:, 0] <= 1e-9 * own):
         return np.stack([parts[:, 0], own], axis=1)
     probe = x.duplicate()
     probe.setRandom()
-    stiffness = operator.terms(matrix, probe)[0]
+    stiffness = operator.sizes(matrix, probe)[0]
     same = own[0] * np.divide(stiffness, stiffness[0], out=np.zeros_like(own), where=stiffness > 0)
     return np.stack([parts[:, 0], np.maximum(own, same)], axis=1)

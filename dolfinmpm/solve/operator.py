@@ -1,10 +1,10 @@
-"""A weak form on an activation: residual, tangent and external forces of the unknowns."""
+"""A weak form on an activation: the sum of its terms, as functions of the unknowns."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,19 +13,15 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
-from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.touching import ActiveBetween
-from dolfinmpm.cut.activation import region_on, regions_of
-from dolfinmpm.cut.celloffsets import cell_offsets
+from dolfinmpm.assembly.term import ActiveTerm, Term
 from dolfinmpm.cut.merging import merged
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.forms.carriedfields import CellOffset
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.solve.withoutsoft import WithoutSoftStiffness
+from dolfinmpm.terms.gridterm import StepBlocks
 
 __all__ = ["Operator", "Residual"]
 
@@ -56,66 +52,62 @@ class Operator:
     Args:
         form: The weak form.
         here: What is active.
+        more: Terms that stand in no form, such as the inertia of a step in time.
 
     Attributes:
         form, here: The arguments.
+        terms: All terms.
         points: The terms of the points.
-        markers: The terms over each boundary that does not fit the grid.
-        contacts: The contacts with rigid bodies.
-        between: The contacts of bodies with fields of their own.
+        loads: External forces of loads (N), (nodes, components) each field.
     """
 
     @stages.assemble
-    def __init__(self, form: WeakForm, here: Activation):
+    def __init__(self, form: WeakForm, here: Activation, more: Sequence[ActiveTerm] = ()):
         self.form, self.here = form, here
-        for field in form.parts.carried:
-            if isinstance(field, CellOffset):
-                (of,) = (f for f in here.fields if f.space is field.space)
-                form.points[field.name] = cell_offsets(here.where, of)
-        # a second form on an activation that was made for another has its own parts of the body
-        self._main = form is here.terms
-        parts, of_boundaries = here.regions, here.of_boundaries
-        if not self._main:
-            parts = [region_on(r, form.points, here) for r in form.regions]
-            of_boundaries = regions_of(form.boundaries, here, here.terms.boundaries)
-            if form.parts.grid:
-                form.grid.attach(here.fields)
-        self.points = Evaluation(form.regions, form.points, here.unknowns, parts)
-        self.markers = [
-            Evaluation(of.regions, of.boundary.markers, here.unknowns, parts)
-            for of, parts in zip(form.boundaries, of_boundaries)
-        ]
+        self.points, self._of = form.on(here)
+        # what is the same for a whole step belongs to the form that the activation is made for
+        steady = [StepBlocks(here)] if here.terms is form else []
+        self.terms: list[ActiveTerm] = [self.points, *self._of.values(), *steady, *more]
         self._u, self._force, self._lift = (here.unknowns.nodal() for _ in range(3))
         self._external = here.unknowns.nodal()
+        self.loads: Sequence[Array] = ()
         # increments moved to by those at the level where forces balance
         self._scale = 1.0
         # what a matrix has of blocks, and of their columns of prescribed components
         self._base: tuple[Array, list[Array]] | None = None
-        in_time, means = form.inertia is not None, form.means
-        self.contacts = [
-            ActiveContact.on(contact, here, in_time, means) for contact in form.parts.contacts
-        ]
-        self.between = [ActiveBetween(facing, means) for facing in here.facing if self._main]
         self.renew_external()
+
+    def of(self, term: Term) -> Any:
+        """A term of the form on the activation.
+
+        Raises:
+            KeyError: It has no forces there.
+        """
+        return self._of[term]
 
     # -- vectors --------------------------------------------------------------
 
     @stages.assemble
     def renew_external(self) -> None:
         """Take the DOLFINx constants and functions as they are now. Collective."""
-        here, out = self.here, self._external
-        here.unknowns.clear(out)
-        for terms in self._sets:
-            terms.update_constants()
-            terms.add_external(out.arrays)
-        if self.form.parts.grid:
-            self.form.grid.add_external(here.fields, out.arrays)
-        out.add_up()
+        out = self._external
+        self.here.unknowns.clear(out)
+        self._add_external(out, loads=True)
+        self.loads = out.arrays
+        if all(term.is_load for term in self.terms):
+            return
+        self.loads = [np.array(values) for values in out.arrays]
+        others = self.here.unknowns.nodal()
+        self._add_external(others, loads=False)
+        for mine, more in zip(out.arrays, others.arrays):
+            mine += more
 
-    @property
-    def loads(self) -> Sequence[Array]:
-        """What of the external forces the form's loads make."""
-        return self._external.arrays
+    def _add_external(self, out: Nodal, loads: bool) -> None:
+        """Add the forces that do not depend on the increments, of loads or of other terms."""
+        for term in self.terms:
+            if term.is_load == loads:
+                term.external(out.arrays)
+        out.add_up()
 
     @property
     def external(self) -> Sequence[Array]:
@@ -150,15 +142,10 @@ class Operator:
             if name is not None:
                 value[...] = self.form.points[name].reshape(value.shape)
 
-    @property
-    def _sets(self) -> list[Evaluation]:
-        """The terms of the points and of all boundaries' markers."""
-        return [self.points, *self.markers]
-
     def _interpolate(self) -> None:
-        """Evaluate the nodal increments at points and markers."""
-        for terms in self._sets:
-            terms.interpolate(self._u.arrays)
+        """Evaluate the nodal increments in all terms."""
+        for term in self.terms:
+            term.move(self._u.arrays)
 
     @property
     def increments(self) -> Sequence[Array]:
@@ -166,21 +153,16 @@ class Operator:
         return self._u.arrays
 
     @stages.assemble
-    def forces(
-        self, boundaries: bool = True, penalties: bool = True, contacts: bool = True
-    ) -> list[Array]:
+    def forces(self, without: Collection[str] = ()) -> list[Array]:
         """Internal and external forces at the increments moved to (N), each field's. Collective.
 
         Args:
-            boundaries: Whether with the internal ones of terms over boundaries.
-            penalties: Whether with those that are linear in the increments.
-            contacts: Whether with those of contacts.
+            without: Kinds of terms whose internal forces are left out, see `ActiveTerm`.
 
         Returns:
             Shapes (nodes, components), summed over ranks at the nodes' owners.
         """
-        sets = self._sets if boundaries else [self.points]
-        internal = self._internal(sets, penalties, contacts).arrays
+        internal = self._internal(without).arrays
         return [a + b for a, b in zip(internal, self.external)]
 
     def load_work(self, of: Sequence[Array] | None = None) -> float:
@@ -225,96 +207,67 @@ class Operator:
         self.here.unknowns.clear(self._u)
         self._interpolate()
 
-    def _internal(
-        self,
-        sets: Sequence[Evaluation] | None = None,
-        penalties: bool = True,
-        contacts: bool = True,
-    ) -> Nodal:
+    def _internal(self, without: Collection[str] = ()) -> Nodal:
         """Internal forces at the increments moved to, summed over ranks. Collective."""
         here, out = self.here, self._force
         here.unknowns.clear(out)
-        if not all(terms.add_internal(out.arrays) for terms in sets or self._sets):
-            # the norm is then no number on any rank
-            for field, force in zip(here.unknowns.fields, out.arrays):
-                force[field.nodes] = math.nan
-        for blocks in self._constant if penalties else ():
+        every = [term for term in self.terms if term.kind not in without]
+        for term in every:
+            term.touch(self._u.arrays, self._scale)
+        if not all(term.internal(out.arrays) for term in every):
+            self._spoil(out)
+        for blocks in () if "penalty" in without else self._constant:
             add_product(blocks, self._u.arrays, out.arrays)
-        if contacts:
-            self.touch()
-            self._add_contacts(out.arrays)
-        if not self.form.parts.grid.linear:
-            self.fill_functions()
-            self.form.grid.add_internal(here.fields, out.arrays)
         out.add_up()
         return out
 
+    def _spoil(self, out: Nodal) -> None:
+        """Where a law fails the norm of the forces is no number on any rank."""
+        for field, force in zip(self.here.unknowns.fields, out.arrays):
+            force[field.nodes] = math.nan
+
     def touch(self) -> None:
-        """Let contacts find their forces at the increments moved to.
-
-        Mean forces over a step are those of the increments at its end.
-        """
-        if not self.touches:
-            return
-        u: list[Any] = list(self._u.arrays)
-        means = self.form.means
-        if means is not None and means.scale != self._scale:
-            u = [np.asarray(means.scale / self._scale * values) for values in u]
-        for contact in self.contacts:
-            contact.move(u[contact.field])
-        for one in self.between:
-            one.move(u)
-
-    def _add_contacts(self, out: Sequence[Array]) -> None:
-        """Add the forces of contacts as they were last found, as internal forces."""
-        for contact in self.contacts:
-            contact.add_internal(out[contact.field])
-        for one in self.between:
-            one.add_internal(out)
+        """Let contacts find their forces at the increments moved to."""
+        for term in self.terms:
+            term.touch(self._u.arrays, self._scale)
 
     @property
-    def touches(self) -> bool:
-        """Whether any contact is in the form."""
-        return bool(self.contacts or self.between)
+    def pushed(self) -> bool:
+        """Whether a term moves the points by a motion of its own."""
+        return any(term.pushes for term in self.terms)
+
+    def has(self, kind: str) -> bool:
+        """Whether there is a term of a kind, see `ActiveTerm`."""
+        return any(term.kind == kind for term in self.terms)
 
     @stages.assemble
-    def contact_forces(self, out: Sequence[Array]) -> None:
-        """Add the forces of contacts as they were last found, as internal forces. Collective.
+    def forces_of(self, kind: str) -> Sequence[Array]:
+        """Internal forces of the terms of a kind at the increments that they have. Collective.
 
-        Args:
-            out: Nodal forces (N), (nodes, components) each field, at the nodes' owners.
-        """
-        if not self.touches:
-            return
-        forces = self.here.unknowns.nodal()
-        self._add_contacts(forces.arrays)
-        forces.add_up()
-        for mine, more in zip(out, forces.arrays):
-            mine += more
-
-    @stages.evaluate
-    def place_markers(self, u: Sequence[Array]) -> None:
-        """Evaluate nodal increments at the markers of boundaries alone.
-
-        Args:
-            u: Increments at all nodes known here, (nodes, components) each field.
-        """
-        for terms in self.markers:
-            terms.interpolate(u)
-
-    @stages.assemble
-    def boundary_forces(self) -> Sequence[Array]:
-        """Internal forces of terms over boundaries at the increments there (N). Collective.
+        Contacts have the forces that they found last, other terms the increments placed last.
 
         Returns:
-            (nodes, components) each field, at the nodes' owners; no numbers where a law fails.
+            Nodal forces (N), (nodes, components) each field, at the nodes' owners; no numbers where
+            a law fails.
         """
         forces = self.here.unknowns.nodal()
-        if not all(terms.add_internal(forces.arrays) for terms in self.markers):
-            for field, force in zip(self.here.unknowns.fields, forces.arrays):
-                force[field.nodes] = math.nan
-        forces.add_up()
+        if self.has(kind):
+            if not all(t.internal(forces.arrays) for t in self.terms if t.kind == kind):
+                self._spoil(forces)
+            forces.add_up()
         return forces.arrays
+
+    @stages.evaluate
+    def place_in(self, kind: str, u: Sequence[Array]) -> None:
+        """Evaluate nodal increments in the terms of a kind alone.
+
+        Args:
+            kind: The kind.
+            u: Increments at all nodes known here, (nodes, components) each field.
+        """
+        for term in self.terms:
+            if term.kind == kind:
+                term.move(u)
 
     @stages.assemble
     def residual(self, x: Array) -> Residual:
@@ -340,7 +293,7 @@ class Operator:
         (norm, reference), parts = found[0], found[1:]
         return Residual(unknowns.shared_out(values), float(norm), float(reference), parts)
 
-    def terms(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
+    def sizes(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
         """How large the terms are that each field's unknowns make in each equation. Collective.
 
         Args:
@@ -379,23 +332,14 @@ class Operator:
 
     # -- tangent --------------------------------------------------------------
 
-    def _linear(self) -> list[Blocks]:
-        """Blocks whose products with the increments are internal forces."""
-        here = self.here
-        if not self._main:
-            return []
-        penalties = [f.penalty for f in here.fields if f.penalty is not None]
-        return [*here.grid, *penalties] if self.form.parts.grid.linear else penalties
-
-    @property
-    def penalties(self) -> list[Blocks]:
-        """Blocks of penalties on the increments, whose products with them are internal forces."""
-        return Operator._linear(self)
-
     @functools.cached_property
     def _constant(self) -> list[Blocks]:
-        """The same, all between two fields in one."""
-        return merged(self._linear())
+        """Blocks whose products with the increments are forces, all between two fields in one."""
+        return merged([b for term in self.terms for b in term.stiffness])
+
+    @functools.cached_property
+    def _soft(self) -> list[Blocks]:
+        return [b for term in self.terms for b in term.soft]
 
     @stages.assemble
     def tangent(self, matrix: Matrix) -> None:
@@ -412,17 +356,9 @@ class Operator:
             for j, columns in enumerate(here.unknowns.fields)
         }
         self._begin(matrix, entries)
-        if not self.form.parts.grid.linear:
-            self.fill_functions()
-            for b in self.form.grid.tangent(here.fields):
-                add_blocks(b, entries[b.row_field, b.column_field])
-        for terms in self._sets:
-            terms.add_tangent(entries)
         self.touch()
-        for contact in self.contacts:
-            contact.add_tangent(entries[contact.field, contact.field])
-        for one in self.between:
-            one.add_tangent(entries)
+        for term in self.terms:
+            term.tangent(entries)
         matrix.finish()
 
     def _begin(self, matrix: Matrix, entries: Mapping[tuple[int, int], Entries]) -> None:
@@ -435,7 +371,7 @@ class Operator:
             return
         matrix.data[:] = 0.0
         self.here.unknowns.clear(self._lift)
-        blocks = [*self._constant, *self.here.soft]
+        blocks = [*self._constant, *self._soft]
         for b in blocks:
             add_blocks(b, entries[b.row_field, b.column_field])
         if blocks:
@@ -444,19 +380,6 @@ class Operator:
 
     def without_soft(self, matrix: Matrix) -> PETSc.Mat:
         """The tangent without its terms of the tangent only, as PETSc takes it. Collective."""
-        if not self.here.soft:
+        if not self._soft:
             return matrix.petsc
-        return WithoutSoftStiffness(self.here.unknowns, self.here.soft).operator(matrix.petsc)
-
-    # -- results --------------------------------------------------------------
-
-    def fill_functions(self) -> None:
-        """Hand the increments moved to to the DOLFINx functions."""
-        for field, u in zip(self.here.fields, self._u.arrays):
-            values = field.space.increment.x.array.reshape(-1, field.space.components)
-            if field.to_grid is not None:
-                values[:] = (field.to_grid @ u)[: len(values)]
-                continue
-            values[:] = 0.0
-            known = field.nodes[field.nodes < len(values)]
-            values[known] = u[known]
+        return WithoutSoftStiffness(self.here.unknowns, self._soft).operator(matrix.petsc)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -16,7 +15,7 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path
+from dolfinmpm._platform.checks import file_path, shown
 from dolfinmpm._platform.errors import (
     CheckpointError,
     FormError,
@@ -25,6 +24,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
+from dolfinmpm.assembly.state import Keeps, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.heldmotions import warn_idle
@@ -33,6 +33,7 @@ from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.held import Held
@@ -54,19 +55,18 @@ from dolfinmpm.solve.arguments import (
 )
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodyfields import check_bodies
-from dolfinmpm.solve.boundaries import memory_of_markers, order_of_markers, set_markers
 from dolfinmpm.solve.conflicts import check_boundaries_of
 from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
-from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_increments
-from dolfinmpm.solve.referencemarkers import needed_of, require_reference
+from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
 from dolfinmpm.solve.summary import summary
 from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
+from dolfinmpm.terms.referencemarkers import require_reference
 
 __all__ = ["Problem"]
 
@@ -76,13 +76,17 @@ class Problem(ReadOnce):
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
+        scheme: How loads, times, equations and the state at the end of a step hang together.
 
     Attributes:
+        scheme: The argument.
         history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
         form: The weak form, made ready.
+        bodies: The rigid bodies that the points touch.
         here: What took part in the last step, or None before the first.
+        kept: Couplings that the next pattern is to have, or None.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -92,13 +96,10 @@ class Problem(ReadOnce):
     An argument that is assigned to later ends in a ParameterError, unless steps look at it.
     """
 
-    _of_step: type[StepRecord] = StepRecord
-    # whether steps have a length in seconds, and whether forces balance with inertia at their level
-    _in_time = False
-    _has_inertia = False
-    # whether nodes that move points are tied where the points hardly support them
-    _ties_movers = False
-    _attributes = frozenset({"points", "form"})
+    scheme: Scheme
+    _attributes = frozenset({"points", "form", "scheme"})
+    # whether the user may give a scheme
+    _takes_scheme = True
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("energies", "momentum", "angular_momentum", "time"),
         "it is of steps in time, mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",
@@ -114,13 +115,15 @@ class Problem(ReadOnce):
         updates: dict[str, Expr] | None = None,
         stabilisation: Stabilisations = "none",
         prolongation: Prolongate | None = None,
+        scheme: Scheme,
     ):
+        self.scheme = scheme
         increments = increments_of(increment, points)
         spaces = [u._dolfinmpm_space for u in increments]
         check_spaces(spaces)
         check_form(form)
         check_hoops(form, points)
-        if not self._has_inertia and points.inertia in extract_constants(form):
+        if not scheme.inertia and points.inertia in extract_constants(form):
             raise FormError(
                 f"the form has the acceleration of the body, and {type(self).__name__} has no "
                 "inertial forces at the end of a step that would tell it: take Newmark or "
@@ -129,7 +132,7 @@ class Problem(ReadOnce):
         check_grid(points)
         bcs = check_conditions(bcs, spaces)
         for condition in bcs:
-            if condition.velocity is not None and not self._in_time:
+            if condition.velocity is not None and not scheme.in_time:
                 raise ParameterError(
                     f"the condition at '{condition.where}' prescribes a velocity, and "
                     f"{type(self).__name__} knows no time; prescribe increments with "
@@ -143,7 +146,7 @@ class Problem(ReadOnce):
         self.history: list[StepRecord] = []
         stabilisations = with_moduli(stabilisations, spaces, form, points)
         self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
-        if self._ties_movers:
+        if scheme.ties_movers:
             for k in movers(spaces):
                 self.fields[k] = with_ties(self.fields[k])
         whole, soft, changes = with_stabilisations(form, self.fields, points)
@@ -152,18 +155,20 @@ class Problem(ReadOnce):
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
         refuse_increments(bcs, self.form.parts.carried)
-        if not self._has_inertia:
+        if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
+        rigid = [term for term in self.form.terms if isinstance(term, Contact)]
+        self.bodies = Bodies(rigid, points.grid)
         self._settle_markers()
         self.here: Activation | None = None
-        self._kept: KeptCouplings | None = None
-        self._held = Held(bcs, spaces)
-        if self._held.follows and self.configuration == "total":
+        self.kept: KeptCouplings | None = None
+        self.held = Held(bcs, spaces)
+        if self.held.follows and self.configuration == "total":
             raise ParameterError(
                 'conditions with follows=True need Space(..., configuration="updated"), got '
                 '"total": what is active at first positions stays'
             )
-        self._updates = updates_of(self.form, updates)
+        self.form.updates = updates_of(self.form, updates)
         loads = loads_of(self.form.loads)
         for condition in self.bcs:
             if any(condition.value is load for load in loads):
@@ -171,21 +176,26 @@ class Problem(ReadOnce):
                     f"a constant is both a load of the form and the increment prescribed at "
                     f"'{condition.where}'; a part of a step would scale it twice: use two constants"
                 )
-        self._loads = Loads(loads, increments)
+        self.loads = Loads(loads, increments)
         settle(points, self.configuration)
         warn_of_imbalance(points)
 
     def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
         cls._refuse_unknown(given, ELSEWHERE)
+        if "scheme" in given and not cls._takes_scheme:
+            raise ParameterError(
+                f"scheme = {shown(given['scheme'])}: {cls.__name__} has a scheme of its own; leave "
+                "it out, or give it to QuasiStatic"
+            )
         return super().__new__(cls)
 
     def __str__(self) -> str:
         """Fields, bases, stabilisation, laws, terms, conditions, scheme and solver, in lines."""
         return summary(self)
 
-    def _scheme(self) -> list[str]:
+    def scheme_lines(self) -> list[str]:
         """Lines of the summary on scheme and solver."""
-        return []
+        return self.scheme.summary()
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
@@ -197,7 +207,7 @@ class Problem(ReadOnce):
     def _settle_markers(self) -> None:
         """Bring boundaries to the cells of the positions that the problem sees. Collective."""
         if self.configuration == "total":
-            require_reference(self.form.boundaries, self.form.parts.between)
+            require_reference(self.form.boundaries, [t for t in self.form.terms if t.sides])
             return
         for of in self.form.boundaries:
             settle(of.boundary.markers, self.configuration)
@@ -208,14 +218,9 @@ class Problem(ReadOnce):
         return self.points.comm
 
     @property
-    def bodies(self) -> Bodies:
-        """The rigid bodies that the points touch."""
-        return self.form.bodies
-
-    @property
     def bcs(self) -> Sequence[Condition]:
         """The essential conditions, which stay as they are."""
-        return ReadList(self._held.conditions)
+        return ReadList(self.held.conditions)
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
@@ -229,7 +234,7 @@ class Problem(ReadOnce):
         return self.fields[0].space.configuration
 
     @property
-    def _moves(self) -> bool:
+    def moves(self) -> bool:
         """Whether the points move with the first field, or with those of their tags."""
         spaces = [field.space for field in self.fields]
         first = next(iter(movers(spaces)), 0)
@@ -252,10 +257,10 @@ class Problem(ReadOnce):
             CheckpointError: The file cannot be written, or h5py is missing.
         """
         path = file_path("path", path)
-        state, local, cells = self._memory()
         history = [dataclasses.asdict(record) for record in self.history]
+        state = {**self._identity(), **self.state()}
         state["description"] = [list(pair) for pair in self._description().items()]
-        checkpoint.write(path, self.points, state, local, history, cells, self._laws)
+        checkpoint.write(path, self.points, state, history, self._laws)
 
     @together
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -292,15 +297,16 @@ class Problem(ReadOnce):
         before = dict(found.state.get("description", ()))
         warn_of_differences(self.comm, os.fspath(path), before, self._description())
         found.put(self.points)
-        self._remember(found.state, found.local, found.cells)
-        names = {f.name for f in dataclasses.fields(self._of_step)}
+        self.set_state(found.state)
+        of_step = self.scheme.record
+        names = {f.name for f in dataclasses.fields(of_step)}
         self.history = [
-            self._of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
+            of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
         ]
 
     def _description(self) -> dict[str, str]:
         """What the problem is, in words, of which a next stage may change some. Collective."""
-        return describe(self.fields, self.form, self.bcs)
+        return {**describe(self.fields, self.form, self.bcs), **self.scheme.description()}
 
     @property
     def _laws(self) -> list[str]:
@@ -308,27 +314,29 @@ class Problem(ReadOnce):
         declared = self.form.parts.declarations
         return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
 
-    def _problem(self) -> dict[str, Any]:
+    def _identity(self) -> dict[str, Any]:
         """What a checkpoint must have in common with this problem."""
         constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
         return {
             "solver": type(self).__name__,
             "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
-            "loads": str([load.ufl_shape for load, _ in self._loads.converged()]),
+            "loads": str([load.ufl_shape for load, _ in self.loads.converged()]),
             "prescribed": len(constants),
             "boundaries": str([of.boundary.markers.total for of in self.form.boundaries]),
             "rigid bodies": len(self.bodies.all),
+            **self.scheme.identity(),
         }
 
     def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
-        for what, here in self._problem().items():
+        for what, here in self._identity().items():
             found = state.get(what, "[]" if what == "boundaries" else None)
             if found != here:
                 return CheckpointError(
                     f"{path} is of another problem: its {what} is {found}, that of this "
                     f"one {here}; build the same problem before you load"
                 )
-        absent = [name for name in needed_of(self.form.boundaries) if name not in state]
+        needed = [f"{k}: {name}" for k, term in self.form.named_terms() for name in term.needed()]
+        absent = [name for name in needed if name not in state]
         if absent and self.configuration == "total":
             return CheckpointError(
                 f"{path} is of a problem in the updated configuration: it lacks '{absent[0]}', "
@@ -336,26 +344,27 @@ class Problem(ReadOnce):
             )
         return None
 
-    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """State that all ranks share, that of this rank, and that of its cells."""
-        loads, cells = saved_loads(self._loads)
-        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        given = {f"prescribed {k}": np.array(value.value) for k, value in enumerate(values)}
-        markers = memory_of_markers(self.form.boundaries)
-        order = order_of_markers(self.form.boundaries)
-        kept = {**loads, **given, **markers, **self.bodies.memory()}
-        return {**self._problem(), **kept}, order, cells
+    def keeping(self) -> list[tuple[str, Keeps]]:
+        """All that keeps values from step to step beside the points, with names."""
+        held, bodies = ("prescribed", self.held), ("bodies", self.bodies)
+        return [
+            ("loads", self.loads),
+            held,
+            *self.form.named_terms(),
+            bodies,
+            ("scheme", self.scheme),
+        ]
 
-    def _remember(
-        self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
-    ) -> None:
-        """Take what `_memory` returned. Collective."""
-        values = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        for k, value in enumerate(values):
-            value.value = state[f"prescribed {k}"]
-        set_loads(self._loads, state, cells)
-        set_markers(self.form.boundaries, state, local)
-        self.bodies.remember(state)
+    def state(self) -> dict[str, Any]:
+        """All that goes from step to step beside the points' fields, by name. Collective.
+
+        It serves checkpoints, and states that are put back; see `dolfinmpm.assembly.state`.
+        """
+        return gathered(self.keeping())
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned, on any number of ranks. Collective."""
+        given_back(self.keeping(), values)
         self.here = None
 
     @together
@@ -367,22 +376,22 @@ class Problem(ReadOnce):
             step: The step; all of it by default.
         """
         share = 1.0 if step is None else step.share
-        if step is not None and self.here is None and not self._in_time:
+        if step is not None and self.here is None and not self.scheme.in_time:
             check_timeless(self.form.given, self.points, type(self).__name__)
         self.form.bind()
         check_bodies(self.fields, self.form)
-        self.form.place_markers()
-        self._held.follow()
-        first, kept, self._kept = self.here is None, self._kept, None
+        self.form.place()
+        self.held.follow()
+        first, kept, self.kept = self.here is None, self.kept, None
         self.here = activate(
-            self.points, self.fields, self._held, self.form, share, self.here, kept,
+            self.points, self.fields, self.held, self.form, share, self.here, kept,
             self._in_blocks if step is not None else None,
         )  # fmt: skip
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
         self._set_penalties(self.here)
         # what moves may come to a side later
-        if first and kept is None and not self._in_time:
+        if first and kept is None and not self.scheme.in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
         return self.here
@@ -398,7 +407,7 @@ class Problem(ReadOnce):
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
         """
         self.bodies.take()
-        if times_regridded(self.points.grid) != self.form.laid:
+        if times_regridded(self.points.grid) != self.form.placed:
             raise ParameterError(
                 "mpm.regrid has placed the grid's lines anew for another problem, and this one has "
                 f"kept where they were: make a new Space and a new {type(self).__name__} of its "
@@ -408,7 +417,8 @@ class Problem(ReadOnce):
     def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrid`."""
         self.form.regrid()
-        self.here = self._kept = None
+        self.scheme.regrid()
+        self.here = self.kept = None
 
     def _in_blocks(self, count: int) -> bool:
         """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""

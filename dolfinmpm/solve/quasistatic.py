@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,16 +18,15 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm._platform.together import together
+from dolfinmpm.assembly.state import Keeps
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.touching import ActiveBetween
 from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Activation, Prolongate
-from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import NewState, advance, commit
+from dolfinmpm.cut.participants import Prolongate
+from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (
     advice,
@@ -38,16 +37,17 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
-from dolfinmpm.solve.memory import memory_of, set_memory
 from dolfinmpm.solve.method import Tangent, symmetric
 from dolfinmpm.solve.newton import Newton, Outcome, Solver
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.setup import Stabilisations
+from dolfinmpm.solve.solverstate import SolverState
 from dolfinmpm.solve.step import Failed, Step, StepRecord
-from dolfinmpm.solve.timeless import refuse_time
 from dolfinmpm.solve.unsupported import unsupported
+from dolfinmpm.terms.gridterm import fill_functions
 
 __all__ = ["QuasiStatic"]
 
@@ -88,8 +88,12 @@ class QuasiStatic(Problem):
             database and on the command line, such as `-mpm_ksp_type cg`, hold for every
             problem of that prefix.
         petsc_options: Options of this problem alone, without the prefix.
+        scheme: How loads, times, equations and the state at the end of a step hang together, see
+            `dolfinmpm.solve.scheme`; by default forces balance at the end of each step.
 
     Attributes:
+        scheme: The scheme.
+        share: Share of the next step that is tried first.
         history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
@@ -105,8 +109,7 @@ class QuasiStatic(Problem):
 
     _live = frozenset({"tolerance", "max_iterations", "max_halvings"})
 
-    # what is made of what takes part before it has equations, see `equilibrate`
-    changed: Callable[[Activation], Activation] | None = None
+    scheme: Static
 
     @together
     def __init__(
@@ -124,22 +127,23 @@ class QuasiStatic(Problem):
         prolongation: Prolongate | None = None,
         options_prefix: str = "mpm_",
         petsc_options: dict[str, Any] | None = None,
+        scheme: Static | None = None,
     ):
         check_points(points)
         check_limits(tolerance, max_iterations, max_halvings)
         own = check_petsc_options(petsc_options, options_prefix, points.comm)
         super().__init__(
             form, increment, points, bcs, updates=updates, stabilisation=stabilisation,
-            prolongation=prolongation,
+            prolongation=prolongation, scheme=Static() if scheme is None else scheme,
         )  # fmt: skip
         self._max_halvings = max_halvings
         options = Options(self, options_prefix, own)
         # several fields are as a rule a saddle point, and pressure on what is round turns with it
-        definite = len(self.fields) == 1 and not self.form.parts.contacts
+        definite = len(self.fields) == 1 and all(term.definite for term in self.form.terms)
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
         basis = self.form.spaces[0].basis
         tangent = Tangent(
-            symmetric(self.form), definite, self.form.soft is not None, len(shapes),
+            symmetric(self.form), definite, self.form.softened, len(shapes),
             shapes == [(points.gdim,), ()], wide=basis.averaged or basis.continuity > 0,
         )  # fmt: skip
         self.solver: Solver = Newton(
@@ -147,8 +151,12 @@ class QuasiStatic(Problem):
         )
         if self.bodies.free:
             self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
-        self._share = 1.0
+        self.share = 1.0
         self._record = StepRecord()
+
+    def use(self, scheme: Static) -> None:
+        """Take the next steps by another scheme."""
+        vars(self)["scheme"] = scheme
 
     @property
     def newton(self) -> Newton:
@@ -194,32 +202,45 @@ class QuasiStatic(Problem):
         return self.newton.linear.in_blocks(count)
 
     @together(given=of_step)
-    def step(self, t: float | None = None) -> StepRecord:
-        """Take one step to the load that the form's constants and functions now hold. Collective.
+    def step(self, t: float | None = None) -> Any:
+        """Take one step: to the load that is set now, or in problems with a time to t. Collective.
+
+        Quasi-static steps go to what the constants and functions of the form now hold.
 
         Args:
-            t: None; time is of other problems.
+            t: In problems with a time the time to go to (s), later than `time`; or one of
+                `times(end, dt="auto")`, for a step whose length follows from the error of the last
+                one. In others None.
 
         Raises:
-            ParameterError: A time is given.
+            ParameterError: A time is missing, not later, or of no meaning.
             ConvergenceError: The step did not converge, however small it was made.
             PointsOutsideGridError: Points would leave the grid; if they would leave it by
                 more than a cell, the step is halved first.
 
-        After an error the state, and the load, are those of the last converged
+        After an error the state, the load and the time are those of the last converged
         part of the step.
         """
-        refuse_time(t, type(self).__name__)
+        self.scheme.begin(self, t)
+        record = None
+        try:
+            record = self._whole_step()
+        finally:
+            self.scheme.end(record)
+        return record
+
+    def _whole_step(self) -> StepRecord:
+        """Take a step in as many parts as it needs. Collective."""
         started, watch = time.perf_counter(), stages.Watch()
-        self._record = record = self._of_step()
-        check_loads(self._loads.items, self.form.given, self.bcs, self.comm)
-        self._loads.aim()
-        done, share = 0.0, self._share
+        self._record = record = self.scheme.record()
+        check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
+        self.loads.aim()
+        done, share = 0.0, self.share
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
-                step = self._part(done, share)
-                self._loads.set(done + share)
+                step = self.scheme.part(done, share)
+                self.loads.set(done + share)
                 failed = self._attempt(step)
                 if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
@@ -232,23 +253,89 @@ class QuasiStatic(Problem):
                 share *= 0.5
         except BaseException:
             # an interruption too leaves the load where the state is
-            self._loads.set(done)
+            self.loads.set(done)
             self.bodies.reset()
             raise
         finally:
-            self._loads.release()
-        self._share = share
+            self.loads.release()
+        self.share = share
         record.bodies |= self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
         self.history.append(record)
         return record
 
-    def _scheme(self) -> list[str]:
+    def _attempt(self, step: Step) -> Failed | None:
+        """Take a step, or a part of one; returns why not, the state being untouched. Collective."""
+        failed = self._ready(step)
+        if failed is not None:
+            return failed
+        operator = self.scheme.system(self, step)
+        outcome = self._solve(operator, step)
+        state: NewState | str | None = outcome.reason
+        if state is None:
+            state = self.scheme.finish(self, operator, outcome.x, step)
+        if isinstance(state, str):
+            return Failed(state, self._worst(operator), self._support(operator, state))
+        self._commit(operator, state)
+        return None
+
+    def _ready(self, step: Step) -> Failed | None:
+        """Look whether a step may begin, and spread the points over the ranks. Collective."""
+        self._begin()
+        raise_together(self.comm, self.points.fault())
+        garbage.free(self.comm)
+        self._record.migrated += balance(self.points)
+        fault = self.bodies.fault(step.dt, self.scheme.inertia)
+        return None if fault is None else Failed(fault, "that body")
+
+    def _solve(self, operator: Operator, step: Step) -> Outcome:
+        """Solve the equations of a step, with multipliers of contact that bound penetrations."""
+        record, newton = self._record, self.newton
+        newton.guess.length = step.dt
+        record.unknowns = operator.here.unknowns.total
+        for term in operator.terms:
+            term.clings = True
+        for _ in range(_MOST_AUGMENTATIONS):
+            outcome = self.solver.solve(operator)
+            record.iterations += outcome.iterations
+            record.residuals = outcome.residuals
+            record.linear_iterations += newton.linear.iterations
+            if outcome.reason is None and outcome.iterations:
+                newton.linear.warn_of_unread_options()
+            deep = not outcome.reason and [term.augment() for term in operator.terms]
+            if not deep or not any(deep):
+                return outcome
+        outcome.reason = (
+            f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
+            "penalty"
+        )
+        return outcome
+
+    def _commit(self, operator: Operator, state: NewState) -> None:
+        """Write a new state: of bodies, points and markers. Collective."""
+        points, record = self.points, self._record
+        self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
+        record.bodies = {}
+        for term in operator.terms:
+            record.bodies |= term.record()
+        record.migrated += commit(points, state)
+        record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
+        with stages.commit:
+            fill_functions(operator.here.fields, operator.increments)
+
+    def _support(self, operator: Operator, reason: str) -> str:
+        """What to do about a step that failed because a free body has no support. Collective."""
+        free = [] if self.scheme.inertia else self.bodies.free
+        return unsupported(free, self.bodies.acting(operator), reason, self.comm)
+
+    def scheme_lines(self) -> list[str]:
+        """See `Problem`."""
         method = self.newton.linear.used
         return [
+            *self.scheme.summary(),
             f"solver: Newton's method to {self.tolerance:g} of the loads in {self.max_iterations} "
             f"iterations at most, up to {self.max_halvings} halvings; linear solver: "
-            f"{method or 'chosen in the first step'}"
+            f"{method or 'chosen in the first step'}",
         ]
 
     @together
@@ -264,99 +351,9 @@ class QuasiStatic(Problem):
         lines.append(f"linear solver: {method or 'chosen in the first step'}")
         return "\n".join(lines)
 
-    def _memory(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        state, local, cells = super()._memory()
-        own, couplings = memory_of(self.newton, self.form, self.here)
-        return {**state, "share": self._share, **own}, {**local, **couplings}, cells
-
-    def _remember(
-        self, state: dict[str, Any], local: dict[str, Any] | None, cells: dict[str, Any]
-    ) -> None:
-        super()._remember(state, local, cells)
-        self._share = state["share"]
-        self._kept = set_memory(self.newton, self.form, state, local)
-
-    def _part(self, done: float, share: float) -> Step:
-        """What is asked for of a part of a step."""
-        return Step(done + share, share, share)
-
-    def _operator(self, step: Step) -> Operator:
-        """The equations of a step. Collective."""
-        self.bodies.begin(step.dt)
-        here = self.activate(step)
-        return Operator(self.form, here if self.changed is None else self.changed(here))
-
-    def _attempt(self, step: Step) -> Failed | None:
-        """Solve and commit a step; returns why not, the state being untouched."""
-        points, record = self.points, self._record
-        self._begin()
-        raise_together(self.comm, points.fault())
-        garbage.free(self.comm)
-        record.migrated += balance(points)
-        fault = self.bodies.fault(step.dt, self._has_inertia)
-        if fault is not None:
-            return Failed(fault, "that body")
-        operator = self._operator(step)
-        self.newton.guess.length = step.dt
-        outcome = self._solve(operator)
-        if outcome.reason is None and outcome.iterations:
-            self.newton.linear.warn_of_unread_options()
-        record.unknowns = operator.here.unknowns.total
-        state: NewState | str | None = outcome.reason
-        if state is None:
-            state = self._advance(operator, outcome.x, step)
-        if isinstance(state, str):
-            free = [] if self._has_inertia else self.bodies.free
-            advice = unsupported(free, operator.contacts, state, self.comm)
-            return Failed(state, self._worst(operator), advice)
-        self._count(self.bodies.commit(operator.contacts))
-        record.bodies = {
-            one.contact.name: {"force": [float(f) for f in one.total()]} for one in operator.between
-        }
-        record.migrated += commit(points, state)
-        record.imbalance = max(imbalance(points), operator.here.unknowns.imbalance)
-        with stages.commit:
-            operator.fill_functions()
-        return None
-
-    def _count(self, work: float) -> None:
-        """Take note of the work (J) that rigid bodies have done in a step."""
-
-    def _solve(self, operator: Operator) -> Outcome:
-        """Solve the equations of a step, with multipliers of contact that bound penetrations."""
-        record = self._record
-        contacts: list[ActiveContact | ActiveBetween] = [*operator.contacts, *operator.between]
-        for contact in contacts:
-            contact.clings = True
-        for _ in range(_MOST_AUGMENTATIONS):
-            outcome = self.solver.solve(operator)
-            record.iterations += outcome.iterations
-            record.residuals = outcome.residuals
-            record.linear_iterations += self.newton.linear.iterations
-            deep = not outcome.reason and [c.augment() for c in contacts]
-            if not deep or not any(deep):
-                return outcome
-        outcome.reason = (
-            f"{_MOST_AUGMENTATIONS} augmentations do not bound the penetration; take a larger "
-            "penalty"
-        )
-        return outcome
-
-    def _advance(
-        self, operator: Operator, x: Array, step: Step, kept: dict[str, Array] | None = None
-    ) -> NewState | str:
-        """The state at the end of a step, or why there is none. Collective.
-
-        Args:
-            operator: The step's equations, moved to their solution.
-            x: The owned unknowns, shape (owned,).
-            step: What was asked for.
-            kept: Fields that the form carries, where they are known already.
-        """
-        return advance(
-            operator, self._updates, self._moves, largest_cell(self.points.grid),
-            len(self.history) + 1, kept=kept,
-        )  # fmt: skip
+    def keeping(self) -> list[tuple[str, Keeps]]:
+        """See `Problem`."""
+        return [*super().keeping(), ("solver", SolverState(self))]
 
     def _worst(self, operator: Operator) -> str:
         """The point whose law failed, or that is compressed most, for messages. Collective."""
@@ -364,7 +361,7 @@ class QuasiStatic(Problem):
         found = None
         if len(points):
             J = np.ones(len(points))
-            if self._moves:
+            if self.moves:
                 motion = operator.points.motion(operator.here.movers)
                 J = np.linalg.det(deformation(points, *motion))
             failure = operator.points.failure
@@ -380,7 +377,7 @@ class QuasiStatic(Problem):
         last = f"{residuals[-1]:.3g}" if residuals else "none"
         return (
             f"step {len(self.history) + 1} failed at {done + share:.4g} of its load "
-            f"({self._loads.describe()}) with parts of {share:.3g}: SNES says "
+            f"({self.loads.describe()}) with parts of {share:.3g}: SNES says "
             f"{failed.reason}, the relative out-of-balance force is {last} (tolerance "
             f"{self.newton.tolerance:g}); the worst is {failed.worst}. The state is that at "
             f"{done:.4g} of the step: {failed.advice or self._advice()}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import ufl
@@ -22,7 +23,10 @@ from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.splitting import split
 from dolfinmpm.solve.arclength import ArcLength
 from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
+from dolfinmpm.solve.scheme import Static
+from dolfinmpm.solve.step import Step
 
 __all__ = ["equilibrate"]
 
@@ -59,7 +63,7 @@ def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -
         ConvergenceError: More steps would be needed, or one failed.
     """
     check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
-    if problem._in_time or isinstance(problem, ArcLength):
+    if problem.scheme.in_time or isinstance(problem, ArcLength):
         raise ParameterError(
             f"problem = {type(problem).__name__}(...): its steps have a length; bring the points "
             "into balance with an mpm.QuasiStatic of the same form, and go on with this one"
@@ -125,6 +129,22 @@ def _out_of_balance(problem: QuasiStatic) -> float:
     return found.norm / found.reference if found.reference > 0 else 0.0
 
 
+class _Helped(Static):
+    """Static steps on what is made of what takes part.
+
+    Args:
+        change: Makes it.
+    """
+
+    def __init__(self, change: Callable[[Activation], Activation]):
+        self._change = change
+
+    def system(self, problem: Any, step: Step) -> Operator:
+        """See `Static`. Collective."""
+        problem.bodies.begin(step.dt)
+        return Operator(problem.form, self._change(problem.activate(step)))
+
+
 class _Penalties:
     """Penalties on increments in a problem's equations: on jumps and on distances of nodes.
 
@@ -158,7 +178,7 @@ class _Penalties:
 
     def _blocks(self, here: Activation) -> list[Blocks]:
         """Their stiffness on what takes part. Collective."""
-        found = [f.penalty for f in here.fields if f.penalty is not None]
+        found = list(here.blocks_of("penalty"))
         if self._jumps is not None:
             self._jumps.attach(here.fields)
             found += self._jumps.tangent(here.fields)
@@ -168,7 +188,10 @@ class _Penalties:
         """What takes part with penalties in the tangent alone. Collective."""
         blocks = self._blocks(here)
         less = [replace(b, values=-b.values) for b in blocks]
-        return replace(here, grid=[*here.grid, *less], soft=[*here.soft, *blocks])
+        found = dict(here.blocks)
+        for kind, more in (("stiffness", less), ("soft", blocks)):
+            found[kind] = [*here.blocks_of(kind), *more]
+        return replace(here, blocks=found)
 
     @contextlib.contextmanager
     def only_helping(self, tied: bool = False) -> Iterator[None]:
@@ -178,10 +201,10 @@ class _Penalties:
             tied: Whether nodes of ill-filled cells follow others meanwhile.
         """
         problem = self._problem
-        solver, fields = problem.solver, problem.fields
+        solver, fields, scheme = problem.solver, problem.fields, problem.scheme
         newton = problem.newton.anew(softened=True)
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
-        problem.changed = self._left_out
+        problem.use(_Helped(self._left_out))
         if tied:
             follow = Stabilisation("aggregation")
             problem.fields = [
@@ -192,8 +215,8 @@ class _Penalties:
         try:
             yield
         finally:
-            del problem.changed
             problem.solver, problem.fields, problem.here = solver, fields, None
+            problem.use(scheme)
 
 
 def _put_back(problem: QuasiStatic) -> None:

@@ -39,7 +39,7 @@ def summary(problem: Problem) -> str:
     held = [f"{c.where}: component {c.component} {_value(c)}" for c in problem.bcs]
     lines.append(f"conditions: {'; '.join(held) or 'none'}")
     lines += [f"rigid body: '{body.name}'" for body in problem.bodies.all]
-    return "\n".join(lines + problem._scheme())
+    return "\n".join(lines + problem.scheme_lines())
 
 
 def _dimension(points: Any) -> str:
@@ -57,14 +57,7 @@ def _terms(problem: Problem) -> Iterable[str]:
     form = problem.form
     if form.regions:
         yield "sums over points"
-    if form.parts.grid:
-        yield "integrals over the grid"
-    for of in form.boundaries:
-        yield f"boundary of {of.boundary.markers.total} markers"
-    for contact in form.parts.contacts:
-        yield f"contact with '{contact.body.name}', friction {contact.friction:g}"
-    for one in form.parts.between:
-        yield f"contact of two bodies, friction {one.friction:g}"
+    yield from (told for term in form.terms if (told := term.summary()))
 
 
 def _value(condition: Any) -> str:

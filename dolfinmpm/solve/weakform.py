@@ -1,57 +1,45 @@
-"""A weak form over points and grid, made ready for any activation."""
+"""A weak form over points and grid, made ready for any activation: a sum of terms."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 
 from dolfinmpm._platform.errors import FormError
+from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.assembly.ownstress import OwnStress
+from dolfinmpm.assembly.term import ActiveTerm, Term
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.contact.means import Means
-from dolfinmpm.contact.touching import LAYERS, Facing
-from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded, update
-from dolfinmpm.cut.participants import Activation, ActiveField, Participants
+from dolfinmpm.cut.celloffsets import cell_offsets
+from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
+from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.cut.regions import region_on
+from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
-from dolfinmpm.forms.splitting import BoundaryTerms, SplitForm, split
+from dolfinmpm.forms.splitting import SplitForm, split
 from dolfinmpm.grid.graded import times_regridded
-from dolfinmpm.solve.boundaries import place_markers, set_penalties
+from dolfinmpm.terms.boundaryterm import BoundaryTerm
+from dolfinmpm.terms.gridterm import GridTerm
 
-__all__ = ["MassTerm", "WeakForm"]
+__all__ = ["WeakForm"]
 
 Array = npt.NDArray[np.float64]
 
 
-class MassTerm(Protocol):
-    """What the mass of a problem is made of.
-
-    Attributes:
-        means: How contacts act in the mean over a step, or None where they act at its start.
-    """
-
-    means: Means | None
-
-    @property
-    def moving(self) -> set[int]:
-        """Subdomain ids of the facets that it integrates over."""
-
-    def blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
-        """The mass between the nodes that remain behind C, this rank's share. Collective."""
-
-
 class WeakForm:
     """A weak form over points and grid, made ready to be put on activations. Collective.
+
+    It is the sum of what the points integrate and of other terms, which it does not know by name.
 
     Args:
         form: Weak form, linear in the test functions.
@@ -66,14 +54,16 @@ class WeakForm:
         parts: The form, split.
         spaces: The spaces.
         points: The material points.
+        boundaries: Terms over boundaries that do not fit the grid.
         grid: What DOLFINx assembles.
+        terms: All terms beside those of the points.
+        softened: Whether there are terms of the tangent only.
         moduli: What of it has moduli of the laws' tangents at facets.
         also: Subdomain ids that further forms need on the same activations.
-        inertia: What the mass is made of, or None without inertial forces.
+        means: How contacts act in the mean over steps in time, or None.
         own: What terms in UFL say of the stress of points without a law.
-        updates: Fields of each boundary's markers that a step sets.
-        bodies: The rigid bodies that its contacts are with.
-        laid: How often the grid's lines had been laid anew when it last looked.
+        updates: Fields of the points that a step sets to UFL expressions.
+        placed: How often the grid's lines had been placed anew when it last looked.
 
     Raises:
         FormError: A term cannot be evaluated where it stands, or a penalty follows the tangent of
@@ -92,53 +82,55 @@ class WeakForm:
         self.parts: SplitForm = split(form, spaces, points)
         self.spaces, self.points = list(spaces), points
         self.grid = GridAssembler(self.parts.grid, spaces)
-        self.bodies = Bodies(self.parts.contacts, points.grid)
-        self.laid = times_regridded(points.grid)
+        grids = [GridTerm(self.grid)]
+        for kind, more in (("soft", soft), ("changes", changes)):
+            if more is not None:
+                own = GridAssembler(split(more, spaces, points).grid, spaces)
+                grids.append(GridTerm(own, kind))
+        self.softened = soft is not None
+        self.boundaries = [BoundaryTerm(of, spaces) for of in self.parts.boundaries]
+        self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
+        self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.inertia: MassTerm | None = None
+        self.means: Means | None = None
         self.own: list[OwnStress] = []
+        self.updates: Sequence[PointUpdates | OwnStress] = ()
         # none before the first step
         self._revision = -1
-        self._beside = self._assembler(soft), self._assembler(changes)
-        self._facets = self.grid.moduli + ([] if self.changes is None else self.changes.moduli)
-        self.moduli = [m for m in self._facets if not isinstance(m, FacetRing)]
+        found = [m for g in grids for m in g.moduli]
+        self.moduli = [m for m in found if not isinstance(m, FacetRing)]
         self._first_moduli()
-        self.updates = [
-            PointUpdates(
-                {name: e for c in of.conditions for name, e in c.updates.items()},
-                of.regions, spaces, of.boundary.markers,
-            )
-            for of in self.boundaries
-        ]  # fmt: skip
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # what cannot be compiled is to be told now; tangents wait until a solver asks
             region.external, region.internal, region.operands  # noqa: B018
 
-    def _assembler(self, form: ufl.Form | None) -> GridAssembler | None:
-        """What assembles terms over the grid that are no forces on the increments, or None."""
-        if form is None:
-            return None
-        return GridAssembler(split(form, self.spaces, self.points).grid, self.spaces)
+    def add(self, term: Term) -> None:
+        """Add a term that stands in no UFL form, such as the mass."""
+        self.terms.append(term)
 
-    @property
-    def means(self) -> Means | None:
-        """How contacts act in the mean over steps in time, or None."""
-        return None if self.inertia is None else self.inertia.means
+    def start_in_time(self, means: Means | None) -> None:
+        """Act in steps in time: contacts in the mean over a step, or with None at its start."""
+        self.means = means
+        for term in self.terms:
+            term.start_in_time(means)
 
-    @property
-    def soft(self) -> GridAssembler | None:
-        """What assembles terms of the tangent only, or None."""
-        return self._beside[0]
+    def on(self, here: Activation) -> tuple[Evaluation, dict[Term, ActiveTerm]]:
+        """What the points integrate, and its other terms, on an activation. Collective.
 
-    @property
-    def changes(self) -> GridAssembler | None:
-        """What assembles penalties on changes of the velocity, or None."""
-        return self._beside[1]
-
-    @property
-    def grids(self) -> list[GridAssembler]:
-        """All that DOLFINx assembles."""
-        return [self.grid, *(grid for grid in self._beside if grid is not None)]
+        A second form on an activation that was made for another has parts of the body of its own.
+        """
+        for field in self.parts.carried:
+            if isinstance(field, CellOffset):
+                (of,) = (f for f in here.fields if f.space is field.space)
+                self.points[field.name] = cell_offsets(here.where, of)
+        parts = here.regions
+        if here.terms is not self:
+            parts = [region_on(r, self.points, here) for r in self.regions]
+            if self.parts.grid:
+                self.grid.attach(here.fields)
+        evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
+        found = {term: term.on(here) for term in self.terms}
+        return evaluation, {term: one for term, one in found.items() if one is not None}
 
     def bind(self) -> None:
         """Let laws give points that came since what they keep at first. Collective.
@@ -152,11 +144,10 @@ class WeakForm:
             self.parts.tagged.check()
         # fields may have been set since the problem was made
         if first or self._revision != revision:
-            of_markers = [d for b in self.boundaries for d in b.declarations]
-            for declaration in (*self.parts.declarations, *of_markers):
+            for declaration in self.parts.declarations:
                 declaration.bind()
-            for contact in self.parts.contacts:
-                contact.bind(self.parts.declarations)
+            for term in self.terms:
+                term.bind(self.parts.declarations)
             self._revision = revision
             self._first_moduli()
 
@@ -187,9 +178,10 @@ class WeakForm:
             out[declaration.rows] = declaration.moduli()
         return out
 
-    def place_markers(self) -> None:
-        """Make boundaries ready for an activation. Collective."""
-        place_markers(self.boundaries)
+    def place(self) -> None:
+        """Make terms ready for an activation. Collective."""
+        for term in self.terms:
+            term.place()
 
     def set_penalties(self, here: Activation, ghost: bool = True) -> None:
         """Set the penalties of weak conditions on an activation. Collective.
@@ -200,11 +192,10 @@ class WeakForm:
         """
         increments = [space.increment for space in self.spaces]
         laws = self.parts.declarations
-        tied = any(f.C is not None or f.penalty is not None for f in here.fields)
+        tied = any(f.C is not None for f in here.fields) or bool(here.blocks_of("penalty"))
         stabilised = tied or (ghost and GHOST_FACETS in self.moving)
-        set_penalties(
-            self.boundaries, here, lambda: self._moduli_of(laws), increments, stabilised
-        )  # fmt: skip
+        for boundary in self.boundaries:
+            boundary.set_penalties(here, lambda: self._moduli_of(laws), increments, stabilised)
 
     def _first_moduli(self) -> None:
         """Give points that have no moduli of a tangent yet the elastic ones."""
@@ -246,15 +237,9 @@ class WeakForm:
         return self.parts.regions
 
     @property
-    def boundaries(self) -> list[BoundaryTerms]:
-        """Terms over boundaries that do not fit the grid."""
-        return self.parts.boundaries
-
-    @property
     def moving(self) -> set[int]:
         """Subdomain ids of the facets and cells that it integrates over as they are active."""
-        own: set[int] = set().union(*(grid.moving for grid in self.grids))
-        return own | self.also | (self.inertia.moving if self.inertia else set())
+        return self.also.union(*(term.moving for term in self.terms))
 
     @property
     def loads(self) -> list[Any]:
@@ -264,48 +249,31 @@ class WeakForm:
             # numbers of laws are no loads
             found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
             found += [function for function, _ in region.slots.functions]
-        found += [load for contact in self.parts.contacts for load in contact.body.loads]
-        return found + self.grid.loads
-
-    def grid_blocks(
-        self, fields: Sequence[ActiveField]
-    ) -> tuple[list[Blocks], list[Blocks], list[Blocks]]:
-        """Tangent of its terms over the grid, of those of the tangent only, and of penalties on
-        changes of the velocity. Collective.
-        """
-        for modulus in self._facets:
-            (field,) = (f for f in fields if f.space.increment is modulus.increment)
-            update(modulus, field)
-        found: list[list[Blocks]] = []
-        for grid in (self.grid, self.soft, self.changes):
-            if grid is None or not grid.terms:
-                found.append([])
-                continue
-            grid.attach(fields)
-            found.append(grid.tangent(fields))
-        blocks, soft, changes = found
-        return blocks, soft, changes
+        return found + [load for term in self.terms for load in term.loads]
 
     @property
-    def beyond(self) -> int:
-        """Layers of cells around a rank's own that its terms look at at least."""
-        return LAYERS if self.parts.between else 0
+    def layers(self) -> int:
+        """Layers of cells around the cells of a rank that its terms look at, at least."""
+        return max((term.layers for term in self.terms), default=0)
 
-    def facing(self, here: Participants) -> list[Facing]:
-        """Places where bodies face each other. Collective."""
-        numbers = {id(of.boundary): k for k, of in enumerate(self.boundaries)}
-        return [
-            Facing(contact, here, (numbers[id(first)], numbers[id(second)]))
-            for contact in self.parts.between
-            for first, second in [contact.boundaries]
-        ]
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """Blocks of its terms that are the same for a whole step, by their kind. Collective."""
+        found: dict[str, list[Blocks]] = {}
+        for term in self.terms:
+            for kind, own in term.blocks(fields).items():
+                found.setdefault(kind, []).extend(own)
+        return found
+
+    def couple(self, here: Participants) -> list[Coupling]:
+        """Which nodes its terms couple beside those that the points couple. Collective."""
+        return [one for term in self.terms for one in term.couple(here)]
 
     def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were."""
-        self.laid = times_regridded(self.points.grid)
-        for grid in self.grids:
-            grid.regrid()
+        self.placed = times_regridded(self.points.grid)
+        for term in self.terms:
+            term.regrid()
 
-    def mass_blocks(self, fields: Sequence[ActiveField]) -> list[Blocks]:
-        """The mass, if there are inertial forces. Collective."""
-        return [] if self.inertia is None else self.inertia.blocks(fields)
+    def named_terms(self) -> list[tuple[str, Term]]:
+        """Its terms with names, for their state."""
+        return [(f"term {k}", term) for k, term in enumerate(self.terms)]

@@ -10,7 +10,7 @@ from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, Inertia
+from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.dynamics.mass import Mass, MassTerms
@@ -95,4 +95,4 @@ def conditioning(
 def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
     """The lumped mass of explicit steps. Collective."""
     terms = MassTerms(points, "lumped", None)
-    return Mass(terms, replace(here, inertia=Inertia(terms.blocks(here.fields), []))).assembled()
+    return Mass(terms, replace(here, blocks=terms.blocks(here.fields))).assembled()

@@ -58,7 +58,7 @@ class FromState:
         self._problem, self._growth = problem, growth
         self._steps = whole("steps", steps, 1)
         timed = isinstance(problem, Transient)
-        if isinstance(problem, ArcLength) or (problem._in_time and not timed):
+        if isinstance(problem, ArcLength) or (problem.scheme.in_time and not timed):
             raise ParameterError(
                 f"problem = {type(problem).__name__}(...): strength is reduced in quasi-static "
                 "steps; make an mpm.QuasiStatic or mpm.Transient of the same points, laws and loads"

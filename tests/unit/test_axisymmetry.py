@@ -343,7 +343,9 @@ def test_soft_stiffness_is_that_of_whole_rings():
     here = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation=stabilisation).activate()
     u = here.fields[0].basis.node_coordinates()[:, :2] * [1.0, 0.0]
     both = 10 * 0.3 / (1.3 * 0.4) + 10 / 2.6
-    assert energy(here.soft, u) == pytest.approx(0.2 * 4 * both * np.pi * 0.75, rel=1e-10)
+    assert energy(here.blocks_of("soft"), u) == pytest.approx(
+        0.2 * 4 * both * np.pi * 0.75, rel=1e-10
+    )
 
 
 @pytest.mark.parametrize(
@@ -364,7 +366,9 @@ def test_ghost_facets_are_rings(scaling, kind, radius):
         here = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left")).activate()
         r, z = here.fields[0].basis.node_coordinates()[:, :2].T
         # r² bends across verticals, r z across diagonals
-        penalties.append(energy(here.grid, np.column_stack([0 * r, r**2 + r * z])))
+        penalties.append(
+            energy(here.blocks_of("stiffness"), np.column_stack([0 * r, r**2 + r * z]))
+        )
     assert penalties[1] > 1e-3
     assert penalties[0] / penalties[1] == pytest.approx(2 * np.pi * radius, rel=1e-10)
 

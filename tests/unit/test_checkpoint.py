@@ -85,7 +85,7 @@ def bits(problem):
     """Fields, loads and records, all but the seconds."""
     return {
         "fields": {name: values.tobytes() for name, values in problem.points.fields.items()},
-        "loads": [value.tobytes() for _, value in problem._loads.converged()],
+        "loads": [value.tobytes() for _, value in problem.loads.converged()],
         "history": [vars(record) | {"seconds": None, "stages": None} for record in problem.history],
     }
 
@@ -128,7 +128,7 @@ def test_a_run_goes_on_bit_for_bit(name, tmp_path):
             problem.save(tmp_path / f"{k}.h5")
         if name == "halved steps" and k == 0:
             # the next step begins with a part of its load, and with the other line search
-            assert problem._share < 1
+            assert problem.share < 1
             assert problem.newton.search == "cp"
     for k in stops:
         again, step = build()
@@ -148,12 +148,12 @@ def test_a_problem_goes_back_to_what_it_saved(tmp_path):
     for _ in range(4):
         step()
     reached = bits(problem)
-    problem._loads.converged()[0][0].value[1] = -1e4
+    problem.loads.converged()[0][0].value[1] = -1e4
     with pytest.raises(mpm.errors.ConvergenceError):
         problem.step()
     problem.load(tmp_path / "three.h5")
     assert not problem.form.spaces[0].increment.x.array.any()
-    assert problem._loads.converged()[0][0].value[1] == pytest.approx(-2.7)
+    assert problem.loads.converged()[0][0].value[1] == pytest.approx(-2.7)
     for _ in range(4):
         step()
     assert bits(problem) == reached
@@ -233,10 +233,10 @@ def saved(tmp_path_factory):
 
 
 def refused(path, problem, match):
-    before = bits(problem), problem.points["cell"], problem._share
+    before = bits(problem), problem.points["cell"], problem.share
     with pytest.raises(CheckpointError, match=match):
         problem.load(path)
-    after = bits(problem), problem.points["cell"], problem._share
+    after = bits(problem), problem.points["cell"], problem.share
     assert after[0] == before[0]
     assert after[1] is before[1]
     assert after[2] == before[2]

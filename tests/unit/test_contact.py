@@ -195,7 +195,7 @@ def test_the_border_of_a_free_body_has_its_derivatives(d):
     def balance(x):
         """Forces on the points and, not scaled, those on the body."""
         r = operator.residual(x).values
-        force, moment = operator.contacts[0].totals()
+        force, moment = problem.bodies.acting(operator)[0].totals()
         return r.copy(), -np.concatenate([force, moment])
 
     balance(x)
@@ -271,7 +271,7 @@ def test_motion_is_prescribed_by_functions_and_constants():
     np.testing.assert_allclose(ball.position, [1.5, 0, 2.25], atol=1e-14)
     np.testing.assert_allclose(ball.pose.rotation, rotation_of(1.5 * turn, 3), atol=1e-14)
     again = mpm.RigidBody(mpm.Box((0, 0, 0), (1, 1, 1)), centre=(0, 0, 0), rotation=lambda t: turn)
-    again.remember(ball.memory())
+    again.set_state(ball.state())
     np.testing.assert_array_equal(again.pose.rotation, ball.pose.rotation)
     assert again.time == 1.5
 
@@ -296,7 +296,7 @@ def test_what_a_constant_holds_at_first_the_first_step_brings_about(when):
         F + mpm.contact(body, points, u, v), u, points, mpm.fixed(V, "bottom")
     )
     put("after it")
-    problem._share = 0.5
+    problem.share = 0.5
     assert problem.step().parts == 2
     np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
     np.testing.assert_allclose(body.angle, 0.1)

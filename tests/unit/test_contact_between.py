@@ -89,7 +89,7 @@ def test_the_tangent_of_two_bodies(friction, basis, stabilisation):
     problem = pressed(friction, basis, stabilisation)
     record = problem.step()
     assert record.halvings == 0
-    force = record.bodies[problem.form.parts.between[0].name]["force"]
+    force = record.bodies[problem.form.parts.terms[0].name]["force"]
     assert force[1] > 10.0
     # friction pulls back by no more than Coulomb's law allows
     assert abs(force[0]) <= (friction + 1e-4) * force[1]
@@ -98,7 +98,7 @@ def test_the_tangent_of_two_bodies(friction, basis, stabilisation):
     rng = np.random.default_rng(3)
     start = rng.uniform(-1e-3, 1e-3, linearised.size)
     linearised.tangent(start)
-    assert sum(linearised.operator.between[0].count) > 4
+    assert sum(linearised.operator.of(problem.form.parts.terms[0]).count) > 4
     way, t = rng.uniform(-1, 1, linearised.size), 1e-7
     exact, residual = linearised.product(way), linearised.residual
     numerical = (residual(start + t * way) - residual(start - t * way)) / (2 * t)
@@ -120,7 +120,7 @@ def test_each_body_has_means_of_its_own(basis):
 def test_a_step_that_fails_leaves_the_slip_as_it_was():
     problem = pressed()
     problem.step()
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     points, markers = problem.points, contact.boundaries[0].markers
     before = [{n: a.copy() for n, a in one.fields.items()} for one in (points, markers)]
     assert np.abs(markers[contact.names[0]]).max() > 0
@@ -142,7 +142,8 @@ def test_multipliers_bound_the_penetration():
     for bound in (None, 2e-4):
         problem = pressed(0.0, penalty=2.0, penetration=bound)
         problem.step()
-        deepest.append(-problem.operator().between[0].facing.gap.min())
+        (contact,) = problem.form.parts.terms
+        deepest.append(-problem.operator().of(contact).facing.gap.min())
     assert deepest[0] > 3e-3
     # the next step measures the gap anew, between surfaces that have bent
     assert deepest[1] < 1.2 * 2e-4

@@ -236,7 +236,7 @@ def test_no_friction_and_much_of_it(friction):
     for _ in range(3):
         block.problem.step()
     assert block.body.force[1] > 0
-    (contact,) = block.problem.form.parts.contacts
+    (contact,) = block.problem.bodies.contacts
     across = np.abs(block.points["contact1_traction"]).max()
     assert (across > 0) == (friction > 0)
     assert contact.dissipated >= 0

@@ -63,7 +63,7 @@ def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
     operator = problem.operator()
     body.begin(1.0)
     body.put(1.0)
-    (contact,) = operator.contacts
+    (contact,) = problem.bodies.acting(operator)
     asked, probe = [], body.surface.probe
 
     def counted(x):
@@ -72,13 +72,13 @@ def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
 
     monkeypatch.setattr(body.surface, "probe", counted)
     u = np.random.default_rng(0).uniform(-3e-3, 3e-3, operator.increments[0].shape)
-    contact.move(u)
+    contact.touch([u], 1.0)
     assert 0 < sum(asked) < 0.5 * len(contact.x)
     kept = contact.forces.copy(), contact.pressures.copy(), contact.states.copy()
     assert kept[1].max() > 0
     # all of them, as if any might have come near
     contact._first[:] = -1.0
-    contact.move(u)
+    contact.touch([u], 1.0)
     assert asked[-1] == len(contact.x)
     for before, now in zip(kept, (contact.forces, contact.pressures, contact.states)):
         np.testing.assert_array_equal(before, now)
@@ -120,4 +120,4 @@ def test_what_flows_past_a_tool_takes_few_iterations():
 def test_nothing_is_kept_to_guess_from_where_no_tool_touches():
     problem, _ = pressed(False)
     problem.step()
-    assert not problem.newton.guess.memory()
+    assert not problem.newton.guess.state()

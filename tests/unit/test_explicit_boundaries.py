@@ -68,7 +68,10 @@ def test_what_row_sums_bound():
     here = problem.activate()
     k = line.markers["dirichlet1_stiffness"].copy()
     here, found = weighed(problem.form, here)
-    s, kept = here.of_boundaries[0][0].stencils[0], line.markers["dirichlet1_stiffness"] / k
+    s, kept = (
+        here.boundaries[line.markers.number].regions[0].stencils[0],
+        line.markers["dirichlet1_stiffness"] / k,
+    )
     np.testing.assert_array_equal(kept, 1.0)
     assert found.share == 0.0
     count = V.basis.nodes.size

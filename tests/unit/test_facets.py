@@ -59,7 +59,7 @@ def problem_of(grid, basis, term, shape=None, **options):
 
 def matrix_of(problem):
     """Sum of the blocks of the terms over the grid, between the solver's nodes."""
-    (part,) = problem.here.grid
+    (part,) = problem.here.blocks_of("stiffness")
     rows, columns, blocks = part.rows, part.columns, part.values
     c, size = blocks.shape[1], problem.here.fields[0].basis.nodes.size
     i = rows[:, None, None] * c + np.arange(c)[:, None] + np.zeros((c, c), int)

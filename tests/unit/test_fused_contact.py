@@ -34,14 +34,14 @@ def alike(scene, end, calls=2, steps=50, touches=True, **options):
             scale = max(np.abs(expected).max(), 1e-12)
             assert np.abs(getattr(mine, name) - expected).max() <= 1e-10 * scale, name
         assert mine.time == pytest.approx(theirs.time, rel=1e-12)
-    for mine, theirs in zip(one.form.parts.contacts, other.form.parts.contacts):
+    for mine, theirs in zip(one.bodies.contacts, other.bodies.contacts):
         assert mine.dissipated == pytest.approx(theirs.dissipated, rel=1e-9, abs=1e-12)
     mine, theirs = one.energies(), other.energies()
     size = theirs.kinetic + abs(theirs.strain)
     for name in ("kinetic", "strain", "dissipated", "external"):
         assert getattr(mine, name) == pytest.approx(getattr(theirs, name), abs=1e-10 * size), name
     if touches:
-        first = one.form.parts.contacts[0]
+        first = one.bodies.contacts[0]
         assert (one.points[first.names[1]] > 0).any()
         assert first.friction == 0.0 or first.dissipated > 0
     return one
@@ -77,7 +77,7 @@ def test_a_free_disc_hits_a_block():
 def test_a_wedge_is_dragged_through_clay():
     problem = alike(is_ploughed, 0.08)
     assert (problem.points["plastic_strain"] > 0).any()
-    (contact,) = problem.form.parts.contacts
+    (contact,) = problem.bodies.contacts
     assert np.abs(problem.points[contact.names[0]]).max() > 0
 
 
@@ -97,15 +97,15 @@ def test_a_run_that_goes_back_takes_its_bodies_along(fused):
     problem = is_hit(fused=fused)
     problem.step(0.08)
     (ball, *_), points = problem.bodies.all, problem.points
-    (first, *_) = problem.form.parts.contacts
+    (first, *_) = problem.bodies.contacts
     fields = {name: values.copy() for name, values in points.fields.items()}
-    kept = ball.memory(), first.dissipated, problem.energies()
+    kept = ball.state(), first.dissipated, problem.energies()
     assert ball.force[1] > 0
     problem.courant = 40.0
     with pytest.raises(InstabilityError):
         problem.step(0.2)
     assert problem.time == 0.08
-    np.testing.assert_array_equal(ball.memory(), kept[0])
+    np.testing.assert_array_equal(ball.state(), kept[0])
     np.testing.assert_array_equal(ball.position, ball.start.centre)
     assert first.dissipated == kept[1]
     assert problem.energies() == kept[2]

@@ -199,7 +199,7 @@ def test_each_facet_has_its_own_factor(gdim, kind, gamma):
             least = max(without_jumps(pair, *both) for both in orders)
             assert max(found) == pytest.approx(max(30.0, 2 * least), rel=0.05)
     forces = np.zeros_like(u)
-    for part in problem.here.grid:
+    for part in problem.here.blocks_of("stiffness"):
         add_product(part, [u], [forces])
     assert float(np.sum(forces * u)) == pytest.approx(energy, rel=1e-9)
 

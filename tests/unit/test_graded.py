@@ -115,9 +115,9 @@ def test_a_step_is_that_on_a_grid_made_so(basis, stabilisation, fbar, kind):
             moved.fields[name][np.argsort(moved["id"])] = values[order]
     moved.locate()
     if kind is mpm.Newmark:
-        other.motion.remember(problem.motion.memory())
-        other._loads.change = problem._loads.change
-    other._loads.release()
+        other.motion.set_state(problem.motion.state())
+        other.loads.change = problem.loads.change
+    other.loads.release()
     time = (0.02,) if time else ()
     for load, one in ((g, problem), (f, other)):
         load.value[:] = 1.0, -4.0

@@ -403,8 +403,8 @@ def test_nothing_is_compiled_twice_for_a_number_a_mesh_or_a_count(tmp_path, monk
 def test_numbers_of_laws_are_no_loads():
     points, V = block()
     problem = settle(points, V, mpm.momentum(NeoHookean(1e3, 0.3), points, V.increment, V.test))
-    assert "1000" not in problem._loads.describe()
-    assert "-1." in problem._loads.describe()
+    assert "1000" not in problem.loads.describe()
+    assert "-1." in problem.loads.describe()
 
 
 def test_the_stabilisations_take_the_stiffest_law():

@@ -55,7 +55,7 @@ def mapped(problem):
     """Mass, nodal velocities, active nodes and their positions."""
     here = problem.activate()
     (field,) = here.fields
-    mass, x = Mass(problem.form.inertia, here), field.basis.node_coordinates()
+    mass, x = Mass(problem.terms, here), field.basis.node_coordinates()
     momenta = mass.nodal()
     problem.motion.mapping.to_grid(problem.points, field.stencils, x, momenta)
     (V,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays

@@ -149,15 +149,15 @@ def test_volumes_of_water_balance():
     F, points, V, Q, top = block(height=1.0, drained=False, permeability=law)
     F -= top.traction(fem.Constant(points.grid, (0.0, -300.0)), V.test)
     problem = problem_of(F, points, V, Q, held(V) + mpm.fixed(Q, "right"))
-    through, advance = [], problem._advance
+    through, finish = [], problem.scheme.finish
 
-    def watched(operator, *given):
+    def watched(problem, operator, *given):
         # all test functions of the pressure together are 1, here M/h
         modulus, size = LAW.E * 0.7 / (1.3 * 0.4), mpm.cell_size(points.grid).value
         through.append(operator.forces()[1].sum() * size / modulus)
-        return advance(operator, *given)
+        return finish(problem, operator, *given)
 
-    problem._advance = watched
+    problem.scheme.finish = watched
     for t in (0.01, 0.05, 0.2):
         before = points["V"].sum()
         problem.step(t)
@@ -449,13 +449,13 @@ def test_a_pressure_that_is_held_is_so_in_parts_of_a_step():
 
 def fail_first_part(problem):
     """Let the first attempt at a step fail."""
-    advance, attempts = problem._advance, []
+    finish, attempts = problem.scheme.finish, []
 
     def first_not(*given):
         attempts.append(given)
-        return "so that the step is halved" if len(attempts) == 1 else advance(*given)
+        return "so that the step is halved" if len(attempts) == 1 else finish(*given)
 
-    problem._advance = first_not
+    problem.scheme.finish = first_not
 
 
 def test_water_that_enters_swells_the_body_by_its_volume():

@@ -62,7 +62,7 @@ def test_parts_of_a_step_reach_what_small_steps_reach():
         g.value[1] = -2.0 * load
         small.step()
     large, g = column()
-    large._share = 0.25
+    large.share = 0.25
     g.value[1] = -2.0
     grown = large.step()
     assert grown.parts == 3  # 1/4, 1/2 and the 1/4 that is left
@@ -234,7 +234,7 @@ def test_an_interruption_leaves_a_problem_that_can_go_on(monkeypatch):
     problem.step()
     before = state(problem.points)
     calls = 0
-    original = Evaluation.add_internal
+    original = Evaluation.internal
 
     def interrupted(self, out):
         nonlocal calls
@@ -243,7 +243,7 @@ def test_an_interruption_leaves_a_problem_that_can_go_on(monkeypatch):
             raise KeyboardInterrupt
         return original(self, out)
 
-    monkeypatch.setattr(Evaluation, "add_internal", interrupted)
+    monkeypatch.setattr(Evaluation, "internal", interrupted)
     g.value[1] = -0.5
     with pytest.raises(KeyboardInterrupt):
         problem.step()

@@ -20,7 +20,7 @@ ROOT = Path(mpm.__file__).parent
 # each folder imports from those before it only
 ORDER = (
     "_platform", "grid", "basis", "body", "forms", "materials", "kinematics", "porous", "cut",
-    "assembly", "contact", "io", "solve", "dynamics", "study",
+    "assembly", "terms", "contact", "io", "solve", "dynamics", "study",
 )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def test_classes_on_the_path_of_a_step_are_small():
         parts = [
             problem, problem.form, problem.form.grid, problem.solver, newton, newton.linear,
             operator, operator.points, operator.points.regions[0], operator.here.unknowns,
-            problem.fields[0], problem._held, problem._loads, Outcome(), *problem.form.regions,
+            problem.fields[0], problem.held, problem.loads, Outcome(), *problem.form.regions,
         ]  # fmt: skip
         parts += [problem.path] if isinstance(problem, mpm.ArcLength) else []
         small(parts)

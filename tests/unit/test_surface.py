@@ -212,7 +212,7 @@ def test_rough_and_smooth():
 
 def test_parts_of_a_step_scale_the_settlement():
     problem, foot, s = footing(width=3.0)
-    problem._share = 0.25
+    problem.share = 0.25
     s.value = 0.2
     assert problem.step().parts == 3
     assert s.value == 0.2
@@ -255,7 +255,7 @@ def test_what_a_settlement_holds_at_first_the_first_step_brings_about(share):
     loads = []
     for first in (0.2, 0.0):
         problem, foot, s = footing(width=3.0, first=first)
-        problem._share = share
+        problem.share = share
         s.value = 0.2
         problem.step()
         loads.append(foot.load())

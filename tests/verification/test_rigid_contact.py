@@ -90,7 +90,7 @@ def block(degrees, friction, integrator, dt=0.01, duration=0.5, basis="gimp"):
     F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, u, v)
     F -= ufl.inner(points.density * gravity, v) * points.dX
     term = mpm.contact(slope, points, u, v, stiffness_per_area=k, friction=friction)
-    contact = term.integrals()[0].metadata()["contact"]
+    contact = term.integrals()[0].metadata()["term"]
     F += term
     held = min(along, 0.95 * friction * down)
     if friction:

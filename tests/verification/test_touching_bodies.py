@@ -42,7 +42,7 @@ def test_pressure_goes_through_the_interface_unchanged():
         stretch = brentq(lambda t, E=E: E * np.log(t) / t + q, 0.5, 1.0, xtol=1e-15)
         found = points["F"][points["tag"] == tag][:, 1, 1]
         np.testing.assert_allclose(found, stretch, rtol=1e-9)
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     gap = upper.markers["x"][:, 1].mean() - lower.markers["x"][:, 1].mean()
     assert gap == pytest.approx(-q / contact.stiffness, rel=1e-9)
     assert contact.stiffness == pytest.approx(5.0 * 1600.0 / 0.5)
@@ -95,7 +95,7 @@ def test_pressure_goes_through_the_interface_in_3d(friction):
         q.value = 40.0 * (k + 1)
         record = problem.step()
     np.testing.assert_allclose(points["stress"][:, 2, 2], -120.0, rtol=1e-10)
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     np.testing.assert_allclose(record.bodies[contact.name]["force"], [0, 0, 1080], atol=1e-8)
 
 
@@ -124,7 +124,7 @@ def test_a_block_slides_at_mu_times_its_weight():
     sideways, normal = step(0.0)
     assert normal == pytest.approx(weight, rel=1e-9)
     assert abs(sideways) < 0.02 * weight
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     # springs of 1e3 N/m³ draw with less than what friction holds
     points = problem.points
     own = points["tag"] == 2
@@ -172,7 +172,7 @@ def test_two_rods_collide():
     first = points["tag"] == 1
     points["velocity"] = np.where(first[:, None], 1.0, -1.0) * [speed, 0.0]
     problem = mpm.Newmark(F, u, points, bcs, mapping="flip", stabilisation="ghost")
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     touch, dt = 0.5 * apart / speed, 0.5 * h / wave
     problem.step(touch - 2 * dt)
     rows = []

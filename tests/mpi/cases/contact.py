@@ -37,7 +37,7 @@ def figures(problem):
     return {
         "force": body.force.tolist(), "moment": body.moment.tolist(),
         "position": body.position.tolist(), "angle": body.angle.tolist(),
-        "dissipated": problem.form.parts.contacts[0].dissipated,
+        "dissipated": problem.bodies.contacts[0].dissipated,
         **sums(problem.points, *names),
     }  # fmt: skip
 
@@ -145,7 +145,7 @@ def contact_in_fused_steps():
             step()
         moved += sum(record.migrated for record in problem.history)
         energies = problem.energies()
-        first = problem.form.parts.contacts[0]
+        first = problem.bodies.contacts[0]
         found[name] = {
             "parts": [record.parts for record in problem.history],
             "energies": [energies.kinetic, energies.strain, energies.external],
@@ -153,7 +153,7 @@ def contact_in_fused_steps():
                 body.name: [*body.position, *body.angle, *body.force, *body.moment]
                 for body in problem.bodies.all
             },
-            "dissipated": [c.dissipated for c in problem.form.parts.contacts],
+            "dissipated": [c.dissipated for c in problem.bodies.contacts],
             **sums(problem.points, "x", "velocity", "F", "stress", *first.names[:2]),
         }
         assert max(found[name]["dissipated"]) > 0

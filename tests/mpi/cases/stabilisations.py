@@ -108,13 +108,13 @@ def facets_of_few_ranks():
             here = problem.activate()
             x = here.fields[0].basis.node_coordinates()[:, :2]
             values, forces = np.sin(x) + x[:, ::-1], np.zeros_like(x)
-            add_product(here.grid[0], [values], [forces])
+            add_product(here.blocks_of("stiffness")[0], [values], [forces])
             found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
-            idle += COMM.allreduce(int(here.grid[0].rows.size == 0), op=MPI.SUM)
+            idle += COMM.allreduce(int(here.blocks_of("stiffness")[0].rows.size == 0), op=MPI.SUM)
             gamma.value += 1.0
             here = problem.activate()
             forces[:] = 0.0
-            add_product(here.grid[0], [values], [forces])
+            add_product(here.blocks_of("stiffness")[0], [values], [forces])
             found.append(COMM.allreduce(float(np.sum(forces * np.cos(x))), op=MPI.SUM))
         assert idle > 0 or COMM.size == 1
         figures[basis] = {"forces": found, "moved": (moved > 0) if COMM.size > 1 else None}

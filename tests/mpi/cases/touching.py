@@ -32,7 +32,7 @@ def rubbed(**options):
 
 
 def figures(problem):
-    (contact,) = problem.form.parts.between
+    (contact,) = problem.form.parts.terms
     markers = contact.boundaries[0].markers
     return {
         "force": problem.history[-1].bodies[contact.name]["force"],

@@ -28,7 +28,7 @@ from dolfinmpm.body.migration import settle
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import look_ahead
 
-__all__ = ["needed_of", "refer", "require_reference"]
+__all__ = ["refer", "require_reference"]
 
 # Further than so many cells from the nearest point a wall meets nothing
 _REACH = 2.0
@@ -74,11 +74,6 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
             e = markers.strain_dim
             markers.add_field(OWN, (e, e), "", np.eye(e))
         settle(markers, "total")
-
-
-def needed_of(boundaries: Sequence[Any]) -> list[str]:
-    """Names of what a checkpoint must have of boundaries that steps at first positions see."""
-    return [f"boundary {k} {OWN}" for k, of in enumerate(boundaries) if of.boundary.follows]
 
 
 def refer(boundary: Boundary) -> None:

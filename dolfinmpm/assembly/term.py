@@ -1,0 +1,262 @@
+"""The protocol of terms. Each kind of force is a `Term`, and nobody else knows it by name.
+
+A term lives as long as its problem. In each step it makes an `ActiveTerm`: its forces as functions
+of the nodal increments, on the cells that are active. A new kind of force is one file with these
+two classes. Both have neutral defaults, so that a term writes only what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from ufl.core.expr import Expr
+
+from dolfinmpm._platform.checks import Tags
+from dolfinmpm.assembly.stencilsums import Entries
+from dolfinmpm.body.location import Destinations
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.forms.declarations import Declaration
+
+__all__ = ["ActiveTerm", "NewState", "Term", "as_form"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class NewState:
+    """The state at the end of a step. It is computed first and written later, by `commit`.
+
+    Attributes:
+        fields: New values of the points' fields, by name.
+        moves: Whether the points move.
+        to: Where the points go, or None if they stay in their cells.
+        beside: The same of the markers of boundaries: markers, new values, where they go.
+        moved: How far markers move (m), shape (markers, gdim), by the number of the markers.
+    """
+
+    fields: dict[str, Array]
+    moves: bool = True
+    to: Destinations | None = None
+    beside: list[tuple[MaterialPoints, dict[str, Array], Destinations | None]] = field(
+        default_factory=list
+    )
+    moved: dict[int, Array] = field(default_factory=dict)
+
+    def of(self, markers: MaterialPoints) -> dict[str, Array]:
+        """New values of the fields of some markers, which a term may add to."""
+        return next(fields for one, fields, _ in self.beside if one is markers)
+
+
+class ActiveTerm:
+    """A term on an activation: forces as functions of the increments.
+
+    Attributes:
+        kind: "points", "boundary", "grid", "penalty", "contact" or "inertia"; sums of forces may
+            leave out a kind.
+        is_load: Whether its external forces are loads, whose work counts as external.
+        pushes: Whether it moves the points by a motion of its own, as a rigid body does.
+        clings: Whether a contact holds what touched before where nothing has moved yet, so that
+            the first iteration of Newton's method takes it along with a body that goes away.
+    """
+
+    kind: str = "force"
+    is_load: bool = True
+    pushes: bool = False
+    clings: bool = False
+
+    @property
+    def stiffness(self) -> Sequence[Blocks]:
+        """Blocks K that do not depend on the increments u: K u is added to the internal forces."""
+        return ()
+
+    @property
+    def soft(self) -> Sequence[Blocks]:
+        """Blocks that are in the tangent only, see `Stabilisation("soft")`."""
+        return ()
+
+    def external(self, out: Sequence[Array]) -> None:
+        """Add the forces that do not depend on the increments.
+
+        Args:
+            out: Nodal forces (N), shape (nodes, components) for each field; the share of this rank.
+        """
+
+    def move(self, u: Sequence[Array]) -> None:
+        """Take nodal increments, shape (nodes, components) for each field. Collective."""
+
+    def touch(self, u: Sequence[Array], scale: float) -> None:
+        """Find the forces of contact at the increments, where rigid bodies are now.
+
+        Args:
+            u: Nodal increments, shape (nodes, components) for each field.
+            scale: These increments by those at the level where forces balance.
+        """
+
+    def internal(self, out: Sequence[Array]) -> bool:
+        """Add the forces that depend on the increments, without K u.
+
+        Args:
+            out: See `external`.
+
+        Returns:
+            Whether every law found a stress.
+        """
+        return True
+
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """Add the derivative of `internal` to the matrix. Collective.
+
+        Args:
+            entries: The matrix, by the numbers of the row field and the column field.
+        """
+
+    def augment(self) -> bool:
+        """Take forces for multipliers if a bound is exceeded. Collective.
+
+        Returns:
+            Whether balance must be found again.
+        """
+        return False
+
+    def record(self) -> dict[str, dict[str, list[float]]]:
+        """What the record of a step has of it in `bodies`, by its name. Collective."""
+        return {}
+
+    def update(self, new: NewState) -> None:
+        """Add what the points keep of the term at the end of the step."""
+
+    def fault(self, new: NewState) -> str | None:
+        """Why a state cannot be taken, the same on all ranks, or None. Collective."""
+        return None
+
+    def follow(self, new: NewState, step: int) -> None:
+        """Add the state of what moves beside the points, such as markers. Collective.
+
+        Args:
+            new: The new state; where the points go is known.
+            step: Number of the step, for messages.
+        """
+
+
+class Term:
+    """A kind of force of a problem, and all that it keeps from step to step.
+
+    Attributes:
+        points: The material points that it acts on.
+        integrand: What stands for it in a weak form, see `as_form`.
+        layers: Layers of cells around the cells of a rank that the term looks at, at least.
+        tags: Tags of the points that it acts on, or None for all.
+        symmetric: Whether its tangent is symmetric.
+        definite: Whether its tangent leaves one that is positive definite so.
+    """
+
+    points: MaterialPoints
+    integrand: Expr
+    layers: int = 0
+    tags: Tags = None
+    symmetric: bool = True
+    definite: bool = True
+
+    @property
+    def sides(self) -> Sequence[tuple[Any, Any]]:
+        """Boundaries whose markers it needs, each with the increment that moves it."""
+        return ()
+
+    @property
+    def moving(self) -> set[int]:
+        """Ids of the facets and cells that it integrates over as they are active."""
+        return set()
+
+    @property
+    def loads(self) -> list[Any]:
+        """DOLFINx constants and functions in it, which steps take in parts."""
+        return []
+
+    def bind(self, declarations: Sequence[Declaration]) -> None:
+        """Give points that came since the last call the fields that it keeps. Collective.
+
+        Args:
+            declarations: The laws of the form.
+        """
+
+    def start_in_time(self, means: Any) -> None:
+        """Act in steps in time: in the mean over a step, or with None at its start or end.
+
+        Args:
+            means: See `dolfinmpm.contact.means`.
+        """
+
+    def place(self) -> None:
+        """Make ready for an activation where the points are now. Collective."""
+
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """Blocks that are the same for a whole step, by their kind. Collective.
+
+        Kinds are those of `Activation.blocks`, and "pattern" of what is assembled later.
+
+        Args:
+            fields: The active fields.
+        """
+        return {}
+
+    def couple(self, here: Participants) -> list[Coupling]:
+        """Which nodes it couples beside those that the points couple. Collective."""
+        return []
+
+    def on(self, here: Activation) -> ActiveTerm | None:
+        """The term on an activation, or None if it has no forces there. Collective."""
+        return None
+
+    def rate(self) -> float:
+        """Largest square of a frequency that it gives the body (1/s²). Collective."""
+        return 0.0
+
+    def energy(self) -> tuple[float, float]:
+        """What it stores, and what friction in it has taken so far (J), all ranks. Collective."""
+        return 0.0, 0.0
+
+    def regrid(self) -> None:
+        """Forget what belongs to the grid's lines, which have been placed anew."""
+
+    def summary(self) -> str:
+        """What it is, in some words for `print(problem)`."""
+        return repr(self)
+
+    def describe(self) -> str | None:
+        """Its parameters, in words; a checkpoint tells where they differ."""
+        return None
+
+    def state(self) -> dict[str, Any]:
+        """All that it keeps from step to step beside the points' fields, by name. Collective.
+
+        Values are numbers, words, None or arrays that are the same on all ranks, or `Local` and
+        `OfCells`, see `dolfinmpm.assembly.state`.
+        """
+        return {}
+
+    def needed(self) -> list[str]:
+        """Names that `set_state` cannot do without."""
+        return []
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned; values of a rank are missing if ranks differ. Collective."""
+
+
+def as_form(term: Term, u: Any, v: Any) -> ufl.Form:
+    """A term as a part of a weak form, to be added to the internal forces: F += ...
+
+    Args:
+        term: The term; `term.points` are the points that it acts on.
+        u: Increment of the field that it acts on, `Space.increment`.
+        v: Test function, `Space.test`.
+    """
+    term.integrand = ufl.inner(u, v)
+    metadata = {**term.points.dX.metadata(), "term": term}
+    return term.integrand * term.points.dX.reconstruct(metadata=metadata)

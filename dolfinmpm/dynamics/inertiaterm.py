@@ -1,0 +1,90 @@
+"""Forces of steps in time that stand in no weak form: inertia, ghost penalties, dashpots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.assembly.stencilsums import add_product
+from dolfinmpm.assembly.term import ActiveTerm
+from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.pattern import Blocks
+from dolfinmpm.dynamics.mass import Mass
+
+__all__ = ["Dashpots", "Inertia"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Inertia(ActiveTerm):
+    """Inertial forces M a, and penalties on what a step changes of the velocity.
+
+    Accelerations are a linear function of the increments, a = factor u + known. Penalties act on
+    increments less those that are expected of the velocities at the start.
+
+    Args:
+        here: What is active.
+        masses: Masses of the fields that move points, by the number of the field.
+        factor: Derivative of the accelerations by the increments (1/s²).
+        known: The rest of them (m/s²), shape (nodes, d), by the number of the field.
+        expected: Increments that penalties leave free (m), likewise.
+    """
+
+    kind, is_load = "inertia", False
+
+    def __init__(
+        self,
+        here: Activation,
+        masses: Mapping[int, Mass],
+        factor: float,
+        known: Mapping[int, Array],
+        expected: Mapping[int, Array],
+    ):
+        self._known, self._expected = known, expected
+        self._masses = [b for mass in masses.values() for b in mass.blocks]
+        self._changes = here.blocks_of("changes")
+        self._stiffness = [replace(b, values=factor * b.values) for b in self._masses]
+
+    @property
+    def stiffness(self) -> Sequence[Blocks]:
+        """See `ActiveTerm`."""
+        return [*self._changes, *self._stiffness]
+
+    def external(self, out: Sequence[Array]) -> None:
+        """See `ActiveTerm`: M times what is known acts as a load does."""
+        for b in self._masses:
+            add_product(b, self._on_all(self._known, out), out)
+        for b in self._changes:
+            add_product(replace(b, values=-b.values), self._on_all(self._expected, out), out)
+
+    @staticmethod
+    def _on_all(given: Mapping[int, Array], out: Sequence[Array]) -> list[Array]:
+        """Nodal values of all fields; those that none are given of are zero."""
+        return [given.get(k, np.zeros_like(force)) for k, force in enumerate(out)]
+
+
+class Dashpots(ActiveTerm):
+    """Dashpots on the nodes of the first field.
+
+    Args:
+        blocks: Derivative of their forces by the increments.
+        start: Forces of the velocities that do not depend on the increments (N), shape (nodes, d).
+        owned: Nodes of this rank.
+    """
+
+    kind, is_load = "inertia", False
+
+    def __init__(self, blocks: Blocks, start: Array, owned: npt.NDArray[np.int32]):
+        self._blocks, self._start, self._owned = blocks, start, owned
+
+    @property
+    def stiffness(self) -> Sequence[Blocks]:
+        """See `ActiveTerm`."""
+        return [self._blocks]
+
+    def external(self, out: Sequence[Array]) -> None:
+        """See `ActiveTerm`."""
+        out[0][self._owned] += self._start[self._owned]

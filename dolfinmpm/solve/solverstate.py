@@ -1,0 +1,58 @@
+"""What the solver of implicit steps keeps, so that a run goes on as if it had not been interrupted.
+
+Results do not depend on most of it, but their last bits do: the couplings that the matrix
+has kept decide in which order it is factorised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dolfinmpm.assembly.state import Local
+from dolfinmpm.cut.couplings import KeptCouplings
+from dolfinmpm.solve.linearsolver import WORKSPACE
+
+__all__ = ["SolverState"]
+
+
+class SolverState:
+    """Share of the next step, line search, workspace, first guess and couplings of a problem.
+
+    Args:
+        problem: The problem, with Newton's method.
+    """
+
+    def __init__(self, problem: Any):
+        self._problem = problem
+
+    def state(self) -> dict[str, Any]:
+        """All of it; see `dolfinmpm.assembly.state`."""
+        problem, newton = self._problem, self._problem.newton
+        found: dict[str, Any] = {
+            "share": problem.share,
+            "search": newton.search if newton.searches else None,
+            "workspace": newton.linear.mumps.get(WORKSPACE),
+        }
+        if problem.here is not None:
+            kept = KeptCouplings.of(problem.here)
+            for name in ("active", "rows", "columns"):
+                found[name] = Local(getattr(kept, name))
+        return found | {name: Local(values) for name, values in newton.guess.state().items()}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned, and forget what was found since. Collective."""
+        problem, newton = self._problem, self._problem.newton
+        newton.linear.forget()
+        problem.share = values["share"]
+        if newton.searches and values["search"]:
+            newton.search = values["search"]
+        if values["workspace"]:
+            newton.linear.mumps[WORKSPACE] = values["workspace"]
+        local = {name: one.values for name, one in values.items() if isinstance(one, Local)}
+        newton.guess.set_state(local, problem.points.partition)
+        for space in problem.form.spaces:
+            space.increment.x.array[:] = 0.0
+        problem.kept = None
+        if "active" in local:
+            problem.kept = KeptCouplings(local["active"], local["rows"], local["columns"])

@@ -1,0 +1,251 @@
+"""Terms over a boundary that does not fit the grid, which own the markers of the boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from dolfinmpm._platform.compat import geometry_dofmap
+from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
+from dolfinmpm.assembly.evaluation import Evaluation
+from dolfinmpm.assembly.nitschepenalty import trace_constants
+from dolfinmpm.assembly.state import Local
+from dolfinmpm.assembly.term import NewState, Term
+from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.basis.space import Space
+from dolfinmpm.body.axisymmetry import deformation, in_section
+from dolfinmpm.body.boundary import OWN, Boundary
+from dolfinmpm.body.location import Destinations, cells_here, destinations
+from dolfinmpm.body.markerstate import take_state
+from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.regions import regions_of
+from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.forms.splitting import BoundaryTerms
+from dolfinmpm.grid.lattice import lattice_of, smallest_height
+from dolfinmpm.kinematics.nitsche import TRACE
+from dolfinmpm.terms.referencemarkers import refer
+
+__all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
+
+Array = npt.NDArray[np.float64]
+# Constants of cells with a stabilisation serve as long as the boundary moves by no more of a cell
+_STILL = 0.02
+
+
+class BoundaryTerm(Term):
+    """Terms over a boundary that does not fit the grid.
+
+    Args:
+        of: The terms, as the form has them.
+        spaces: Spaces of the increments.
+
+    Attributes:
+        boundary, regions, declarations, conditions: See `BoundaryTerms`.
+    """
+
+    def __init__(self, of: BoundaryTerms, spaces: Sequence[Space]):
+        self._of = of
+        self.boundary, self.regions = of.boundary, of.regions
+        self.declarations, self.conditions = of.declarations, of.conditions
+        self.updates = PointUpdates(
+            {name: e for c in of.conditions for name, e in c.updates.items()},
+            of.regions, spaces, of.boundary.markers,
+        )  # fmt: skip
+
+    @property
+    def markers(self) -> MaterialPoints:
+        """The markers of the boundary."""
+        return self.boundary.markers
+
+    def sees(self, u: Any) -> bool:
+        """Whether its markers are of the field of an increment, of those that have tags."""
+        return self._of.sees(u)
+
+    def bind(self, declarations: Sequence[Declaration]) -> None:
+        """See `Term`. Collective."""
+        for declaration in self.declarations:
+            declaration.bind()
+
+    def place(self) -> None:
+        """Bring markers to the ranks of their cells, with the state of the nearest points.
+
+        Collective.
+        """
+        markers, points = self.markers, self.boundary.points
+        if markers.partition is not points.partition:
+            markers.partition = points.partition
+            markers.locate()
+        if self._of.stateful:
+            take_state(self.boundary, self._of.tags)
+        if markers.configuration == "total" and not self.boundary.follows:
+            refer(self.boundary)
+
+    def on(self, here: Activation) -> ActiveBoundaryTerm:
+        """See `Term`."""
+        mine = any(self is of for of in here.terms.boundaries)
+        known = here.boundaries[self.markers.number].regions
+        return ActiveBoundaryTerm(self, here, known if mine else regions_of(self, here))
+
+    def set_penalties(
+        self,
+        here: Activation,
+        moduli: Callable[[], Array],
+        increments: Sequence[Any],
+        stabilised: bool,
+    ) -> None:
+        """Set the penalties of weak conditions for a step. Collective.
+
+        Args:
+            here: What is active.
+            moduli: Function that gives the elastic moduli M and G at the points (Pa).
+            increments: Increments of the fields.
+            stabilised: Whether a stabilisation bounds the constants of cells with small cuts, so
+                that they change little with the cut.
+        """
+        markers = self.markers
+        rows = np.sort(here.fields[0].of_markers[markers.number].order)
+        for condition in self.conditions:
+            condition.prepare(rows)
+        # constants are kept of one field
+        fields = {id(c.declaration.u) for c in self.conditions if c.local}
+        for k, u in enumerate(increments):
+            local = [c for c in self.conditions if c.local and c.declaration.u is u]
+            if not local:
+                continue
+            if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows)):
+                at = np.zeros((len(markers), 2))
+                for one in self.declarations:
+                    at[one.rows] = one.moduli()
+                found = trace_constants(here, k, self.boundary, moduli(), at)
+                markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
+                markers[f"{TRACE}_cell"] = _middles(self.boundary)
+            for condition in local:
+                of_law = condition.declaration.rows
+                markers[condition.stiffness][of_law] = 2.0 * markers[TRACE][of_law]
+
+    def summary(self) -> str:
+        """See `Term`."""
+        return f"boundary of {self.markers.total} markers"
+
+    def state(self) -> dict[str, Any]:
+        """What markers keep, in the order of their numbers; and which this rank has. Collective."""
+        markers, names = self.markers, self._kept
+        found = markers.comm.bcast(markers.gather(*names))
+        placed = markers.partition is self.boundary.points.partition
+        order = Local(np.concatenate([[np.int64(placed)], markers["id"]]))
+        return {**dict(zip(names, found)), "order": order}
+
+    def needed(self) -> list[str]:
+        """See `Term`: of boundaries that steps at first positions see."""
+        return [OWN] if self.boundary.follows else []
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Set markers to what `state` returned, on any number of ranks. Collective."""
+        markers, names = self.markers, self._kept
+        markers.partition = self.boundary.points.partition
+        order = values.get("order")
+        if order is not None:
+            placed, number = order.values[0], order.values[1:].copy()
+            if not placed:
+                # the next step finds their ranks, as it would have done
+                markers.partition = None
+            for name, old in markers.fields.items():
+                # the state of the nearest points is taken anew
+                markers.fields[name] = np.zeros((len(number), *old.shape[1:]), old.dtype)
+            markers.fields["id"] = number
+        for name in names:
+            markers.fields[name][...] = values[name][markers["id"]]
+        if order is None:
+            markers.locate()
+        else:
+            markers.fields["cell"] = cells_here(markers.grid, self.boundary.seen)
+            markers.recount()
+        if self._of.stateful:
+            take_state(self.boundary, self._of.tags)
+
+    @property
+    def _kept(self) -> list[str]:
+        """Names of the markers' fields that are not of the nearest point."""
+        state = {*self.boundary.points.fields, "body_x", "body_l", "body_x0"}
+        state = (state - {"x", "V", "x0", "V0"}) | {"cell"}
+        return sorted(name for name in self.markers.fields if name not in state)
+
+
+class ActiveBoundaryTerm(Evaluation):
+    """Terms over a boundary on an activation; see `ActiveTerm`."""
+
+    kind = "boundary"
+
+    def __init__(self, of: BoundaryTerm, here: Activation, parts: Any):
+        super().__init__(of.regions, of.markers, here.unknowns, parts)
+        self._of, self._here = of, here
+
+    def update(self, new: NewState) -> None:
+        """See `ActiveTerm`: how far the markers move."""
+        new.moved[self._of.markers.number] = self.motion(self._here.movers)[0]
+
+    def follow(self, new: NewState, step: int) -> None:
+        """Add the state of the markers. Collective.
+
+        Raises:
+            PointsOutsideGridError: Markers would leave the grid.
+        """
+        boundary, markers = self._of.boundary, self._of.markers
+        fields: dict[str, Array] = {}
+        self._of.updates.run(self, fields)
+        to: Destinations | None = None
+        if boundary.follows:
+            u, gradient = self.motion(self._here.movers)
+            dF = deformation(markers, u, gradient)
+            J = np.linalg.det(dF)
+            # Nanson's formula
+            across = np.swapaxes(in_section(markers, dF), 1, 2)
+            turned = np.linalg.solve(across, markers["area"][:, :, None])[:, :, 0]
+            fields["area"] = J[:, None] * turned
+            fields["V"] = np.linalg.norm(fields["area"], axis=1)
+            fields["x"] = markers["x"] + u
+            if OWN in markers.fields:
+                fields[OWN] = dF @ markers[OWN]
+            if markers.configuration != "total":
+                to = destinations(markers.grid, fields["x"], markers["cell"], markers.partition)
+                raise_together(markers.comm, _outside(boundary, fields["x"], to, step))
+        new.beside.append((markers, fields, to))
+
+
+def _middles(boundary: Boundary) -> Array:
+    """Middles of the markers' cells (m), shape (markers, gdim)."""
+    markers, grid, x = boundary.markers, boundary.markers.grid, boundary.seen
+    lattice = lattice_of(grid)
+    if lattice is None:
+        corners = grid.geometry.x[:, : markers.gdim][geometry_dofmap(grid)[markers["cell"]]]
+        return np.asarray(corners.mean(axis=1), np.float64)
+    ijk = lattice.cells_at(x)
+    lines = enumerate(lattice.lines)
+    return np.column_stack([0.5 * (line[ijk[:, d]] + line[ijk[:, d] + 1]) for d, line in lines])
+
+
+def _stays(boundary: Boundary, rows: npt.NDArray[np.integer]) -> bool:
+    """Whether markers are next to where constants were computed for them, in the same cells."""
+    markers = boundary.markers
+    h = smallest_height(markers.grid)
+    way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)
+    other = np.abs(_middles(boundary) - markers[f"{TRACE}_cell"])[rows].max(initial=0.0)
+    known = bool((markers[TRACE][rows] > 0).all())
+    same = known and way < _STILL * h and other < 1e-6 * h
+    return bool(markers.comm.allreduce(same, op=MPI.LAND))
+
+
+def _outside(boundary: Boundary, x: Array, to: Destinations, step: int):
+    lost = np.flatnonzero(to.rank < 0)
+    if lost.size == 0:
+        return None
+    return PointsOutsideGridError(
+        f"{lost.size} markers of {boundary} would leave the grid in step {step}, one from "
+        f"{boundary.markers['x'][lost[0]]} m to {x[lost[0]]} m. The state is that before it: "
+        "enlarge the grid, or let the boundary stay in space with follows=False"
+    )

@@ -1,0 +1,154 @@
+"""Terms over cells and facets of the grid, and blocks that are the same for a whole step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from dolfinmpm.assembly.gridassembler import GridAssembler
+from dolfinmpm.assembly.state import Local
+from dolfinmpm.assembly.stencilsums import Entries, add_blocks
+from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.cut.facetmoduli import FacetModulus, update
+from dolfinmpm.cut.participants import Activation, ActiveField
+from dolfinmpm.cut.pattern import Blocks
+
+__all__ = ["ActiveGridTerm", "GridTerm", "StepBlocks", "fill_functions"]
+
+Array = npt.NDArray[np.float64]
+
+
+class GridTerm(Term):
+    """Terms that DOLFINx assembles.
+
+    Args:
+        assembler: What assembles them.
+        kind: "stiffness" of forces on the increments; "soft" of terms of the tangent only;
+            "changes" of penalties on what a step in time changes of the velocity.
+
+    Attributes:
+        assembler: The argument.
+    """
+
+    def __init__(self, assembler: GridAssembler, kind: str = "stiffness"):
+        self.assembler, self._kind = assembler, kind
+
+    @property
+    def moving(self) -> set[int]:
+        """See `Term`."""
+        return self.assembler.moving
+
+    @property
+    def loads(self) -> list[Any]:
+        """See `Term`."""
+        return self.assembler.loads if self._kind == "stiffness" else []
+
+    @property
+    def moduli(self) -> list[FacetModulus]:
+        """Moduli of the laws' tangents at facets, that its forces have."""
+        return self.assembler.moduli if self._kind != "soft" else []
+
+    def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
+        """See `Term`. What is not linear in the increments is assembled later. Collective."""
+        for modulus in self.moduli:
+            (field,) = (f for f in fields if f.space.increment is modulus.increment)
+            update(modulus, field)
+        if not self.assembler.terms:
+            return {}
+        self.assembler.attach(fields)
+        linear = self._kind != "stiffness" or self.assembler.terms.linear
+        return {self._kind if linear else "pattern": self.assembler.tangent(fields)}
+
+    def on(self, here: Activation) -> ActiveGridTerm | None:
+        """See `Term`. Collective."""
+        if self._kind != "stiffness" or not self.assembler.terms:
+            return None
+        return ActiveGridTerm(self.assembler, here)
+
+    def regrid(self) -> None:
+        """See `Term`."""
+        self.assembler.regrid()
+
+    def summary(self) -> str:
+        """See `Term`."""
+        counts = self._kind == "stiffness" and self.assembler.terms
+        return "integrals over the grid" if counts else ""
+
+    def state(self) -> dict[str, Any]:
+        """Facet tensors that are kept, see `FacetBlock`."""
+        blocks = enumerate(self.assembler.spline_blocks)
+        return {f"{k} {n}": Local(v) for k, block in blocks for n, v in block.state().items()}
+
+    def set_state(self, values: Mapping[str, Any]) -> None:
+        """Take what `state` returned, and forget what else is known."""
+        for k, block in enumerate(self.assembler.spline_blocks):
+            start = f"{k} "
+            names = [name for name in values if name.startswith(start)]
+            block.renew()
+            block.set_state({name.removeprefix(start): values[name].values for name in names})
+
+
+class ActiveGridTerm(ActiveTerm):
+    """Terms that DOLFINx assembles, on an activation; see `ActiveTerm`."""
+
+    kind = "grid"
+
+    def __init__(self, assembler: GridAssembler, here: Activation):
+        self._assembler, self._here = assembler, here
+        self._u: Sequence[Array] = ()
+
+    def external(self, out: Sequence[Array]) -> None:
+        """See `ActiveTerm`."""
+        self._assembler.add_external(self._here.fields, out)
+
+    def move(self, u: Sequence[Array]) -> None:
+        """See `ActiveTerm`."""
+        self._u = u
+
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`."""
+        if not self._assembler.terms.linear:
+            fill_functions(self._here.fields, self._u)
+            self._assembler.add_internal(self._here.fields, out)
+        return True
+
+    def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
+        """See `ActiveTerm`. Collective."""
+        if not self._assembler.terms.linear:
+            fill_functions(self._here.fields, self._u)
+            for b in self._assembler.tangent(self._here.fields):
+                add_blocks(b, entries[b.row_field, b.column_field])
+
+
+class StepBlocks(ActiveTerm):
+    """Blocks that are the same for a whole step: linear terms over the grid, and penalties."""
+
+    kind = "penalty"
+
+    def __init__(self, here: Activation):
+        self._here = here
+
+    @property
+    def stiffness(self) -> Sequence[Blocks]:
+        """See `ActiveTerm`."""
+        return [*self._here.blocks_of("stiffness"), *self._here.blocks_of("penalty")]
+
+    @property
+    def soft(self) -> Sequence[Blocks]:
+        """See `ActiveTerm`."""
+        return self._here.blocks_of("soft")
+
+
+def fill_functions(fields: Sequence[ActiveField], u: Sequence[Array]) -> None:
+    """Hand nodal increments, (nodes, components) for each field, to the DOLFINx functions."""
+    for field, own in zip(fields, u):
+        values = field.space.increment.x.array.reshape(-1, field.space.components)
+        if field.to_grid is not None:
+            values[:] = (field.to_grid @ own)[: len(values)]
+            continue
+        values[:] = 0.0
+        known = field.nodes[field.nodes < len(values)]
+        values[known] = own[known]
