@@ -19,7 +19,7 @@ with _idle_collector():
     from dolfinmpm.body.probes import probe
     from dolfinmpm.body.shapes import Ball, Box, Disc, Polygon, Shape, TurnedBox, Where
     from dolfinmpm.body.surface import Surface
-    from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between
+    from dolfinmpm.contact import Cone, Plane, RigidBody, Wedge, contact, contact_between, springs
     from dolfinmpm.cut.penalties import ghost, soft
     from dolfinmpm.cut.stabilisations import Stabilisation
     from dolfinmpm.dynamics import (
@@ -119,6 +119,7 @@ __all__ = [
     "set_stress",
     "signorini",
     "soft",
+    "springs",
     "steps",
     "stress",
     "study",

@@ -174,7 +174,7 @@ class Scene:
     def pressures(self):
         """Places of the touching corners (m), the forces (N) and pressures (Pa) there."""
         operator = self.problem.operator()
-        (contact,) = problem.bodies.acting(operator)
+        (contact,) = self.problem.bodies.acting(operator)
         operator.rest()
         operator.touch()
         some = contact.pressures > 0

@@ -155,6 +155,7 @@ class Term:
         tags: Tags of the points that it acts on, or None for all.
         symmetric: Whether its tangent is symmetric.
         definite: Whether its tangent leaves one that is positive definite so.
+        fusable: Whether fused explicit steps know it.
     """
 
     points: MaterialPoints
@@ -163,6 +164,7 @@ class Term:
     tags: Tags = None
     symmetric: bool = True
     definite: bool = True
+    fusable: bool = False
 
     @property
     def sides(self) -> Sequence[tuple[Any, Any]]:

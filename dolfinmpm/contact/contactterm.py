@@ -76,7 +76,7 @@ class Contact(Term):
         self.means: Means | None = None
         self.in_time, self.limit = False, math.inf
 
-    definite = False
+    definite, fusable = False, True
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]

@@ -59,6 +59,9 @@ def why_not(form: WeakForm) -> str | None:
         return "a neo-Hookean law that varies"
     if form.boundaries:
         return "terms over boundaries that do not fit the grid"
+    strange = next((term for term in form.parts.terms if not term.fusable), None)
+    if strange is not None:
+        return f"a term that they do not know, {strange!r}"
     own = [term for d in declarations for term in d.terms]
     for integral in form.given.integrals():
         if term_of(integral) or any(integral.integrand() is term for term in own):
