@@ -95,25 +95,22 @@ class Evaluation(ActiveTerm):
             gradient = np.sum([self.gradient[k] for k in movers], axis=0)
         return value, gradient
 
-    def _all(self, act) -> bool:
-        """Let every region act until a law finds no stress; returns whether none failed."""
+    def internal(self, out: Sequence[Array]) -> bool:
+        """See `ActiveTerm`."""
         self.failure = None
         for region in self.regions:
-            act(region)
+            region.add_flux(region.terms.internal, out)
             if region.failure is not None:
                 self.failure = region.failure
                 return False
         return True
 
-    def internal(self, out: Sequence[Array]) -> bool:
-        """See `ActiveTerm`."""
-        return self._all(lambda region: region.add_flux(region.terms.internal, out))
-
     def external(self, out: Sequence[Array]) -> None:
         """See `ActiveTerm`. DOLFINx constants and functions are taken as they are now."""
         for region in self.regions:
             region.update_constants()
-        self._all(lambda region: region.add_flux(region.terms.external, out))
+            region.add_flux(region.terms.external, out)
+            self.failure = self.failure or region.failure
 
     def tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
         """See `ActiveTerm`. Collective if a law takes means over cells."""

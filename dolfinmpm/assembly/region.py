@@ -174,30 +174,27 @@ class Region:
     def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: KeptTangents | None) -> int:
         """The k-th operator at some points, zero at those of other laws; the first that fails."""
         operator = self.terms.operators[k]
-
-        def evaluate(operand, outs, rows, kept) -> int:
-            law: Any = operator.law
-            tangent = outs[1] if slope is not None else None
-            further = if_kept(kept)
-            if by_mean is not None:
-                further["by_mean"] = outs[2]
-            return law.evaluate(operand, outs[0], tangent, rows, **further)
-
-        whole = [a for a in (value, slope, by_mean) if a is not None]
+        law: Any = operator.law
         own = None
         if operator.tags is not None:
             own = np.isin(self._points["tag"][rows], operator.tags)
         if own is None or own.all():
-            return evaluate(operand, whole, rows, kept)
+            further = {} if by_mean is None else {"by_mean": by_mean}
+            return law.evaluate(operand, value, slope, rows, **if_kept(kept), **further)
         mine = np.flatnonzero(own)
-        part = [np.empty((mine.size, *a.shape[1:])) for a in whole]
+        whole = value, slope, by_mean
+        part = [None if a is None else np.empty((mine.size, *a.shape[1:])) for a in whole]
         of_mine = _taken_of(kept, mine)
-        bad = evaluate(operand[mine], part, rows[mine], of_mine)
+        further = {} if by_mean is None else {"by_mean": part[2]}
+        bad = law.evaluate(
+            operand[mine], part[0], part[1], rows[mine], **if_kept(of_mine), **further
+        )
         if kept is not None and of_mine is not None and not kept.known:
             kept.values[mine] = of_mine.values
         for a, values in zip(whole, part):
-            a[:] = 0.0
-            a[mine] = values
+            if a is not None:
+                a[:] = 0.0
+                a[mine] = values
         return int(mine[bad]) if bad >= 0 else -1
 
     def _fail(self, operator: PointOperator, point: int, operand: Array) -> None:

@@ -105,7 +105,7 @@ class Framework:
 
     def internal(self, rows: Rows | slice) -> Array:
         """The law's internal variables at some points, shape (rows, variables)."""
-        columns = [self.points[name][rows] for name in self.law.internal]
+        columns = [self.points.fields[name][rows] for name in self.law.internal]
         if columns:
             return np.stack(columns, axis=1)
         number = len(range(len(self.points))[rows]) if isinstance(rows, slice) else len(rows)

@@ -214,8 +214,10 @@ class Operator:
         every = [term for term in self.terms if term.kind not in without]
         for term in every:
             term.touch(self._u.arrays, self._scale)
-        if not all(term.internal(out.arrays) for term in every):
-            self._spoil(out)
+        for term in every:
+            if not term.internal(out.arrays):
+                self._spoil(out)
+                break
         for blocks in () if "penalty" in without else self._constant:
             add_product(blocks, self._u.arrays, out.arrays)
         out.add_up()

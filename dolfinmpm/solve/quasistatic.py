@@ -221,21 +221,12 @@ class QuasiStatic(Problem):
         After an error the state, the load and the time are those of the last converged
         part of the step.
         """
-        self.scheme.begin(self, t)
-        record = None
-        try:
-            record = self._whole_step()
-        finally:
-            self.scheme.end(record)
-        return record
-
-    def _whole_step(self) -> StepRecord:
-        """Take a step in as many parts as it needs. Collective."""
         started, watch = time.perf_counter(), stages.Watch()
-        self._record = record = self.scheme.record()
         check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
+        self.scheme.begin(self, t)
         self.loads.aim()
-        done, share = 0.0, self.share
+        self._record = record = self.scheme.record()
+        done, share, whole = 0.0, self.share, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
@@ -251,6 +242,7 @@ class QuasiStatic(Problem):
                     raise ConvergenceError(self._failure(failed, done, share))
                 record.halvings += 1
                 share *= 0.5
+            whole = True
         except BaseException:
             # an interruption too leaves the load where the state is
             self.loads.set(done)
@@ -258,6 +250,7 @@ class QuasiStatic(Problem):
             raise
         finally:
             self.loads.release()
+            self.scheme.end(record if whole else None)
         self.share = share
         record.bodies |= self.bodies.record()
         record.seconds, record.stages = time.perf_counter() - started, watch.stop()
