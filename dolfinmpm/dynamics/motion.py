@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
@@ -34,7 +33,6 @@ from dolfinmpm.dynamics.stepwork import (
 from dolfinmpm.dynamics.transfer import collect, scatter
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.step import Step
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["Motion"]
@@ -50,8 +48,6 @@ class Motion:
         rule: The rule of the steps.
         mapping: The velocity mapping.
         terms: What the mass is made of.
-        error: Bound of a step's error, see `Newmark`, or None.
-        clock: DOLFINx constant that holds the time (s), or None.
         sides: Faces of the grid that act on the body.
         ledger: Where energy comes from and goes to; steps add to its sums.
 
@@ -59,10 +55,7 @@ class Motion:
         rule, mapping, terms, ledger: The arguments.
         reserve: What penalties on changes of velocity may give back.
         nodes: What moved in the last step: the nodes of each field that moves points.
-        start, end: Times between which the step asked for goes (s).
-        jumped, varying: Whether a load jumps at its start, and whether any changes in it.
-        time: Time that the state is of (s).
-        last, wanted: Length of the last part of a step, and of the next where it is free (s).
+        varying: Whether any load changes in the step asked for.
     """
 
     nodes: list[MovingNodes]
@@ -73,41 +66,23 @@ class Motion:
         rule: Rule,
         mapping: Mapping,
         terms: MassTerms,
-        error: float | None,
-        clock: fem.Constant | None,
         sides: Sides,
         ledger: Ledger,
     ):
         self.rule, self.mapping, self.terms = rule, mapping, terms
-        self._points, self._error, self._clock = points, error, clock
-        self._sides = sides
-        self.time = self.start = self.end = 0.0
-        self.last = self.wanted = 0.0
-        self.jumped = self.varying = False
+        self._points, self._sides, self.varying = points, sides, False
         self.ledger, self.reserve, self._gains = ledger, Reserve(), Gains()
         # whether the next step begins with M a = f
         self._starting = True
-        self._largest = 0.0
 
-    @property
-    def chooses(self) -> bool:
-        """Whether the lengths of steps may follow from their errors."""
-        return self._error is not None
-
-    def begin(self, end: float, jumped: bool, varying: bool) -> None:
-        """Begin a step to a time (s), in which a load jumps, or any changes."""
-        self.start, self.end, self.jumped = self.time, end, jumped
-        self.varying = varying or self._clock is not None
+    def begin(self, jumped: bool, varying: bool) -> None:
+        """Begin a step at whose start a load jumps, or in which any changes."""
+        self.varying = varying
         self._starting |= jumped
 
     def regrid(self) -> None:
         """Forget what belongs to where the grid's lines were; see `regrid`."""
         self._sides.regrid()
-
-    def set_time(self, t: float) -> None:
-        """Tell the form the time (s)."""
-        if self._clock is not None:
-            self._clock.value = t
 
     @stages.assemble
     def to_grid(self, here: Activation, form: WeakForm, dt: float, rates: Sequence[Array]) -> None:
@@ -178,26 +153,14 @@ class Motion:
         return Dashpots(Blocks(0, 0, nodes, nodes, values), c * start, owned)
 
     @stages.commit
-    def to_points(
-        self, operator: Operator, state: NewState, step: Step, x: Array, scale: float, parts: bool
-    ) -> str | None:
-        """Add the points' new motion to a new state. Collective.
-
-        The loads are those in the middle of the step, for their work.
+    def ends(self, operator: Operator, dt: float) -> list[NodalMotion]:
+        """How the nodes have moved at the end of a step of that length (s). Collective.
 
         Args:
             operator: The step's equations, moved to the end of the step.
-            state: The new state, which is added to.
-            step: The step.
-            x: Unknowns at the level where forces balance, shape (owned,).
-            scale: What they are multiplied by at the end.
-            parts: Whether a step that makes energy may be parted.
-
-        Returns:
-            Why the step is not to be taken, or None.
+            dt: Its length (s).
         """
-        points, here, dt, rule = self._points, operator.here, step.dt, self.rule
-        motions = []
+        rule, motions = self.rule, []
         for one in self.nodes:
             u = operator.increments[one.k]
             A_end = rule.acceleration(u, one.V, one.A, dt)
@@ -207,9 +170,36 @@ class Motion:
                 push = self._push(one, operator)
                 V_end, A_end = rule.pushed(V_end, A_end, push, dt)
             motions.append(NodalMotion(one.V, one.A, V_end, A_end, u, push))
-        reason = self._judge(motions, here, dt)
-        if reason is not None:
-            return reason
+        return motions
+
+    @stages.commit
+    def to_points(
+        self,
+        operator: Operator,
+        state: NewState,
+        motions: Sequence[NodalMotion],
+        dt: float,
+        x: Array,
+        scale: float,
+        parts: bool,
+    ) -> str | None:
+        """Add the points' new motion to a new state. Collective.
+
+        The loads are those in the middle of the step, for their work.
+
+        Args:
+            operator: The step's equations, moved to the end of the step.
+            state: The new state, which is added to.
+            motions: See `ends`.
+            dt: Length of the step (s).
+            x: Unknowns at the level where forces balance, shape (owned,).
+            scale: What they are multiplied by at the end.
+            parts: Whether a step that makes energy may be parted.
+
+        Returns:
+            Why the step is not to be taken, or None.
+        """
+        points = self._points
         found = [self._from_nodes(*both, operator, dt) for both in zip(self.nodes, motions)]
         moved, varying = list(zip(self.nodes, motions)), self.varying
         work = Work(external=work_of_loads(operator, x, scale, moved, dt, varying))
@@ -236,7 +226,6 @@ class Motion:
                 new[name][rows] = values[rows]
         state.fields.update(new)
         self._starting = False
-        self.time, self.last = step.t, dt
         return None
 
     def _push(self, one: MovingNodes, operator: Operator) -> Array:
@@ -263,13 +252,11 @@ class Motion:
             points, s, x_node, motion, one.mass, dt, self.rule.gamma, gradient
         )
 
-    def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
-        """Bound the error |β − 1/6| Δt² |a' − a| of a step's displacement. Collective.
+    def errors(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> Array:
+        """Error |β − 1/6| Δt² |a' − a| of a step's displacement, and this (m). Collective.
 
         Zienkiewicz & Xie 1991, doi 10.1002/eqe.4290200907.
         """
-        if self._error is None:
-            return None
         both: Array = np.zeros(2)
         for one, motion in zip(self.nodes, motions):
             nodes = here.fields[one.k].nodes
@@ -277,35 +264,20 @@ class Motion:
             change = np.abs(motion.A_end[nodes] - motion.A[nodes]).max(initial=0.0)
             both = np.maximum(both, [change, np.abs(motion.u[nodes]).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        found = abs(self.rule.beta - 1 / 6) * dt**2 * both[0]
-        allowed = self._error * max(self._largest, both[1])
-        ratio = (allowed / found) ** (1 / 3) if found > 0 else 2.0
-        self.wanted = dt * min(max(0.9 * ratio, 0.2), 2.0)
-        if found > allowed:
-            return (
-                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
-            )
-        self._largest = max(self._largest, both[1])
-        return None
+        both[0] *= abs(self.rule.beta - 1 / 6) * dt**2
+        return both
 
     def state(self) -> dict[str, Any]:
         """What it keeps from step to step."""
         return {
-            "time": self.time,
-            "last part": self.last,
-            "wanted part": self.wanted,
             "starting": int(self._starting),
-            "largest": self._largest,
             "reserve": sorted(self.reserve.energy.items()),
             "gained": self._gains.made,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Take what `state` returned."""
-        self.time, self.last = state["time"], state["last part"]
-        self.wanted, self._largest = state["wanted part"], state["largest"]
         self._starting = bool(state["starting"])
         self.reserve.energy.clear()
         self.reserve.energy.update({int(k): energy for k, energy in state["reserve"]})
         self._gains.made = state["gained"]
-        self.set_time(self.time)

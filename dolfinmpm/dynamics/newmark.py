@@ -95,7 +95,8 @@ class TimeStepping(QuasiStatic):
         ties = mass == "consistent" and ghost_mass is None
         own = rule.alpha_m == rule.alpha_f == 0.0
         rule = replace(rule, by_forces=ties and own)
-        scheme = TimeScheme(rule, ties)
+        check_clock(time, points.grid)
+        scheme = TimeScheme(rule, ties, error, time)
         super().__init__(form, increment, points, conditions, scheme=scheme, **options)
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
@@ -103,8 +104,7 @@ class TimeStepping(QuasiStatic):
             refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points, self.bcs)
         ledger = Ledger(points, self.form, self.bodies)
-        check_clock(time, points.grid)
-        scheme.motion = Motion(points, rule, chosen, terms, error, time, sides, ledger)
+        scheme.motion = Motion(points, rule, chosen, terms, sides, ledger)
         check_masses(self.bodies)
         self.form.add(terms)
         self.form.start_in_time(scheme.means)
@@ -122,7 +122,7 @@ class TimeStepping(QuasiStatic):
     @property
     def time(self) -> float:
         """Time that the state is of (s)."""
-        return self.motion.time
+        return self.scheme.clock.time
 
     @together
     def energies(self) -> Energies:

@@ -7,20 +7,23 @@ the accelerations that the rule gives for it; f is the quasi-static form, and th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.means import Means
 from dolfinmpm.cut.participants import Activation
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, end_of, mean_increment
+from dolfinmpm.dynamics.clock import mean_increment
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.gains import LEAST
 from dolfinmpm.dynamics.inertiaterm import Inertia
+from dolfinmpm.dynamics.intime import InTime
+from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.motion import Motion
 from dolfinmpm.dynamics.rule import Rule
 from dolfinmpm.dynamics.transfer import collect
@@ -29,7 +32,7 @@ from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.scheme import Static, ended
+from dolfinmpm.solve.scheme import ended
 from dolfinmpm.solve.step import Step, StepRecord
 
 __all__ = ["TimeScheme"]
@@ -37,24 +40,28 @@ __all__ = ["TimeScheme"]
 Array = npt.NDArray[np.float64]
 
 
-class TimeScheme(Static):
+class TimeScheme(InTime):
     """Steps in time by a rule of Newmark's family.
 
     Args:
         rule: The rule.
         ties_movers: Whether nodes that move points are tied where points hardly support them.
+        error, constant: See `InTime`.
 
     Attributes:
         rule, ties_movers: The arguments.
+        jumped: Whether a load jumps at the start of the step.
         motion: What the grid's motion was in the last step; the problem sets it.
     """
 
-    record = MotionRecord
-    in_time = inertia = True
+    inertia = True
     motion: Motion
 
-    def __init__(self, rule: Rule, ties_movers: bool):
-        self.rule, self.ties_movers = rule, ties_movers
+    def __init__(
+        self, rule: Rule, ties_movers: bool, error: float | None, constant: fem.Constant | None
+    ):
+        super().__init__(error, constant)
+        self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     @property
     def means(self) -> Means:
@@ -63,41 +70,23 @@ class TimeScheme(Static):
         return Means((1.0 - rule.alpha_m) / (2.0 * rule.beta), 1.0 / (1.0 - rule.alpha_f))
 
     def begin(self, problem: Any, t: float | None) -> None:
-        """See `Static`. Collective.
-
-        Raises:
-            ParameterError: The time is missing, or not later.
-        """
-        motion, t = self.motion, as_yielded(t, self.motion.time)
-        end = end_of(t, motion.time, motion.wanted if motion.chooses else None)
-        jumped = problem.loads.jumps()
-        motion.begin(end, jumped, any(problem.loads.change))
-        motion.ledger.begin()
-        self._t = t
+        """See `InTime`. Collective."""
+        super().begin(problem, t)
+        self.jumped = problem.loads.jumps()
+        self.motion.begin(self.jumped, any(problem.loads.change) or self._constant is not None)
+        self.motion.ledger.begin()
 
     def end(self, record: StepRecord | None) -> None:
-        """See `Static`: what has been taken of a step counts. Collective."""
-        motion = self.motion
-        motion.ledger.end()
-        if record is None:
-            return
-        assert isinstance(record, MotionRecord)
-        record.time, record.dt = motion.time, motion.last
-        if isinstance(self._t, Time):
-            self._t.reached = motion.time
-
-    def part(self, done: float, share: float) -> Step:
-        """See `Static`."""
-        motion = self.motion
-        whole = motion.end - motion.start
-        return Step(motion.start + (done + share) * whole, share * whole, share)
+        """See `InTime`: what has been taken of a step counts. Collective."""
+        self.motion.ledger.end()
+        super().end(record)
 
     def _load_at(self, problem: Any, step: Step, share: float) -> None:
         """Set time and loads to those at a share of a step; what jumps has done so at its start."""
-        motion = self.motion
-        done = (step.t - motion.start) / (motion.end - motion.start)
-        problem.loads.set(done if motion.jumped else done - (1 - share) * step.share)
-        motion.set_time(step.t - (1 - share) * step.dt)
+        clock = self.clock
+        done = (step.t - clock.start) / (clock.end - clock.start)
+        problem.loads.set(done if self.jumped else done - (1 - share) * step.share)
+        self.set_time(step.t - (1 - share) * step.dt)
 
     def system(self, problem: Any, step: Step) -> Operator:
         """See `Static`. Collective."""
@@ -142,7 +131,7 @@ class TimeScheme(Static):
         for body in problem.bodies.free:
             assert body.freedom is not None
             none = np.zeros(body.freedom.increment.size)
-            body.freedom.begin(body.start, none, body.time, self.motion.jumped)
+            body.freedom.begin(body.start, none, body.time, self.jumped)
         solver = problem.solver
         if isinstance(solver, Bordered) and isinstance(solver.border, FreeBodies):
             solver.border.inertial = Inertial(
@@ -184,11 +173,26 @@ class TimeScheme(Static):
             return state
         self._load_at(problem, step, 0.5)
         parts = step.share >= 2 * 0.5**problem.max_halvings
-        reason = motion.to_points(operator, state, step, x, scale, parts and step.share > LEAST)
+        parts = parts and step.share > LEAST
+        motions = motion.ends(operator, step.dt)
+        reason = self._judge(motions, operator.here, step.dt)
         if reason is None:
+            reason = motion.to_points(operator, state, motions, step.dt, x, scale, parts)
+        if reason is None:
+            self.clock.time, self.clock.last = step.t, step.dt
             self._move_free(problem, operator, step.dt)
         self._load_at(problem, step, 1.0)
         return state if reason is None else reason
+
+    def _judge(self, motions: Sequence[NodalMotion], here: Activation, dt: float) -> str | None:
+        """Bound the error of a step's displacement, and choose the next length. Collective."""
+        if self.error is None:
+            return None
+        clock, (found, largest) = self.clock, self.motion.errors(motions, here, dt)
+        reason = clock.judge(dt, found, self.error * max(clock.largest, largest), 3)
+        if reason is None:
+            clock.largest = max(clock.largest, float(largest))
+        return reason
 
     def _move_free(self, problem: Any, operator: Operator, dt: float) -> None:
         """Give the free rigid bodies their velocities at the end of a step. Collective."""
@@ -233,9 +237,10 @@ class TimeScheme(Static):
 
     def state(self) -> dict[str, Any]:
         """See `Scheme`."""
-        return {**self.motion.state(), **self.motion.ledger.state()}
+        return {**super().state(), **self.motion.state(), **self.motion.ledger.state()}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
         """See `Scheme`."""
+        super().set_state(values)
         self.motion.set_state(dict(values))
         self.motion.ledger.set_state(values)

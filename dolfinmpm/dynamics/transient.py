@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,19 +19,17 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import (
     MotionRecord,
-    Time,
-    as_yielded,
     check_clock,
-    end_of,
     mean_increment,
 )
 from dolfinmpm.dynamics.faces import divided, set_velocities
+from dolfinmpm.dynamics.intime import InTime
 from dolfinmpm.solve.arguments import check_points
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.scheme import Static, ended
-from dolfinmpm.solve.step import Step, StepRecord
+from dolfinmpm.solve.scheme import ended
+from dolfinmpm.solve.step import Step
 
 __all__ = ["Transient"]
 
@@ -43,75 +39,22 @@ Array = npt.NDArray[np.float64]
 _RATE = "rate"
 
 
-@dataclass
-class _TransientClock:
-    """Where in time a problem is.
-
-    Attributes:
-        time: Time that the state is of (s).
-        start, end: Times between which the step asked for goes (s).
-        last, wanted: Length of its last part, and of the next step where it is free (s).
-        largest: Largest displacement of a part so far (m).
-        rates: Whether points have the rate of a part before.
-    """
-
-    time: float = 0.0
-    start: float = 0.0
-    end: float = 0.0
-    last: float = 0.0
-    wanted: float = 0.0
-    largest: float = 0.0
-    rates: bool = False
-
-
-class Rates(Static):
+class Rates(InTime):
     """Quasi-static steps in time; rates are over the length of the step.
 
     Args:
         points: Material points.
-        error: Bound of a step's error, see `Transient`, or None.
-        constant: DOLFINx constant that holds the time (s), or None.
-
-    Attributes:
-        clock: Where in time the problem is.
+        error, constant: See `InTime`.
     """
 
-    record = MotionRecord
-    in_time = True
-
     def __init__(self, points: MaterialPoints, error: float | None, constant: fem.Constant | None):
-        self._points, self._error, self._constant = points, error, constant
-        self.clock = _TransientClock()
-
-    def begin(self, problem: Any, t: float | None) -> None:
-        """See `Static`.
-
-        Raises:
-            ParameterError: The time is missing, or not later.
-        """
-        clock, t = self.clock, as_yielded(t, self.clock.time)
-        clock.end = end_of(t, clock.time, clock.wanted if self._error is not None else None)
-        clock.start, self._t = clock.time, t
-
-    def end(self, record: StepRecord | None) -> None:
-        """See `Static`."""
-        if record is None:
-            return
-        assert isinstance(record, MotionRecord)
-        record.time, record.dt = self.clock.time, self.clock.last
-        if isinstance(self._t, Time):
-            self._t.reached = self.clock.time
-
-    def part(self, done: float, share: float) -> Step:
-        """See `Static`."""
-        whole = self.clock.end - self.clock.start
-        return Step(self.clock.start + (done + share) * whole, share * whole, share)
+        super().__init__(error, constant)
+        self._points = points
 
     def system(self, problem: Any, step: Step) -> Operator:
         """See `Static`. Collective."""
         self._points.dt.value = step.dt
-        if self._constant is not None:
-            self._constant.value = step.t
+        self.set_time(step.t)
         set_velocities(problem.bcs, lambda v: mean_increment(v, step))
         first = problem.here is None
         operator = super().system(problem, step)
@@ -125,7 +68,7 @@ class Rates(Static):
         state = ended(problem, operator)
         if isinstance(state, str):
             return state
-        if self._error is not None:
+        if self.error is not None:
             reason = self._judge(operator, state, step.dt)
             if reason is not None:
                 return reason
@@ -134,34 +77,18 @@ class Rates(Static):
 
     def _judge(self, operator: Operator, state: NewState, dt: float) -> str | None:
         """Bound the error ½ Δt |u/Δt − rate| of a step, and choose the next. Collective."""
-        assert self._error is not None
+        assert self.error is not None
         u, clock = operator.points.motion(operator.here.movers)[0], self.clock
         rate = u / dt
-        change = rate - self._points[_RATE] if clock.rates else np.zeros_like(rate)
+        change = rate - self._points[_RATE] if clock.begun else np.zeros_like(rate)
         both = np.array([np.abs(change).max(initial=0.0), np.abs(u).max(initial=0.0)])
         self._points.comm.Allreduce(MPI.IN_PLACE, both, op=MPI.MAX)
-        found, allowed = 0.5 * dt * both[0], self._error * max(clock.largest, both[1])
-        growth = 0.9 * math.sqrt(allowed / found) if found else 2.0
-        clock.wanted = dt * min(max(growth, 0.2), 2.0)
-        if found > allowed:
-            return (
-                f"the error of the step's displacement is {found:.3g} m and may be {allowed:.3g} m"
-            )
-        clock.largest, clock.rates = max(clock.largest, both[1]), True
-        state.fields[_RATE] = np.asarray(rate, np.float64)
-        return None
-
-    def state(self) -> dict[str, Any]:
-        """See `Scheme`."""
-        c = self.clock
-        return {"clock": np.array([c.time, c.last, c.wanted, c.largest, float(c.rates)])}
-
-    def set_state(self, values: Mapping[str, Any]) -> None:
-        """See `Scheme`."""
-        time, last, wanted, largest, rates = (float(value) for value in values["clock"])
-        self.clock = _TransientClock(time, time, time, last, wanted, largest, bool(rates))
-        if self._constant is not None:
-            self._constant.value = time
+        allowed = self.error * max(clock.largest, both[1])
+        reason = clock.judge(dt, 0.5 * dt * both[0], allowed, 2)
+        if reason is None:
+            clock.largest, clock.begun = max(clock.largest, float(both[1])), True
+            state.fields[_RATE] = np.asarray(rate, np.float64)
+        return reason
 
 
 class Transient(QuasiStatic):

@@ -388,8 +388,8 @@ def shaken(rule=mpm.Newmark, **options):
 
 def bits(problem):
     fields = {name: values.tobytes() for name, values in problem.points.fields.items()}
-    energies, motion = problem.energies(), problem.motion
-    return fields, energies, problem.time, motion.wanted, [
+    energies, clock = problem.energies(), problem.scheme.clock
+    return fields, energies, problem.time, clock.wanted, [
         vars(record) | {"seconds": None, "stages": None} for record in problem.history
     ]  # fmt: skip
 
