@@ -178,7 +178,7 @@ class Scene:
         operator.rest()
         operator.touch()
         some = contact.pressures > 0
-        own = contact.x[some, :-1], contact.pressures[some], contact.areas[some]
+        own = contact.x[some, :-1], contact.pressures[some], contact.start.areas[some]
         x, p, area = (np.concatenate(part) for part in zip(*self.points.comm.allgather(own)))
         return np.linalg.norm(x, axis=1), p, p / area
 

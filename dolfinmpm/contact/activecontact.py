@@ -15,10 +15,10 @@ from dolfinmpm.contact.candidates import candidates, touchable
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.entries import add_corners
-from dolfinmpm.contact.freedom import cross_matrix
 from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.passing import entered, passes, suspected, too_far, travelled, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners, lessened
+from dolfinmpm.contact.placestate import PlaceForces, PlaceStart
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.cut.participants import Participants
 
@@ -48,10 +48,8 @@ class ActiveContact(ActiveTerm):
             the first iteration of Newton's method takes them along with a body that goes away.
         corners: Corners that may touch in this step.
         x: Where they were moved to last (m), shape (m, gdim).
-        forces: Forces on them there (N), likewise.
-        pressures: Their normal forces (N), shape (m,).
-        areas: The share of the body's face that goes with each (m^(d-1)), likewise.
-        states: Whether they are free, stick or slip, likewise.
+        start: What they have at the start of the step.
+        found: Forces on them there.
     """
 
     kind = "contact"
@@ -63,44 +61,56 @@ class ActiveContact(ActiveTerm):
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
         self.means = means
-        points, body = contact.points, contact.body
-        self._sites = Sites(points, sight, contact.surface, contact.material)
+        self._sites = Sites(contact.points, sight, contact.surface, contact.material)
         self._points = candidates(contact, self._sites, among, distance)
         self.corners = c = self._sites.corners(self._points, lambda x: self._kept(x, distance))
-        m, d = c.x.shape
         self.x: Array = c.x.copy()
-        self.forces: Array = np.zeros((m, d))
-        self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
-        traction, pressure, _, stiffness, closing = contact.names
-        self._before = points[traction][c.rows, c.which]
-        self._multiplier: Array = np.zeros(m)
-        self._pressed = points[pressure][c.rows, c.which]
-        if contact.penetration is not None:
-            self._multiplier = self._pressed
-        self._first = self._probe[0]
+        self.found = PlaceForces.nothing(*c.x.shape)
+        self.start = self._at_start(sight.growth is not None)
         self._explicit = means is None and sight.growth is not None
-        self._closing = points[closing][c.rows, c.which]
-        self.areas = self._sites.areas(c, body.start.directions(self._probe[1]))
-        self._stiffness = contact.stiffness_at(c.rows) * self.areas
-        if sight.growth is not None:
+
+    def _at_start(self, in_time: bool) -> PlaceStart:
+        """What corners have at the start of the step."""
+        contact, points, c = self.contact, self.contact.points, self.corners
+        traction, pressure, _, stiffness, closing = contact.names
+        pressed = points[pressure][c.rows, c.which]
+        areas = self._sites.areas(c, contact.body.start.directions(self._probe[1]))
+        k = contact.stiffness_at(c.rows) * areas
+        if in_time:
             # while a corner touches its stiffness does not change with the normal: what is
             # stored would, and the energy with it
             kept = points[stiffness][c.rows, c.which]
-            held = (self._pressed > 0.0) & (kept > 0.0)
-            self._stiffness = np.where(held, kept, self._stiffness)
-        self._gap: Array = np.full(m, np.inf)
-        self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
-        self._way, self._loss, self._closed = np.zeros(m), np.zeros(m), np.zeros(m)
+            k = np.where((pressed > 0.0) & (kept > 0.0), kept, k)
+        multiplier = np.zeros(len(c.x)) if contact.penetration is None else pressed
+        return PlaceStart(
+            self._probe[0], points[traction][c.rows, c.which], pressed, k, multiplier, areas,
+            points[closing][c.rows, c.which],
+        )  # fmt: skip
+
+    @property
+    def forces(self) -> Array:
+        """Forces on the corners as they were last found (N), shape (m, gdim)."""
+        return self.found.forces
+
+    @property
+    def pressures(self) -> Array:
+        """Their normal forces (N), shape (m,)."""
+        return self.found.pressures
+
+    @property
+    def states(self) -> npt.NDArray[np.int8]:
+        """Whether corners are free, stick or slip, shape (m,)."""
+        return self.found.states
 
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
         body = self.contact.body
-        self._start = body.start.back(x)
-        self._probe = body.surface.probe(self._start)
+        self._place = body.start.back(x)
+        self._probe = body.surface.probe(self._place)
         if math.isinf(distance):
             return ALL
         kept = np.flatnonzero(self._probe[0] <= distance)
-        self._start = self._start[kept]
+        self._place = self._place[kept]
         gap, normal, curvature = self._probe
         self._probe = gap[kept], normal[kept], curvature[kept]
         return kept
@@ -167,9 +177,9 @@ class ActiveContact(ActiveTerm):
         """How corners of this rank pass through the body instead of touching it, or None."""
         body = self.contact.body
         half = body.half_thickness
-        if not len(self.x) or not suspected(half, self._gap, self._way):
+        if not len(self.x) or not suspected(half, self.found.gap, self.found.way):
             return None
-        return passes(body.surface, half, self._start, body.pose.back(self.x), self._gap)
+        return passes(body.surface, half, self._place, body.pose.back(self.x), self.found.gap)
 
     # -- forces ---------------------------------------------------------------
 
@@ -192,27 +202,31 @@ class ActiveContact(ActiveTerm):
         pose = self.contact.body.pose
         self.x = self.corners.x + way
         at = pose.back(self.x)
-        holds = self._pressed > 0.0
+        holds = self.start.pressure > 0.0
         if not clings:
             holds[:] = False
         # a corner comes no nearer than it goes
-        self._way = np.linalg.norm(at - self._start, axis=1)
-        far = self._first > self._way
-        c = np.flatnonzero(~far | holds | (self._multiplier > 0.0))
+        self.found.way = np.linalg.norm(at - self._place, axis=1)
+        far = self.start.gap > self.found.way
+        c = np.flatnonzero(~far | holds | (self.start.multiplier > 0.0))
         probe = self.contact.body.surface.probe(at[c])
         # at the start of a step what counts is how gaps have closed in the last one
-        moved = self._way > _ROUNDING * np.abs(at).max(initial=0.0)
+        moved = self.found.way > _ROUNDING * np.abs(at).max(initial=0.0)
         self._find(
-            c, at, probe, holds, self._first[c] - probe[0] if moved.any() else self._closing[c]
+            c,
+            at,
+            probe,
+            holds,
+            self.start.gap[c] - probe[0] if moved.any() else self.start.closing[c],
         )
 
     def rest(self) -> None:
         """Find the forces where corners and body are at the start of the step."""
         self.x = self.corners.x
-        c = np.flatnonzero((self._first <= 0.0) | (self._multiplier > 0.0))
+        c = np.flatnonzero((self.start.gap <= 0.0) | (self.start.multiplier > 0.0))
         gap, normal, curvature = self._probe
         probe = gap[c], normal[c], curvature[c]
-        self._find(c, self._start, probe, np.zeros(len(self.x), bool), self._closing[c])
+        self._find(c, self._place, probe, np.zeros(len(self.x), bool), self.start.closing[c])
 
     def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen, closing: Array) -> None:
         """Find the forces on some corners; on the others are none.
@@ -224,60 +238,54 @@ class ActiveContact(ActiveTerm):
             holds: Which of all are held even where they are outside, shape (m,).
             closing: By how much their gaps have closed in a step (m), shape (c,).
         """
-        self._gap[:], self.states[:] = np.inf, FREE
-        for values in (self.forces, self.pressures, self._traction, self._slope, self._closed):
-            values[:] = 0.0
+        self.found.clear()
         if self.means is not None:
             self._find_means(c, at, probe)
             return
         if not c.size:
             return
-        contact, k = self.contact, self._stiffness[c]
-        found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
+        contact, k = self.contact, self.start.stiffness[c]
+        found = [np.empty((c.size, *own.shape[1:])) for own in self.found.by_law]
         state = np.empty(c.size, np.int8)
         forces_on_corners(
-            *probe, at[c], self._start[c], self._before[c], self._multiplier[c], k,
+            *probe, at[c], self._place[c], self.start.traction[c], self.start.multiplier[c], k,
             contact.slip_share * k, contact.friction, holds[c], *found, state,
         )  # fmt: skip
-        for own, values in zip(self._written, found):
+        for own, values in zip(self.found.by_law, found):
             own[c] = values
-        self._gap[c], self.states[c] = probe[0], state
+        self.found.gap[c], self.states[c] = probe[0], state
         if self._explicit:
             found[0] -= lessened(probe[0], closing, found[2])[:, None] * probe[1]
-            self._closed[c] = closing
+            self.found.closed[c] = closing
         self.forces[c] = contact.body.pose.directions(found[0])
 
     def _find_means(self, c: Rows, at: Array, probe: Probe) -> None:
         """Find mean forces over the step; see `_find`."""
-        rubbed = np.any(self._before != 0.0, axis=1)
+        rubbed = np.any(self.start.traction != 0.0, axis=1)
         if rubbed.any():
             c = np.union1d(c, np.flatnonzero(rubbed))
             probe = self.contact.body.surface.probe(at[c])
-        self._loss[:] = 0.0
+        self.found.loss[:] = 0.0
         if not c.size:
             return
-        body, k, friction = self.contact.body, self._stiffness[c], self.contact.friction
-        way = at[c] - self._start[c]
-        middle = body.surface.probe(self._start[c] + 0.5 * way)[1:]
-        found = [np.empty((c.size, *own.shape[1:])) for own in self._written]
+        body, k, friction = self.contact.body, self.start.stiffness[c], self.contact.friction
+        way = at[c] - self._place[c]
+        middle = body.surface.probe(self._place[c] + 0.5 * way)[1:]
+        found = [np.empty((c.size, *own.shape[1:])) for own in self.found.by_law]
         loss, state = np.empty(c.size), np.empty(c.size, np.int8)
+        start = self.start
         mean_forces(
-            self._first[c], *probe[:2], *middle, way, self._before[c], self._multiplier[c], k,
+            start.gap[c], *probe[:2], *middle, way, start.traction[c], start.multiplier[c], k,
             self.contact.slip_share * k, friction, *found, loss, state,
         )  # fmt: skip
-        for own, values in zip(self._written, found):
+        for own, values in zip(self.found.by_law, found):
             own[c] = values
-        self._gap[c], self.states[c], self._loss[c] = probe[0], state, loss
+        self.found.gap[c], self.states[c], self.found.loss[c] = probe[0], state, loss
         # by the directions in the middle of the body's turn
         Q = 0.5 * (body.start.rotation + body.pose.rotation)
         U, _, Vt = np.linalg.svd(Q)
         self._turned = U @ Vt
         self.forces[c] = found[0] @ self._turned.T
-
-    @property
-    def _written(self) -> tuple[Array, ...]:
-        """What the law of contact gives of each corner; forces in the frame of the body."""
-        return self.forces, self._traction, self.pressures, self._slope
 
     def internal(self, out: Sequence[Array]) -> bool:
         """See `ActiveTerm`: forces as they were last found, which resist, −f (N)."""
@@ -296,11 +304,11 @@ class ActiveContact(ActiveTerm):
         return 1.0 if self.means is None else self.means.weight
 
     @property
-    def _slope_weight(self) -> float:
+    def slope_weight(self) -> float:
         """Weight of derivatives of forces by the increments in a step's balance."""
         return 1.0 if self.means is None else self.means.weight * self.means.scale
 
-    def _lever(self) -> Array:
+    def lever(self) -> Array:
         """From the body's centre to the corners (m), where forces act in the step."""
         body = self.contact.body
         if self.means is None:
@@ -314,7 +322,7 @@ class ActiveContact(ActiveTerm):
         if active.size == 0:
             return
         seen, to = self.corners.entries(), entries[self.field, self.field]
-        add_corners(active, seen, seen, -self._slope_weight * self._world_slope(active), to)
+        add_corners(active, seen, seen, -self.slope_weight * self.world_slope(active), to)
 
     # -- multipliers and what is kept -----------------------------------------
 
@@ -327,11 +335,11 @@ class ActiveContact(ActiveTerm):
         bound = self.contact.penetration
         if bound is None:
             return False
-        deepest = float(-self._gap.min(initial=0.0)) if len(self.x) else 0.0
+        deepest = float(-self.found.gap.min(initial=0.0)) if len(self.x) else 0.0
         deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
         if deepest <= bound:
             return False
-        self._multiplier = self.pressures.copy()
+        self.start.multiplier = self.pressures.copy()
         return True
 
     def totals(self) -> tuple[Array, Array]:
@@ -339,7 +347,7 @@ class ActiveContact(ActiveTerm):
 
         Of axisymmetric bodies they are those all around.
         """
-        moment = _cross(self._lever(), self.forces)
+        moment = _cross(self.lever(), self.forces)
         both = np.concatenate([self.forces.sum(axis=0), moment.sum(axis=0)])
         both = -self.contact.points.comm.allreduce(both, op=MPI.SUM)
         d = self.forces.shape[1]
@@ -348,61 +356,13 @@ class ActiveContact(ActiveTerm):
             both[[0, d]] = 0.0
         return both[:d], both[d:]
 
-    def add_slopes(self, out: Array) -> None:
-        """Add the derivative of `internal` by the body's motion.
-
-        Args:
-            out: Nodal forces by motions (N/m, N/rad), shape (nodes, gdim, components).
-        """
-        active = np.flatnonzero(self.states != FREE)
-        if active.size:
-            by_motion = np.zeros((len(self.x), *out.shape[1:]))
-            by_motion[active] = -self._slope_weight * self._by_motion(active)
-            self.corners.add(by_motion, out)
-
-    def _by_motion(self, active) -> Array:
-        """Derivative of the forces on corners by the body's motion, shape (n, gdim, components)."""
-        K, share = self._world_slope(active), self._own_share
-        arm = cross_matrix(self.x[active] - self.contact.body.pose.centre)
-        turned = share * cross_matrix(self.forces[active])
-        by_turn = turned.transpose(0, 2, 1) - K @ arm.transpose(0, 2, 1)
-        return np.concatenate([-K, by_turn], axis=2)
-
-    def add_to_body(self, by_x: Array, by_y: Array) -> None:
-        """Add the derivatives of force and moment on the body, this rank's share.
-
-        Args:
-            by_x: By nodal increments, shape (nodes, gdim, components).
-            by_y: By the body's own motion, shape (components, components).
-        """
-        active = np.flatnonzero(self.states != FREE)
-        if active.size == 0:
-            return
-        K, d, weight = self._world_slope(active), self.x.shape[1], self._slope_weight
-        S = cross_matrix(self._lever()[active])
-        S_f = self._own_share * cross_matrix(self.forces[active])
-        to_x = -weight * np.concatenate([K, S @ K - S_f], axis=1)
-        whole = np.zeros((len(self.x), d, by_y.shape[0]))
-        whole[active] = to_x.transpose(0, 2, 1)
-        self.corners.add(whole, by_x)
-        A = self._by_motion(active)
-        to_y = -np.concatenate([A, S @ A], axis=1)
-        # the arm is from the centre, which moves
-        to_y[:, d:, :d] -= S_f
-        by_y += weight * to_y.sum(axis=0)
-
-    @property
-    def _own_share(self) -> float:
-        """Share of the end in where forces act in the step."""
-        return 1.0 if self.means is None else 0.5
-
-    def _world_slope(self, active) -> Array:
+    def world_slope(self, active) -> Array:
         """Derivative of the forces by the corners' positions (N/m), shape (n, gdim, gdim)."""
         Q = self.contact.body.pose.rotation
         if self.means is not None:
             P = self._turned
-            return np.einsum("ij,cjk,lk->cil", P, self._slope[active], Q)
-        return np.einsum("ij,cjk,lk->cil", Q, self._slope[active], Q)
+            return np.einsum("ij,cjk,lk->cil", P, self.found.slope[active], Q)
+        return np.einsum("ij,cjk,lk->cil", Q, self.found.slope[active], Q)
 
     def update(self, new: NewState) -> None:
         """See `ActiveTerm`."""
@@ -414,12 +374,12 @@ class ActiveContact(ActiveTerm):
     def kept(self) -> list[tuple[str, Array]]:
         """What corners keep of it at the end of the step, by the name of the points' field."""
         traction, pressure, _, stiffness, closing = self.contact.names
-        held = np.where(self.pressures > 0.0, self._stiffness, 0.0)
+        held = np.where(self.pressures > 0.0, self.start.stiffness, 0.0)
         return [
-            (traction, self._traction),
+            (traction, self.found.traction),
             (pressure, self.pressures),
             (stiffness, held),
-            (closing, self._closed),
+            (closing, self.found.closed),
         ]
 
     def stored(self, before: bool = False) -> float:
@@ -428,24 +388,24 @@ class ActiveContact(ActiveTerm):
         Args:
             before: Whether at the end of the last step.
         """
-        k = np.where(self._stiffness > 0.0, self._stiffness, np.inf)
-        p = self._pressed if before else self.pressures
+        k = np.where(self.start.stiffness > 0.0, self.start.stiffness, np.inf)
+        p = self.start.pressure if before else self.pressures
         own = 0.5 * float(np.sum(p**2 / k))
         if self.contact.friction:
-            t = self._before if before else self._traction
+            t = self.start.traction if before else self.found.traction
             own += 0.5 * float(np.sum(np.sum(t * t, axis=1) / (self.contact.slip_share * k)))
         return self.contact.points.comm.allreduce(own, op=MPI.SUM)
 
     def dissipated(self) -> float:
         """Work that friction takes in this step (J), on all ranks. Collective."""
         slips = self.states == SLIPS
-        done = float(self._loss.sum())
+        done = float(self.found.loss.sum())
         if slips.any() and self.means is None:
-            t, size = self._traction[slips], np.linalg.norm(self._traction[slips], axis=1)
-            eT = self.contact.slip_share * self._stiffness[slips]
+            t, size = self.found.traction[slips], np.linalg.norm(self.found.traction[slips], axis=1)
+            eT = self.contact.slip_share * self.start.stiffness[slips]
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]
-            w = self._before[slips] - eT[:, None] * (at - self._start[slips])
+            w = self.start.traction[slips] - eT[:, None] * (at - self._place[slips])
             trial = w - np.sum(w * n, axis=1)[:, None] * n
             done = (
                 float(np.sum(size * (np.linalg.norm(trial, axis=1) - size) / eT)) if t.size else 0.0

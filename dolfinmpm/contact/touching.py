@@ -19,6 +19,7 @@ from dolfinmpm.contact.declared import DeclaredBetween
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
+from dolfinmpm.contact.placestate import PlaceForces, PlaceStart
 from dolfinmpm.contact.sides import side_of
 from dolfinmpm.contact.starts import RUBBED, held_back, stored_by
 from dolfinmpm.cut.participants import ActiveField, Participants
@@ -203,9 +204,8 @@ class ActiveBetween(ActiveTerm):
         contact: The contact.
         facing: The first argument.
         clings: See `ActiveContact`.
-        forces: Forces on the first body there (N), shape (m, d).
-        pressures: Their normal parts (N), shape (m,).
-        states: Whether places are free, stick or slip, likewise.
+        start: What the places have at the start of the step.
+        found: Forces on the first body there.
     """
 
     kind = "contact"
@@ -215,28 +215,39 @@ class ActiveBetween(ActiveTerm):
         self._means = means
         contact, rows = facing.contact, facing.rows
         m, d = facing.normal.shape
-        self.forces: Array = np.zeros((m, d))
-        self.pressures, self.states = np.zeros(m), np.full(m, FREE, np.int8)
+        self.found, self._slip = PlaceForces.nothing(m, d), np.zeros((m, d))
         markers = contact.boundaries[0].markers
         traction, pressure, *_ = contact.names
-        self._before = facing.shares[:, None] * markers[traction][rows]
-        self._pressed = facing.shares * markers[pressure][rows]
+        pressed = facing.shares * markers[pressure][rows]
         # bodies that touch without pressing hold each other too as long as nothing moves
-        self._touch = (self._pressed > 0.0) | (facing.gap < _TOUCHES * facing.reach)
-        self._multiplier: Array = np.zeros(m)
-        if contact.penetration is not None:
-            self._multiplier = self._pressed
-        self._stiffness: Array = contact.stiffness * facing.areas
+        self._touch = (pressed > 0.0) | (facing.gap < _TOUCHES * facing.reach)
+        multiplier = np.zeros(m) if contact.penetration is None else pressed
+        self.start = PlaceStart(
+            facing.gap, facing.shares[:, None] * markers[traction][rows], pressed,
+            contact.stiffness * facing.areas, multiplier, facing.areas, np.zeros(m),
+        )  # fmt: skip
         if means is not None and contact.penetration is None:
-            q = -self._stiffness * facing.gap
-            along = self._stored(np.zeros(m), self._before)
+            start = self.start
+            q = -start.stiffness * facing.gap
+            along = self._stored(np.zeros(m), start.traction)
             kept, spare = (float(markers[name].sum()) for name in contact.names[4:6])
             comm, stored = contact.points.comm, self._stored(q, np.zeros((m, d)))
-            self._multiplier = held_back(q, stored, along, kept, spare, comm)
-        self._gap: Array = np.full(m, np.inf)
-        self._slip: Array = np.zeros((m, d))
-        self._loss: Array = np.zeros(m)
-        self._traction, self._slope = np.zeros((m, d)), np.zeros((m, d, d))
+            start.multiplier = held_back(q, stored, along, kept, spare, comm)
+
+    @property
+    def forces(self) -> Array:
+        """Forces on the first body as they were last found (N), shape (m, d)."""
+        return self.found.forces
+
+    @property
+    def pressures(self) -> Array:
+        """Their normal parts (N), shape (m,)."""
+        return self.found.pressures
+
+    @property
+    def states(self) -> npt.NDArray[np.int8]:
+        """Whether places are free, stick or slip, shape (m,)."""
+        return self.found.states
 
     def touch(self, u: Sequence[Array], scale: float) -> None:
         """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
@@ -245,33 +256,34 @@ class ActiveBetween(ActiveTerm):
             u = [self._means.scale / scale * values for values in u]
         if not len(facing.rows):
             return
+        start, found = self.start, self.found
         one, other = facing.sides
         moved = one.displacement(u), other.displacement(u)
         self._slip = slip = moved[0] - moved[1]
         n = facing.normal
-        self._gap = facing.gap + np.einsum("ci,ci->c", slip, n)
+        self.found.gap = facing.gap + np.einsum("ci,ci->c", slip, n)
         at_rest = not (moved[0].any() or moved[1].any())
         if self._means is not None:
             flat = np.zeros((*n.shape, n.shape[1]))
             mean_forces(
-                facing.gap, self._gap, n, n, flat, slip, self._before, self._multiplier,
-                self._stiffness, contact.slip_share * self._stiffness, contact.friction,
-                self.forces, self._traction, self.pressures, self._slope, self._loss, self.states,
+                facing.gap, found.gap, n, n, flat, slip, start.traction, start.multiplier,
+                start.stiffness, contact.slip_share * start.stiffness, contact.friction,
+                *found.by_law, found.loss, found.states,
             )  # fmt: skip
             return
         holds = self._touch & (self.clings and at_rest)
         flat = np.zeros((*n.shape, n.shape[1]))
         forces_on_corners(
-            self._gap, n, flat, slip, np.zeros_like(slip), self._before, self._multiplier,
-            self._stiffness, contact.slip_share * self._stiffness, contact.friction, holds,
-            self.forces, self._traction, self.pressures, self._slope, self.states,
+            found.gap, n, flat, slip, np.zeros_like(slip), start.traction, start.multiplier,
+            start.stiffness, contact.slip_share * start.stiffness, contact.friction, holds,
+            *found.by_law, found.states,
         )  # fmt: skip
         if contact.friction and holds.any():
             # what is about to be pressed will stick
             sticks = np.flatnonzero(holds & (self.pressures <= 0.0))
             along = np.eye(n.shape[1]) - n[sticks, :, None] * n[sticks, None, :]
-            slip_stiffness = contact.slip_share * self._stiffness[sticks]
-            self._slope[sticks] -= slip_stiffness[:, None, None] * along
+            slip_stiffness = contact.slip_share * self.start.stiffness[sticks]
+            self.found.slope[sticks] -= slip_stiffness[:, None, None] * along
 
     def internal(self, out: Sequence[Array]) -> bool:
         """See `ActiveTerm`: forces as they were last found, which resist (N)."""
@@ -287,7 +299,7 @@ class ActiveBetween(ActiveTerm):
         active = np.flatnonzero(self.states != FREE)
         if not active.size:
             return
-        K = -self._slope[active]
+        K = -self.found.slope[active]
         if self._means is not None:
             K *= self._means.weight * self._means.scale
         for a in self.facing.sides:
@@ -300,11 +312,11 @@ class ActiveBetween(ActiveTerm):
         bound = self.contact.penetration
         if bound is None:
             return False
-        deepest = float(-self._gap.min(initial=0.0))
+        deepest = float(-self.found.gap.min(initial=0.0))
         deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
         if deepest <= bound:
             return False
-        self._multiplier = self.pressures.copy()
+        self.start.multiplier = self.pressures.copy()
         return True
 
     def fault(self, new: NewState) -> str | None:
@@ -342,31 +354,36 @@ class ActiveBetween(ActiveTerm):
         new: dict[str, Array] = {name: np.zeros_like(markers[name]) for name in self.contact.names}
         new[work][:] = markers[work]
         done = self._dissipated()
-        parts = self._traction, self.pressures, done, self._stored(self.pressures, self._traction)
+        parts = (
+            self.found.traction,
+            self.pressures,
+            done,
+            self._stored(self.pressures, self.found.traction),
+        )
         for name, values in zip((traction, pressure, work, stored), parts):
             np.add.at(new[name], rows, values)
         new[steps][:] = markers[steps] + 1.0
         if self._means is not None and self.contact.penetration is None:
-            q = self._multiplier - self._stiffness * self.facing.gap
+            q = self.start.multiplier - self.start.stiffness * self.facing.gap
             new[spare][:] = markers[spare] + markers[stored]
-            np.add.at(new[spare], rows, RUBBED * done - self._stored(q, self._before))
+            np.add.at(new[spare], rows, RUBBED * done - self._stored(q, self.start.traction))
         return new
 
     def _stored(self, pressures: Array, t: Array) -> Array:
         """What the penalties store at each place (J), shape (m,), under some forces (N)."""
         slip = self.contact.slip_share if self.contact.friction else 0.0
-        return stored_by(pressures, t, self._stiffness, slip)
+        return stored_by(pressures, t, self.start.stiffness, slip)
 
     def _dissipated(self) -> Array:
         """Work that friction takes at each place in this step (J), shape (m,)."""
         if self._means is not None:
-            return self._loss
+            return self.found.loss
         done = np.zeros(len(self.states))
         slips = self.states == SLIPS
         if slips.any():
-            t, n = self._traction[slips], self.facing.normal[slips]
-            stiffness = self.contact.slip_share * self._stiffness[slips]
-            w = self._before[slips] - stiffness[:, None] * self._slip[slips]
+            t, n = self.found.traction[slips], self.facing.normal[slips]
+            stiffness = self.contact.slip_share * self.start.stiffness[slips]
+            w = self.start.traction[slips] - stiffness[:, None] * self._slip[slips]
             trial = np.linalg.norm(w - np.sum(w * n, axis=1)[:, None] * n, axis=1)
             size = np.linalg.norm(t, axis=1)
             done[slips] = size * (trial - size) / stiffness

@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.bodyslopes import add_slopes, add_to_body
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
@@ -134,7 +135,7 @@ class FreeBodies:
             for contact in self._contacts(body):
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                contact.add_slopes(nodal)
+                add_slopes(contact, nodal)
                 total = total + self._columns(nodal[:, :, free], contact.field)
             found.append(total)
         return np.hstack(found)
@@ -156,7 +157,7 @@ class FreeBodies:
                 touching += weight * np.concatenate([force, moment])
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                contact.add_to_body(nodal, by_y)
+                add_to_body(contact, nodal, by_y)
                 by_x = by_x + self._columns(nodal[:, :, own], contact.field)
             by_y = comm.allreduce(by_y, op=MPI.SUM)
             t = body.time + self._level * body.dt

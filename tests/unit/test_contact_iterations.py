@@ -77,7 +77,7 @@ def test_corners_that_cannot_have_come_so_far_are_not_looked_at(monkeypatch):
     kept = contact.forces.copy(), contact.pressures.copy(), contact.states.copy()
     assert kept[1].max() > 0
     # all of them, as if any might have come near
-    contact._first[:] = -1.0
+    contact.start.gap[:] = -1.0
     contact.touch([u], 1.0)
     assert asked[-1] == len(contact.x)
     for before, now in zip(kept, (contact.forces, contact.pressures, contact.states)):

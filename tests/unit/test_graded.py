@@ -115,7 +115,7 @@ def test_a_step_is_that_on_a_grid_made_so(basis, stabilisation, fbar, kind):
             moved.fields[name][np.argsort(moved["id"])] = values[order]
     moved.locate()
     if kind is mpm.Newmark:
-        other.motion.set_state(problem.motion.state())
+        other.scheme.set_state(problem.scheme.state())
         other.loads.change = problem.loads.change
     other.loads.release()
     time = (0.02,) if time else ()
