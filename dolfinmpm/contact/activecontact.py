@@ -11,15 +11,15 @@ from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import ActiveTerm, NewState
-from dolfinmpm.contact.candidates import candidates, touchable
+from dolfinmpm.contact.candidates import candidates
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
-from dolfinmpm.contact.passing import entered, passes, suspected, too_far, travelled, within
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners, lessened
 from dolfinmpm.contact.placestate import PlaceForces, PlaceStart
 from dolfinmpm.contact.surfaces import Probe
+from dolfinmpm.contact.unseen import missed, passed
 from dolfinmpm.cut.participants import Participants
 
 __all__ = ["ActiveContact"]
@@ -61,9 +61,9 @@ class ActiveContact(ActiveTerm):
     ):  # fmt: skip
         self.contact, self.clings, self.field = contact, False, field
         self.means = means
-        self._sites = Sites(contact.points, sight, contact.surface, contact.material)
-        self._points = candidates(contact, self._sites, among, distance)
-        self.corners = c = self._sites.corners(self._points, lambda x: self._kept(x, distance))
+        self.sites = Sites(contact.points, sight, contact.surface, contact.material)
+        self.among = candidates(contact, self.sites, among, distance)
+        self.corners = c = self.sites.corners(self.among, lambda x: self._kept(x, distance))
         self.x: Array = c.x.copy()
         self.found = PlaceForces.nothing(*c.x.shape)
         self.start = self._at_start(sight.growth is not None)
@@ -74,7 +74,7 @@ class ActiveContact(ActiveTerm):
         contact, points, c = self.contact, self.contact.points, self.corners
         traction, pressure, _, stiffness, closing = contact.names
         pressed = points[pressure][c.rows, c.which]
-        areas = self._sites.areas(c, contact.body.start.directions(self._probe[1]))
+        areas = self.sites.areas(c, contact.body.start.directions(self._probe[1]))
         k = contact.stiffness_at(c.rows) * areas
         if in_time:
             # while a corner touches its stiffness does not change with the normal: what is
@@ -105,12 +105,12 @@ class ActiveContact(ActiveTerm):
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
         body = self.contact.body
-        self._place = body.start.back(x)
-        self._probe = body.surface.probe(self._place)
+        self.place = body.start.back(x)
+        self._probe = body.surface.probe(self.place)
         if math.isinf(distance):
             return ALL
         kept = np.flatnonzero(self._probe[0] <= distance)
-        self._place = self._place[kept]
+        self.place = self.place[kept]
         gap, normal, curvature = self._probe
         self._probe = gap[kept], normal[kept], curvature[kept]
         return kept
@@ -123,63 +123,16 @@ class ActiveContact(ActiveTerm):
         sight = Sight.of(fields[k], here.total, len(contact.points), contact.in_time)
         return ActiveContact(contact, sight, k, means=contact.means)
 
-    # -- which points may touch -----------------------------------------------
-
-    def missed(self, x: Array, before: Array | None = None) -> bool:
-        """Whether points that were not looked at have got into the body. Collective.
-
-        Args:
-            x: Positions of all points at the end of the step (m), shape (points, gdim).
-            before: Those at its start, where they may have gone through the body.
-        """
-        body = self.contact.body
-        way = 0.0 if before is None else float(np.abs(x - before).max(initial=0.0))
-        far = within([body.pose], body.surface, x, way)
-        far[self._points] = False
-        can = touchable(self.contact, self._sites, ALL)
-        if can is not None:
-            far &= can
-        rows = np.flatnonzero(far)
-        ends = x if before is None else before
-        start, end = body.start.back(ends[rows]), body.pose.back(x[rows])
-        inside = bool(rows.size) and entered(body.surface, body.half_thickness, start, end).any()
-        return self.contact.points.comm.allreduce(bool(inside), op=MPI.LOR)
-
     def fault(self, new: NewState) -> str | None:
         """See `ActiveTerm`: points that passed the body, or got into it unseen. Collective."""
         if not new.moves:
             return None
         points = self.contact.points
         # all ranks have the same answer
-        if self.missed(new.fields["x"], points["x"]):
+        if missed(self, new.fields["x"], points["x"]):
             return "material points got into a rigid body from further away than was looked at"
-        found = points.comm.allgather(self.passed())
+        found = points.comm.allgather(passed(self))
         return next((reason for reason in found if reason is not None), None)
-
-    def passed(self) -> str | None:
-        """Why the body, where it has been put, and points of this rank have passed each other."""
-        body = self.contact.body
-        if body.freedom is not None:
-            # what prescribes the others has been asked before
-            way = travelled(body.surface, body.start, body.pose)
-            fault = too_far(body, way, self.contact.limit)
-            if fault is not None:
-                return fault
-        how = self.passes()
-        if how is None:
-            return None
-        return (
-            f"points that touch '{body.name}' {how}: take smaller steps or "
-            "a larger penalty, or bound the penetration"
-        )
-
-    def passes(self) -> str | None:
-        """How corners of this rank pass through the body instead of touching it, or None."""
-        body = self.contact.body
-        half = body.half_thickness
-        if not len(self.x) or not suspected(half, self.found.gap, self.found.way):
-            return None
-        return passes(body.surface, half, self._place, body.pose.back(self.x), self.found.gap)
 
     # -- forces ---------------------------------------------------------------
 
@@ -206,7 +159,7 @@ class ActiveContact(ActiveTerm):
         if not clings:
             holds[:] = False
         # a corner comes no nearer than it goes
-        self.found.way = np.linalg.norm(at - self._place, axis=1)
+        self.found.way = np.linalg.norm(at - self.place, axis=1)
         far = self.start.gap > self.found.way
         c = np.flatnonzero(~far | holds | (self.start.multiplier > 0.0))
         probe = self.contact.body.surface.probe(at[c])
@@ -226,7 +179,7 @@ class ActiveContact(ActiveTerm):
         c = np.flatnonzero((self.start.gap <= 0.0) | (self.start.multiplier > 0.0))
         gap, normal, curvature = self._probe
         probe = gap[c], normal[c], curvature[c]
-        self._find(c, self._place, probe, np.zeros(len(self.x), bool), self.start.closing[c])
+        self._find(c, self.place, probe, np.zeros(len(self.x), bool), self.start.closing[c])
 
     def _find(self, c: Rows, at: Array, probe: Probe, holds: Chosen, closing: Array) -> None:
         """Find the forces on some corners; on the others are none.
@@ -248,7 +201,7 @@ class ActiveContact(ActiveTerm):
         found = [np.empty((c.size, *own.shape[1:])) for own in self.found.by_law]
         state = np.empty(c.size, np.int8)
         forces_on_corners(
-            *probe, at[c], self._place[c], self.start.traction[c], self.start.multiplier[c], k,
+            *probe, at[c], self.place[c], self.start.traction[c], self.start.multiplier[c], k,
             contact.slip_share * k, contact.friction, holds[c], *found, state,
         )  # fmt: skip
         for own, values in zip(self.found.by_law, found):
@@ -269,8 +222,8 @@ class ActiveContact(ActiveTerm):
         if not c.size:
             return
         body, k, friction = self.contact.body, self.start.stiffness[c], self.contact.friction
-        way = at[c] - self._place[c]
-        middle = body.surface.probe(self._place[c] + 0.5 * way)[1:]
+        way = at[c] - self.place[c]
+        middle = body.surface.probe(self.place[c] + 0.5 * way)[1:]
         found = [np.empty((c.size, *own.shape[1:])) for own in self.found.by_law]
         loss, state = np.empty(c.size), np.empty(c.size, np.int8)
         start = self.start
@@ -405,7 +358,7 @@ class ActiveContact(ActiveTerm):
             eT = self.contact.slip_share * self.start.stiffness[slips]
             at = self.contact.body.pose.back(self.x[slips])
             n = self.contact.body.surface.probe(at)[1]
-            w = self.start.traction[slips] - eT[:, None] * (at - self._place[slips])
+            w = self.start.traction[slips] - eT[:, None] * (at - self.place[slips])
             trial = w - np.sum(w * n, axis=1)[:, None] * n
             done = (
                 float(np.sum(size * (np.linalg.norm(trial, axis=1) - size) / eT)) if t.size else 0.0

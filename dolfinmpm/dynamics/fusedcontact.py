@@ -24,6 +24,7 @@ from dolfinmpm.contact.candidates import MARGIN
 from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.contact.corners import Rows, Sight, longest
 from dolfinmpm.contact.nearby import Nearby
+from dolfinmpm.contact.unseen import missed, passed
 from dolfinmpm.dynamics.halfstep import late_by_contact
 from dolfinmpm.dynamics.nodes import fastest
 from dolfinmpm.dynamics.passes import COLUMNS
@@ -171,9 +172,9 @@ class RigidContacts:
         """
         # one place more: whether points and bodies have passed each other
         look = np.zeros(len(self._near) + 1, np.uint8)
-        faults = (active.passed() for active in self._active)
-        passed = next((fault for fault in faults if fault is not None), None)
-        look[-1] = passed is not None
+        faults = (passed(active) for active in self._active)
+        through = next((fault for fault in faults if fault is not None), None)
+        look[-1] = through is not None
         for k, near in enumerate(self._near):
             gone = way * near.cell + near.way()
             sure = near.travelled(gone)
@@ -183,12 +184,12 @@ class RigidContacts:
             # ranks that listed points anew within the step are surer than others
             self._points.comm.Allreduce(MPI.IN_PLACE, look, op=MPI.MAX)
         if look[-1]:
-            found = self._points.comm.allgather(passed)
+            found = self._points.comm.allgather(through)
             return next(reason for reason in found if reason is not None)
-        missed = False
+        unseen = False
         for k in np.flatnonzero(look[:-1]):
-            missed = self._active[k].missed(self._points["x"]) or missed
-        if missed:
+            unseen = missed(self._active[k], self._points["x"]) or unseen
+        if unseen:
             return "material points got into a rigid body from further away than was looked at"
         for near, active in zip(self._near, self._active):
             near.keep(active)
