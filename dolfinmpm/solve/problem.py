@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -17,10 +16,8 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, shown
 from dolfinmpm._platform.errors import (
-    CheckpointError,
     FormError,
     ParameterError,
-    raise_together,
 )
 from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
@@ -42,7 +39,6 @@ from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
 from dolfinmpm.grid.graded import times_regridded
-from dolfinmpm.io import checkpoint
 from dolfinmpm.solve.arguments import (
     ELSEWHERE,
     check_callable,
@@ -56,10 +52,10 @@ from dolfinmpm.solve.arguments import (
 from dolfinmpm.solve.axis import warn_of_free_axis
 from dolfinmpm.solve.bodyfields import check_bodies
 from dolfinmpm.solve.conflicts import check_boundaries_of
-from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.pressures import refuse_increments
+from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
@@ -256,11 +252,7 @@ class Problem(ReadOnce):
             ParameterError: It is no path.
             CheckpointError: The file cannot be written, or h5py is missing.
         """
-        path = file_path("path", path)
-        history = [dataclasses.asdict(record) for record in self.history]
-        state = {**self._identity(), **self.state()}
-        state["description"] = [list(pair) for pair in self._description().items()]
-        checkpoint.write(path, self.points, state, history, self._laws)
+        save(self, file_path("path", path))
 
     @together
     def load(self, path: str | os.PathLike[str]) -> None:
@@ -291,58 +283,7 @@ class Problem(ReadOnce):
                 another grid or of another problem, or h5py is missing. The state is then
                 what it was.
         """
-        path = file_path("path", path)
-        found = checkpoint.read(path, self.points, self._laws)
-        raise_together(self.comm, self._mismatch(os.fspath(path), found.state))
-        before = dict(found.state.get("description", ()))
-        warn_of_differences(self.comm, os.fspath(path), before, self._description())
-        found.put(self.points)
-        self.set_state(found.state)
-        of_step = self.scheme.record
-        names = {f.name for f in dataclasses.fields(of_step)}
-        self.history = [
-            of_step(**{k: v for k, v in row.items() if k in names}) for row in found.history
-        ]
-
-    def _description(self) -> dict[str, str]:
-        """What the problem is, in words, of which a next stage may change some. Collective."""
-        return {**describe(self.fields, self.form, self.bcs), **self.scheme.description()}
-
-    @property
-    def _laws(self) -> list[str]:
-        """Laws with their measures of strain; a next stage may have other parameters."""
-        declared = self.form.parts.declarations
-        return sorted({f"{type(d.law).__name__} under {d.strain} strain" for d in declared})
-
-    def _identity(self) -> dict[str, Any]:
-        """What a checkpoint must have in common with this problem."""
-        constants = [bc.value for bc in self.bcs if isinstance(bc.value, fem.Constant)]
-        return {
-            "solver": type(self).__name__,
-            "unknown fields": str([space.increment.ufl_shape for space in self.form.spaces]),
-            "loads": str([load.ufl_shape for load, _ in self.loads.converged()]),
-            "prescribed": len(constants),
-            "boundaries": str([of.boundary.markers.total for of in self.form.boundaries]),
-            "rigid bodies": len(self.bodies.all),
-            **self.scheme.identity(),
-        }
-
-    def _mismatch(self, path: str, state: dict[str, Any]) -> CheckpointError | None:
-        for what, here in self._identity().items():
-            found = state.get(what, "[]" if what == "boundaries" else None)
-            if found != here:
-                return CheckpointError(
-                    f"{path} is of another problem: its {what} is {found}, that of this "
-                    f"one {here}; build the same problem before you load"
-                )
-        needed = [f"{k}: {name}" for k, term in self.form.named_terms() for name in term.needed()]
-        absent = [name for name in needed if name not in state]
-        if absent and self.configuration == "total":
-            return CheckpointError(
-                f"{path} is of a problem in the updated configuration: it lacks '{absent[0]}', "
-                'where boundaries were at first; load it into one with configuration="updated"'
-            )
-        return None
+        load(self, file_path("path", path))
 
     def keeping(self) -> list[tuple[str, Keeps]]:
         """All that keeps values from step to step beside the points, with names."""
