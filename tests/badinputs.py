@@ -545,8 +545,11 @@ BAD = {
     "soft: u a space": (lambda s: s.soft(u=s.V), r"Space\.increment"),
     "soft: v the increment": (lambda s: s.soft(v=s.u), r"v = a Function .* Space\.test"),
     "soft: points none": (lambda s: s.soft(points=None), "points = None must be"),
-    "stabilisation: gamma a word": (lambda s: mpm.Stabilisation("ghost", gamma="1"), "a number"),
-    "stabilisation: gamma": (lambda s: mpm.Stabilisation("ghost", gamma=-1), "gamma = -1 must be"),
+    "stabilisation: factor a word": (lambda s: mpm.Stabilisation("ghost", factor="1"), "a number"),
+    "stabilisation: factor": (
+        lambda s: mpm.Stabilisation("ghost", factor=-1),
+        "factor = -1 must be",
+    ),
     "stabilisation: threshold a word": (
         lambda s: mpm.Stabilisation("aggregation", threshold="1"),
         "threshold = '1' must be a number",

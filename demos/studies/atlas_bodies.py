@@ -73,8 +73,8 @@ def law_of(p: dict[str, Any]) -> Any:
 
 def a_tenth(basis: str, stabilisation: str) -> mpm.Stabilisation:
     """A stabilisation by its name; of the ghost penalty a tenth of what the basis usually has."""
-    gamma = {"gamma": TENTHS[basis]} if stabilisation == "ghost" else {}
-    return mpm.Stabilisation(stabilisation, **gamma)
+    factor = TENTHS[basis] if stabilisation == "ghost" else None
+    return mpm.Stabilisation(stabilisation, factor=factor)
 
 
 def way_of(p: dict[str, Any]) -> tuple[int, Any]:

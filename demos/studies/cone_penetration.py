@@ -229,7 +229,7 @@ class Scene:
             bcs += mpm.rollers(V, "left", "right", "front", "back")
         stabilisation = args.stabilisation
         if stabilisation == "ghost":
-            stabilisation = mpm.Stabilisation("ghost", gamma=args.ghost)
+            stabilisation = mpm.Stabilisation("ghost", factor=args.ghost)
         kind = mpm.Transient if self.wet else mpm.QuasiStatic
         self.problem = kind(
             F, fields, points, bcs + mpm.fixed(V, "bottom"),

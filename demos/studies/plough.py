@@ -230,7 +230,7 @@ class Scene:
             "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},
             "iterative": {"ksp_type": "gmres", "pc_type": "gamg"},
         }[args.solver]  # fmt: skip
-        stabilisation = mpm.Stabilisation(args.stabilisation, gamma=args.ghost)
+        stabilisation = mpm.Stabilisation(args.stabilisation, factor=args.ghost)
         problem = mpm.QuasiStatic(
             F, u, points, bcs, stabilisation=stabilisation, tolerance=args.tolerance,
             petsc_options=options,

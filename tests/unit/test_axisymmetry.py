@@ -349,8 +349,8 @@ def test_soft_stiffness_is_that_of_whole_rings():
 @pytest.mark.parametrize(
     ("kind", "radius"), [(mesh.CellType.quadrilateral, 1.5), (mesh.CellType.triangle, 1.625)]
 )
-@pytest.mark.parametrize("scaling", ["scaled", "tangent"])
-def test_ghost_facets_are_rings(scaling, kind, radius):
+@pytest.mark.parametrize("scale", ["gamma", "factor"])
+def test_ghost_facets_are_rings(scale, kind, radius):
     """Facets with a jump, all of one radius, have 2π r times their energy in a plane."""
     penalties = []
     for axisymmetric in (True, False):
@@ -360,7 +360,7 @@ def test_ghost_facets_are_rings(scaling, kind, radius):
         V = mpm.Space(grid, "linear")
         u, v = V.increment, V.test
         F = mpm.momentum(HENCKY, points, u, v)
-        F += mpm.ghost(points, u, v, gamma=0.7, scaling=scaling)
+        F += mpm.ghost(points, u, v, **{scale: 0.7})
         here = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left")).activate()
         r, z = here.fields[0].basis.node_coordinates()[:, :2].T
         # r² bends across verticals, r z across diagonals

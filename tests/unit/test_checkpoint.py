@@ -93,12 +93,12 @@ def bits(problem):
 RUNS = {
     "yielding with ghost penalty": (block, 8, (0, 3, 6)),
     "yielding with adaptive penalties": (
-        lambda: block(stabilisation=mpm.Stabilisation("ghost", gamma="adaptive")), 8, (0, 3),
+        lambda: block(stabilisation=mpm.Stabilisation("ghost", factor="adaptive")), 8, (0, 3),
     ),
     "triangles with adaptive penalties": (
         lambda: block(
             basis="linear", kind=mesh.CellType.triangle,
-            stabilisation=mpm.Stabilisation("ghost", gamma="adaptive"),
+            stabilisation=mpm.Stabilisation("ghost", factor="adaptive"),
         ), 6, (3,),
     ),
     "yielding with aggregation": (lambda: block(stabilisation="aggregation"), 8, (3,)),

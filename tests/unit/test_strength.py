@@ -88,7 +88,9 @@ def test_what_does_not_tell_its_strength():
 
 STATES = {
     "yielding with ghost penalty": block,
-    "adaptive penalties": lambda: block(stabilisation=mpm.Stabilisation("ghost", gamma="adaptive")),
+    "adaptive penalties": lambda: block(
+        stabilisation=mpm.Stabilisation("ghost", factor="adaptive")
+    ),
     "splines": lambda: block(MAKE.Hencky(E=1e6, nu=0.3), "bspline2"),
     "a tool": pressed,
     "couplings kept": hollow,

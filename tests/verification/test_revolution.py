@@ -107,7 +107,7 @@ def test_axial_patch(basis, inner):
 @pytest.mark.parametrize("options", [
     {"configuration": "total"}, {"stabilisation": "none"}, {"stabilisation": "aggregation"},
     {"stabilisation": "weak-aggregation"}, {"fbar": True},
-    {"stabilisation": mpm.Stabilisation("ghost", gamma="adaptive")},
+    {"stabilisation": mpm.Stabilisation("ghost", factor="adaptive")},
     {"stabilisation": mpm.Stabilisation("ghost", E=100.0)},
 ])  # fmt: skip
 def test_axial_patch_with_everything(options):
