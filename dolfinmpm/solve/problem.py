@@ -60,7 +60,7 @@ from dolfinmpm.solve.description import describe, warn_of_differences
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.memory import saved_loads, set_loads
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_increments
+from dolfinmpm.solve.pressures import refuse_wrong_kinds
 from dolfinmpm.solve.referencemarkers import needed_of, require_reference
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
@@ -151,7 +151,7 @@ class Problem(ReadOnce):
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
-        refuse_increments(bcs, self.form.parts.carried)
+        refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
         if not self._has_inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()

@@ -175,7 +175,7 @@ class FromState:
         problem = self._problem
         held = problem._held
         still = [
-            condition if condition.whole else replace(condition, value=0.0, velocity=None)
+            condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
             for condition in held.conditions
         ]
         problem._held = Held(still, problem.form.spaces)

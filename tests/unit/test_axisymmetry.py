@@ -283,7 +283,9 @@ def test_the_gradient_of_a_scalar_is_the_same_all_around():
     assert mpm.gradient(points, p).ufl_shape == (2,)
     points.add_field("potential")
     F = ufl.inner(mpm.gradient(points, p), mpm.gradient(points, q)) * points.dX
-    bcs = mpm.prescribed(V, "left", 0, 0.0) + mpm.prescribed(V, "right", 0, np.log(3.0))
+    bcs = mpm.prescribed(V, "left", 0, increment=0.0) + mpm.prescribed(
+        V, "right", 0, increment=np.log(3.0)
+    )
     mpm.QuasiStatic(F, p, points, bcs, updates={"potential": p}).step()
     np.testing.assert_allclose(points["potential"], np.log(points["x"][:, 0]), atol=1e-3)
 

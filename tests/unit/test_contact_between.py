@@ -68,8 +68,8 @@ def pressed(friction=0.3, basis="gimp", stabilisation="ghost", **options):
     """The upper block is pressed onto the lower one and drawn aside."""
     points, (low, up), F, _ = two_blocks(friction, basis, top=3.0, **options)
     down, aside = (fem.Constant(points.grid, 0.0) for _ in "ab")
-    bcs = mpm.fixed(low, "bottom") + mpm.prescribed(up, "top", 1, down)
-    bcs += mpm.prescribed(up, "top", 0, aside)
+    bcs = mpm.fixed(low, "bottom") + mpm.prescribed(up, "top", 1, increment=down)
+    bcs += mpm.prescribed(up, "top", 0, increment=aside)
     u = [low.increment, up.increment]
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
     down.value, aside.value = -0.02, 0.03

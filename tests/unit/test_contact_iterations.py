@@ -26,7 +26,7 @@ def pressed(touches: bool, friction: float = 0.3):
         F += mpm.contact(body, points, u, v, friction=friction)
     else:
         middle = lambda x: (abs(x[2] - 2 / 3) < 1e-6) & (np.hypot(x[0] - 0.5, x[1] - 0.5) < 0.2)  # noqa: E731
-        bcs += mpm.prescribed(V, middle, 2, -0.02)
+        bcs += mpm.prescribed(V, middle, 2, increment=-0.02)
     return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost"), body
 
 

@@ -41,7 +41,9 @@ class Block:
         touching = {k: options.pop(k) for k in {"penalty"} & set(options)}
         F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), self.points, u, v)
         F += mpm.contact(self.tool, self.points, u, v, **touching)
-        bcs = [c for k in (0, 1) for c in mpm.prescribed(V, lambda x: x[1] < 0.51, k, 0.0)]
+        bcs = [
+            c for k in (0, 1) for c in mpm.prescribed(V, lambda x: x[1] < 0.51, k, increment=0.0)
+        ]
         self.problem = kind(F, u, self.points, bcs, **options)
 
 
@@ -115,7 +117,7 @@ def test_an_arc_length_tells_of_a_body_that_steps_over_a_block():
     tool = mpm.RigidBody(SHAPES["blade"](), velocity=(0.0, -0.8), name="tool")
     F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), points, u, v)
     F += mpm.contact(tool, points, u, v) - ufl.inner(load, v) * points.dX
-    bcs = [c for k in (0, 1) for c in mpm.prescribed(V, lambda x: x[1] < 0.51, k, 0.0)]
+    bcs = [c for k in (0, 1) for c in mpm.prescribed(V, lambda x: x[1] < 0.51, k, increment=0.0)]
     problem = mpm.ArcLength(F, u, points, bcs, load=load, length=1e-4)
     with pytest.raises(ConvergenceError, match=TOO_FAR):
         problem.step()

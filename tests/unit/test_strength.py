@@ -187,7 +187,7 @@ def test_prescribed_increments_rest():
         problem, _ = heap(law=MAKE.Tresca(1e7, 0.45, 1e4))
         V = problem.form.spaces[0]
         push = fem.Constant(problem.points.grid, 1e-4)
-        wall = mpm.prescribed(V, lambda x: (x[0] < 1e-9) & (x[1] > 1e-9), 0, push)
+        wall = mpm.prescribed(V, lambda x: (x[0] < 1e-9) & (x[1] > 1e-9), 0, increment=push)
         bcs = mpm.fixed(V, "bottom") + wall
         return mpm.QuasiStatic(
             problem.form.given, V.increment, problem.points, bcs, stabilisation="none"

@@ -39,7 +39,7 @@ def _block(law, basis="bspline2", **options):
     x = points["x"]
     turn = 2.0 * np.stack([0.95 - x[:, 1], x[:, 0] - 0.85], axis=1)
     points["velocity"] = np.array([3.0, 0.5]) + turn
-    bcs = mpm.prescribed(V, lambda x: x[0] > 2.3, 0, 0.01)
+    bcs = mpm.prescribed(V, lambda x: x[0] > 2.3, 0, increment=0.01)
     return mpm.Explicit(F, V.increment, points, bcs, **options)
 
 
