@@ -33,7 +33,7 @@ grid = mpm.create_lattice(MPI.COMM_WORLD, [radii, heights])
 shoulder, top = R * math.sqrt(3) - start, 20.0
 meridian = [(0, -start), (R, shoulder), (R, top), (-R, top), (-R, shoulder)]
 step = 0.1 * R
-cone = mpm.RigidBody(mpm.Polygon(meridian), velocity=(0, -step), fillet=h, name="cone")
+cone = mpm.RigidBody(mpm.Polygon(meridian), increment=(0, -step), fillet=h, name="cone")
 
 
 def beside(x):

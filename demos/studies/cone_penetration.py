@@ -243,13 +243,15 @@ class Scene:
         """Cone and shaft in one, with its tip where it starts."""
         args, R = self.args, self.args.radius
         tip, long = -args.start, args.depth + 4 * self.height
+        # in water a step takes a second
+        rate, ahead = "velocity" if self.wet else "increment", (0.0, -self.way)
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
             shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
-            return mpm.RigidBody(shape, velocity=(0.0, 0.0, -self.way), **motion)
+            return mpm.RigidBody(shape, **{rate: (0.0, *ahead)}, **motion)
         side = [(R, tip + self.height), (R, tip + long)]
         meridian = [(0.0, tip), *side, *((-r, z) for r, z in side[::-1])]
-        return mpm.RigidBody(mpm.Polygon(meridian), velocity=(0.0, -self.way), **motion)
+        return mpm.RigidBody(mpm.Polygon(meridian), **{rate: ahead}, **motion)
 
     def background(self):
         """The grid, and its lower and upper corner."""

@@ -208,11 +208,11 @@ class Scene:
         grown = {} if args.basis == "linear" else {"domains": args.domains}
         V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
-        self.speed = 0.0
+        self.ahead = 0.0
         share = self.share.mesh()
         share.points += (self.start, 0.0, 0.0)
         plough = mpm.RigidBody(
-            share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0),
+            share, name="plough", increment=lambda t: (self.ahead, 0.0, 0.0),
             fillet=0.25 * h / args.points_per_cell,
         )  # fmt: skip
         F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
@@ -259,7 +259,7 @@ class Scene:
         args = self.args
         self.step()
         count = math.ceil(args.distance / (args.step * args.h) - 1e-9)
-        self.speed = args.distance / count
+        self.ahead = args.distance / count
         for _ in mpm.steps(count, label="plough"):
             self.step()
 

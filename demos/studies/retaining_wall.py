@@ -100,9 +100,9 @@ class Scene:
         missing = abs((passive if sign > 0 else active) - 0.5 * rest * args.unit_weight * H**2)
         enough = 2.5 * missing / (0.5 * H * args.modulus) * wide * h
         self.displacement = args.displacement or max(enough, 1e-4 * H)
-        self.speed = 0.0
+        self.ahead = 0.0
         self.wall = mpm.RigidBody(
-            mpm.Plane((0, 0), (1, 0)), name="wall", velocity=lambda t: (self.speed, 0.0)
+            mpm.Plane((0, 0), (1, 0)), name="wall", increment=lambda t: (self.ahead, 0.0)
         )
         F = mpm.momentum(sand, points, u, v)
         F -= ufl.inner(points.density * ufl.as_vector((0.0, -GRAVITY)), v) * points.dX
@@ -125,7 +125,7 @@ class Scene:
     def run(self):
         """Let the wall take the thrust at rest, and push. Collective."""
         self.step()
-        self.speed = self.sign * self.displacement / self.steps
+        self.ahead = self.sign * self.displacement / self.steps
         for _ in mpm.steps(self.steps, label="wall"):
             self.step()
 

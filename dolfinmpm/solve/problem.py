@@ -151,6 +151,7 @@ class Problem(ReadOnce):
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
+        self.form.bodies.check_steps(self._in_time, type(self).__name__)
         refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
         if not self._has_inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)

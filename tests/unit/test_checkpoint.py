@@ -73,7 +73,7 @@ def pressed():
     V = mpm.Space(grid, "gimp")
     law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4)
     shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
-    tool = mpm.RigidBody(shape, velocity=(0.0, -0.05), name="tool")
+    tool = mpm.RigidBody(shape, increment=(0.0, -0.05), name="tool")
     F = mpm.momentum(law, points, V.increment, V.test)
     F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")

@@ -117,7 +117,7 @@ def pressed(basis="gimp", d=2, friction=0.3, kind=None, **options):
     u, v = V.increment, V.test
     middle = (0.45,) * (d - 1) + (2 / 3 + 0.5,)
     turn = 0.03 if d == 2 else (0.02, 0.03, 0.05)
-    motion = {"velocity": (0.01,) + (0,) * (d - 2) + (-0.04,), "angular_velocity": turn}
+    motion = {"increment": (0.01,) + (0,) * (d - 2) + (-0.04,), "rotation_increment": turn}
     body = mpm.RigidBody(mpm.Ball(middle, 0.5), **(motion | options))
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
     F += mpm.contact(body, points, u, v, friction=friction)

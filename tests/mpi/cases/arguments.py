@@ -169,7 +169,7 @@ def _different_problems(s) -> None:
     _differs(lambda: s.motion(beta=_last(0.25, 0.3)), f"beta {of}0.25")
     _differs(lambda: s.motion(mpm.Explicit, courant=_last(0.5, 0.6)), f"courant {of}0.5")
     _differs(lambda: s.motion(mass=_last("consistent", "lumped")), f"mass {of}'consistent'")
-    lids = [mpm.RigidBody(mpm.Plane((0, 1.5), (0, -1)), name="lid", velocity=(0.0, v))
+    lids = [mpm.RigidBody(mpm.Plane((0, 1.5), (0, -1)), name="lid", increment=(0.0, v))
             for v in (0.0, _last(-1e-3, -2e-3))]  # fmt: skip
     touching = s.F + mpm.contact(lids[1], s.points, s.u, s.v)
     _differs(lambda: s.solver(form=touching), f"motion of body of contact of term 3 of form {of}")
