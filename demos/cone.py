@@ -48,7 +48,7 @@ V = mpm.Space(grid, basis="gimp", domains="volume")
 u, v = V.increment, V.test
 E = 2 * (1 + 0.45) * index * cu
 F = mpm.momentum(mpm.materials.Tresca(E, 0.45, cu), points, u, v, fbar=True)
-F += mpm.contact(cone, points, u, v, penalty=5 / h)
+F += mpm.contact(cone, points, u, v)
 bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0) + mpm.fixed(V, "bottom")
 ghost = mpm.Stabilisation("ghost", factor=0.1)
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=ghost, tolerance=1e-8)

@@ -122,7 +122,7 @@ INPUTS = {
     "wall(s, boundary=None)": "boundary = None must be a Boundary: make it with",
     'wall(s, boundary="right")': "boundary = 'right' must be a Boundary: make it with",
     "wall(s, boundary=s.top)": "boundary = a Surface must be a Boundary: make it",
-    "wall(s, beta=-1.0)": "beta = -1 must be above 0",
+    "wall(s, penalty=-1.0)": "penalty = -1 must be above 0",
     "soil(s, porosity=0.0)": "porosity = 0 must be above 0 and below 1",
     "soil(s, porosity=1.0)": "porosity = 1 must be above 0 and below 1",
     "soil(s, porosity=40)": "porosity = 40 must be above 0 and below 1",

@@ -54,7 +54,7 @@ def draw(seed: int) -> dict[str, Any]:
         "shape": shape, "fillet": 0.0 if shape["kind"] == "disc" else fillet,
         "x": rng.uniform(4.0, 5.0) * H, "depth": rng.uniform(0.5, 1.5) * H,
         "drag": rng.uniform(1.0, 3.0) * H, "step": rng.uniform(0.1, 0.25) * H,
-        "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0) / H,
+        "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0),
         "turns": rng.uniform(-0.02, 0.02) if rng.random() < 1 / 3 else 0.0,
     }  # fmt: skip
 

@@ -219,8 +219,10 @@ class Scene:
         if deposit is not None:
             mpm.set_stress(points, law, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
+        # in units of E/h with the h of the fine cells, where others are smaller
+        penalty = args.penalty * self.finest / h
         F += mpm.contact(
-            self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
+            self.tool, points, u, v, penalty=penalty, friction=args.friction,
             corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:
@@ -268,6 +270,7 @@ class Scene:
         up = np.append(
             up, (up[-1] - up[-2]) * np.arange(1, 1 + (4 if first == 0.0 else 1)) + up[-1]
         )
+        self.finest = min(np.diff(line).min() for line in (across, up))
         lines = [across, up] if self.flat else [across, across, up]
         low, high = (np.array([line[k] for line in lines]) for k in (0, -1))
         return mpm.create_lattice(MPI.COMM_WORLD, lines), low, high

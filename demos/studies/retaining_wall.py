@@ -48,9 +48,10 @@ def arguments(words=None):
     options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
     options.add_argument("--steps", type=int, default=40)
     options.add_argument("--displacement", type=float, help="last one of the wall (m)")
-    options.add_argument("--penalty", type=float, default=100.0, help="κ/E (1/m)")
+    options.add_argument("--penalty", type=float, help="κ h/E; 100 h/m by default")
     options.add_argument("--stabilisation", default="none")
     given = options.parse_args(words)
+    given.penalty = 100.0 * given.h if given.penalty is None else given.penalty
     sizes = given.unit_weight, given.height, given.modulus, given.h, given.penalty, given.length
     if not min(sizes) > 0 or given.cohesion < 0 or not 0 <= given.friction_angle < 60:
         options.error("sizes must be positive, cohesion not negative, the angle in [0, 60) degrees")

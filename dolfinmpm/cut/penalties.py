@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from typing import Any
 
 import ufl
@@ -132,40 +134,34 @@ def ghost(
     check_points(points)
     check_increment(points, u)
     check_test(points, u, v)
-    adaptive = isinstance(factor, str)
     scaling = choice("scaling", scaling, SCALINGS[:2])
     if isinstance(factor, str):
         check_word("factor", factor)
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
         raise ParameterError(f'target = {shown(target)} is of factor="{ADAPTIVE}" alone')
-    if factor is None:
-        gamma = _scalar("gamma", gamma, points)
-    elif gamma is not None:
+    of_law = factor is not None
+    if of_law and gamma is not None:
         raise ParameterError(
             f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (in units of M/30) are both "
             "given; give one of them"
         )
-    elif not adaptive:
-        if scaling != "scaled":
-            raise ParameterError(
-                f'scaling = "{scaling}" is of gamma, or of factor="{ADAPTIVE}"; leave it out'
-            )
-        gamma, scaling = _scalar("factor", factor, points) / 30, "tangent"
+    if not of_law:
+        gamma = _scalar("gamma", gamma, points)
+    elif target is None:
+        gamma = _scalar("factor", factor, points) / 30
     order = None if order is None else whole("order", order, 1)
     # before γ, always: FFCx tells forms apart by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
-    weight: Expr
-    if factor is not None:
+    if of_law:
         check_displacement(points, u=u, v=v)
-        weight = FacetModulus(points, u, target, scaling)("+")
-        if not adaptive:
-            weight *= gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-    else:
-        weight = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-        if points.axisymmetric:
-            weight *= FacetRing(points, u)("+")
+    parts: list[Any] = [FacetModulus(points, u, target, scaling)("+")] if of_law else []
+    if gamma is not None:
+        parts.append(gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma))
+    if points.axisymmetric and not of_law:
+        parts.append(FacetRing(points, u)("+"))
+    weight: Expr = functools.reduce(operator.mul, parts)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
         order = space.basis.degree if space is not None else 1

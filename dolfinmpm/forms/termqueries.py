@@ -3,17 +3,20 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+import ufl
 from ufl.algorithms import extract_coefficients
 from ufl.classes import (
     Sum,
 )
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags
+from dolfinmpm._platform.checks import Tags, as_tags, check_kind
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["brief", "contact_of", "operators_in", "summands", "tags_of"]
+__all__ = ["brief", "contact_of", "operators_in", "stiffness_per_area", "summands", "tags_of"]
 
 
 def brief(expression: Expr) -> str:
@@ -42,6 +45,25 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
 def contact_of(integral) -> Any:
     """The contact that a term stands for, or None; see `dolfinmpm.contact`."""
     return (integral.metadata() or {}).get("contact")
+
+
+def stiffness_per_area(form: ufl.Form) -> list[tuple[str, npt.NDArray[np.float64]]]:
+    """Penalties per area of a form's contacts, weak conditions and walls, as they are now.
+
+    Args:
+        form: The form. Penalties that follow from laws are known when a problem has been made of
+            the form, those that follow from cut cells after its first step.
+
+    Returns:
+        For each term its name and κ (Pa/m): one number, or one per point or marker on this rank.
+
+    Raises:
+        ParameterError: It is no form, or no problem has been made of the form.
+    """
+    check_kind("form", form, ufl.Form, "give the weak form F that the problem is made of")
+    marks = [integral.metadata() or {} for integral in form.integrals()]
+    terms = [of[kind] for of in marks for kind in ("contact", "condition") if kind in of]
+    return [(repr(term), np.array(term.stiffness_per_area())) for term in terms]
 
 
 def operators_in(term: Expr) -> list[PointOperator]:

@@ -132,7 +132,10 @@ def test_what_acts_is_subtracted_however_it_is_written():
         (s.ghost(), r"mpm\.ghost"),
         (s.ghost(gamma=s.c, order=1, scaling="literal"), r"mpm\.ghost"),
         (mpm.dirichlet(s.law, side, s.u, s.v), r"mpm\.dirichlet\) at 'side'"),
-        (mpm.dirichlet(None, side, s.u, s.v, method="penalty", stiffness=1.0), "at 'side'"),
+        (
+            mpm.dirichlet(None, side, s.u, s.v, method="penalty", stiffness_per_area=1.0),
+            "at 'side'",
+        ),
         (mpm.signorini(s.law, wall, s.u, s.v, friction=0.3), r"mpm\.signorini\) at 'right'"),
     ):
         check_signs(s.F + 0.5 * resistance)

@@ -75,7 +75,7 @@ def pressed():
     shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
     tool = mpm.RigidBody(shape, increment=(0.0, -0.05), name="tool")
     F = mpm.momentum(law, points, V.increment, V.test)
-    F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
+    F += mpm.contact(tool, points, V.increment, V.test, friction=0.3, penalty=25.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="aggregation")
     return problem, problem.step

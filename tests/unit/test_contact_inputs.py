@@ -120,7 +120,7 @@ class Block:
         name = "displacement" if callable(motion) else name
         self.body = mpm.RigidBody(mpm.Disc(middle, 0.5), name="disc", **{name: motion})
         self.F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), self.points, *self.uv)
-        self.F += mpm.contact(self.body, self.points, *self.uv, **options)
+        self.F += mpm.contact(self.body, self.points, *self.uv, penalty=12.5, **options)
         if kind is not None:
             bcs = mpm.rollers(self.V, "left", "right") + mpm.fixed(self.V, "bottom")
             self.problem = kind(self.F, self.V.increment, self.points, bcs)
@@ -314,7 +314,7 @@ def test_a_force_presses_a_free_body_into_the_ground():
     )
     u, v = block.uv
     F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), block.points, u, v)
-    F += mpm.contact(ball, block.points, u, v, friction=0.2)
+    F += mpm.contact(ball, block.points, u, v, friction=0.2, penalty=12.5)
     problem = mpm.QuasiStatic(F, u, block.points, mpm.fixed(block.V, "bottom"))
     for load in (500.0, 1000.0, 2000.0):
         force.value[1] = -load

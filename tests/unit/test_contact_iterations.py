@@ -23,7 +23,7 @@ def pressed(touches: bool, friction: float = 0.3):
     bcs = mpm.fixed(V, "bottom")
     body = mpm.RigidBody(mpm.Ball((0.5, 0.45, 2 / 3 + 0.5), 0.5), increment=(0.01, 0, -0.03))
     if touches:
-        F += mpm.contact(body, points, u, v, friction=friction)
+        F += mpm.contact(body, points, u, v, friction=friction, penalty=50 / 7)
     else:
         middle = lambda x: (abs(x[2] - 2 / 3) < 1e-6) & (np.hypot(x[0] - 0.5, x[1] - 0.5) < 0.2)  # noqa: E731
         bcs += mpm.prescribed(V, middle, 2, increment=-0.02)
@@ -94,7 +94,7 @@ def wedged(**options):
     u, v = V.increment, V.test
     tool = mpm.RigidBody(mpm.Wedge((2.03, 0), 0.6, 3.0), increment=(0.0, -0.03))
     F = mpm.momentum(mpm.materials.Tresca(5e6, 0.33, 1e4), points, u, v)
-    F += mpm.contact(tool, points, u, v, corners="material")
+    F += mpm.contact(tool, points, u, v, corners="material", penalty=12.5)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options), tool
 

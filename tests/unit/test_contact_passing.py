@@ -100,7 +100,7 @@ def test_explicit_steps_tell_of_bodies_that_are_too_fast(free, fused):
 @pytest.mark.parametrize("fused", [True, False])
 def test_explicit_steps_tell_of_bodies_that_get_through_what_is_soft(fused):
     """In steps that are short enough, against a penalty that stops nothing."""
-    block = Block(mpm.Explicit, "blade", (0.0, -0.3), fused=fused, penalty=1e-3)
+    block = Block(mpm.Explicit, "blade", (0.0, -0.3), fused=fused, penalty=1e-4)
     with pytest.raises(InstabilityError, match="points that touch 'tool'"):
         block.problem.step(0.05)
     # it came to the block, and is where the state is that is kept

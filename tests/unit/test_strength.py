@@ -230,7 +230,7 @@ def test_a_footing_that_weighs_on_it_is_a_load():
             mpm.Box((0.0, 1.995), (1.0, 2.5)), free=(False, True, False), force=(0.0, -force),
             name="footing",
         )  # fmt: skip
-        F = problem.form.given + mpm.contact(block, points, V.increment, V.test)
+        F = problem.form.given + mpm.contact(block, points, V.increment, V.test, penalty=25.0)
         loaded = mpm.QuasiStatic(F, V.increment, points, problem.bcs, stabilisation="ghost")
         loaded.step()
         place = block.position.copy()

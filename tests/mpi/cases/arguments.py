@@ -176,7 +176,7 @@ def _different_problems(s) -> None:
     rubbing = s.F + mpm.contact(lids[0], s.points, s.u, s.v, friction=_last(0.1, 0.2))
     _differs(lambda: s.solver(form=rubbing), f"friction of contact of term 3 of form {of}0.1 on")
     side = mpm.Boundary.from_side(s.points, "bottom")
-    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, beta=_last(10.0, 20.0))
+    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, penalty=_last(10.0, 20.0))
     _differs(lambda: s.solver(form=held), f"of form {of}10.0 on", "20.0 on")
     walls = lambda: mpm.signorini(s.law, side, s.u, s.v, friction=_last(0.0, 0.1))  # noqa: E731
     _differs(walls, f"friction {of}0.0 on")
