@@ -246,7 +246,8 @@ class Scene:
         args, R = self.args, self.args.radius
         tip, long = -args.start, args.depth + 4 * self.height
         # in water a step takes a second
-        rate, ahead = "velocity" if self.wet else "increment", (0.0, -self.way)
+        rate = "velocity" if args.law == "cam-clay" else "increment"
+        ahead = 0.0, -self.way
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
             shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
