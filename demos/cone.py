@@ -33,7 +33,7 @@ grid = mpm.create_lattice(MPI.COMM_WORLD, [radii, heights])
 shoulder, top = R * math.sqrt(3) - start, 20.0
 meridian = [(0, -start), (R, shoulder), (R, top), (-R, top), (-R, shoulder)]
 step = 0.1 * R
-cone = mpm.RigidBody(mpm.Polygon(meridian), velocity=(0, -step), fillet=h, name="cone")
+cone = mpm.RigidBody(mpm.Polygon(meridian), increment=(0, -step), fillet=h, name="cone")
 
 
 def beside(x):
@@ -48,9 +48,9 @@ V = mpm.Space(grid, basis="gimp", domains="volume")
 u, v = V.increment, V.test
 E = 2 * (1 + 0.45) * index * cu
 F = mpm.momentum(mpm.materials.Tresca(E, 0.45, cu), points, u, v, fbar=True)
-F += mpm.contact(cone, points, u, v, penalty=5 / h)
+F += mpm.contact(cone, points, u, v)
 bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0) + mpm.fixed(V, "bottom")
-ghost = mpm.Stabilisation("ghost", gamma=0.1)
+ghost = mpm.Stabilisation("ghost", factor=0.1)
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=ghost, tolerance=1e-8)
 
 depth, resistance = [], []

@@ -5,7 +5,7 @@ stiffness and mass, so that condition numbers and the critical time step 2/√λ
 body happens to lie. A stabilisation is a term of the weak form over `points.dS`, the facets beside
 cut cells, which follow the body. A new one is written down in UFL, as here:
 
-    j(u, v) = γ E/(90 h²) · h³ ∫ [[∇u]]·[[∇v]] dS   for the stiffness,
+    j(u, v) = f E/(90 h²) · h³ ∫ [[∇u]]·[[∇v]] dS   for the stiffness,
     j(u, v) = ρ/12 · h³ ∫ [[∇u]]·[[∇v]] dS          for the mass.
 
 The jump is that of the increment, so that nothing accumulates, and a linear motion has none. Along
@@ -34,7 +34,7 @@ def penalty(points, u, v, factor):
     return factor * h**3 * jumps * points.dS
 
 
-def bar(offset, gamma):
+def bar(offset, factor):
     """Condition numbers and critical steps of a free bar of four cells."""
     grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8 * h])
     body = mpm.Box((2 + offset) * h, (6 + offset) * h)
@@ -43,9 +43,9 @@ def bar(offset, gamma):
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(E, nu=0.0), points, u, v)
     mass = None
-    if gamma:
-        F += penalty(points, u, v, gamma * E / (90 * h**2))
-        mass = penalty(points, u, v, gamma * rho / 12)
+    if factor:
+        F += penalty(points, u, v, factor * E / (90 * h**2))
+        mass = penalty(points, u, v, factor * rho / 12)
     # rigid motions, which nothing holds here, are left out of κ(K)
     return mpm.study.conditioning(mpm.QuasiStatic(F, u, points), rho, extra=mass)
 

@@ -38,18 +38,18 @@ mpm.set_stress(points, law, ground.stress)
 
 V = mpm.Space(grid, basis="gimp")
 u, v = V.increment, V.test
-speed = 0.0  # a step
-plough = mpm.RigidBody(blade, name="plough", fillet=0.02, velocity=lambda t: (speed, 0.0, 0.0))
+ahead = 0.0  # m per step
+plough = mpm.RigidBody(blade, name="plough", fillet=0.02, increment=lambda t: (ahead, 0.0, 0.0))
 F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
-F += mpm.contact(plough, points, u, v, friction=0.3)
+F += mpm.contact(plough, points, u, v, friction=0.3, penalty=12.5)
 for side in ("left", "right"):
     plate = mpm.Boundary.from_side(points, side)
-    F += mpm.signorini(None, plate, u, v, stiffness=1e9)
+    F += mpm.signorini(None, plate, u, v, stiffness_per_area=1e9)
 bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-7)
 
 problem.step()  # the sand comes to rest at the blade
-speed = way / steps
+ahead = way / steps
 history = mpm.History()
 for share in mpm.steps(steps, label="drag"):
     record = problem.step()

@@ -34,6 +34,7 @@ with _idle_collector():
         times,
     )
     from dolfinmpm.forms.carriedfields import acceleration, carried
+    from dolfinmpm.forms.termqueries import stiffness_per_area
     from dolfinmpm.grid.graded import create_lattice, zoned_line
     from dolfinmpm.grid.lattice import cell_size
     from dolfinmpm.io import ParaView, figure, plot
@@ -121,6 +122,7 @@ __all__ = [
     "soft",
     "springs",
     "steps",
+    "stiffness_per_area",
     "stress",
     "study",
     "times",

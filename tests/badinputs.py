@@ -119,7 +119,7 @@ class Scene:
 
     def nan_increment(self):
         push = fem.Constant(self.grid, np.nan)
-        return self.solver(bcs=mpm.prescribed(self.V, "bottom", 1, push)).step()
+        return self.solver(bcs=mpm.prescribed(self.V, "bottom", 1, increment=push)).step()
 
     def nan_field(self):
         self.points.add_field("holes")
@@ -166,27 +166,45 @@ BAD = {
     "prescribed: component a word": (lambda s: mpm.prescribed(s.V, "left", "x"), "component = 'x'"),
     "prescribed: component 2": (lambda s: mpm.prescribed(s.V, "left", 2), "must be in 0 ... 1"),
     "prescribed: component -1": (lambda s: mpm.prescribed(s.V, "left", -1), "at least 0"),
-    "prescribed: nan": (lambda s: mpm.prescribed(s.V, "left", 0, np.nan), "'left' = nan must be f"),
-    "prescribed: a word": (lambda s: mpm.prescribed(s.V, "left", 0, "0.1"), "must be a number"),
-    "prescribed: nothing": (lambda s: mpm.prescribed(s.V, "left", 0, None), "must be a number"),
-    "prescribed: a vector": (lambda s: mpm.prescribed(s.V, "left", 0, (0.0, 1.0)), "of its own"),
+    "prescribed: nan": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=np.nan),
+        "'left' = nan must be f",
+    ),
+    "prescribed: a word": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment="0.1"),
+        "must be a number",
+    ),
+    "prescribed: nothing": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=None),
+        "must be a number",
+    ),
+    "prescribed: a vector": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=(0.0, 1.0)),
+        "of its own",
+    ),
     "prescribed: a vector constant": (
-        lambda s: mpm.prescribed(s.V, "left", 0, s.g),
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=s.g),
         "a scalar one",
     ),
-    "prescribed: a function": (lambda s: mpm.prescribed(s.V, "left", 0, s.u), "UFL expression"),
-    "prescribed: UFL": (lambda s: mpm.prescribed(s.V, "left", 0, 2 * s.g[0]), "UFL expression"),
+    "prescribed: a function": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=s.u),
+        "UFL expression",
+    ),
+    "prescribed: UFL": (
+        lambda s: mpm.prescribed(s.V, "left", 0, increment=2 * s.g[0]),
+        "UFL expression",
+    ),
     "prescribed: words": (
-        lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, lambda x: "a"),
+        lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, increment=lambda x: "a"),
         "should return numbers of shape .* got 'a'",
     ),
     "prescribed: no such coordinate": (
-        lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, lambda x: x[2]),
+        lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, increment=lambda x: x[2]),
         r"IndexError: .*shape \(2, \d+\), one row a coordinate",
     ),
     "prescribed: nan somewhere": (
         lambda s: mpm.prescribed(
-            s.V, lambda x: x[0] >= 0, 0, lambda x: np.where(x[0] > 1, np.nan, 0.0)
+            s.V, lambda x: x[0] >= 0, 0, increment=lambda x: np.where(x[0] > 1, np.nan, 0.0)
         ),
         r"is nan at the node at \[",
     ),
@@ -364,7 +382,7 @@ BAD = {
         "displacement of 2 components",
     ),
     "path: driven": (
-        lambda s: s.path(bcs=mpm.prescribed(s.V, "left", 0, 0.1)),
+        lambda s: s.path(bcs=mpm.prescribed(s.V, "left", 0, increment=0.1)),
         "only zero ones may be",
     ),
     # -- steps in time
@@ -545,8 +563,11 @@ BAD = {
     "soft: u a space": (lambda s: s.soft(u=s.V), r"Space\.increment"),
     "soft: v the increment": (lambda s: s.soft(v=s.u), r"v = a Function .* Space\.test"),
     "soft: points none": (lambda s: s.soft(points=None), "points = None must be"),
-    "stabilisation: gamma a word": (lambda s: mpm.Stabilisation("ghost", gamma="1"), "a number"),
-    "stabilisation: gamma": (lambda s: mpm.Stabilisation("ghost", gamma=-1), "gamma = -1 must be"),
+    "stabilisation: factor a word": (lambda s: mpm.Stabilisation("ghost", factor="1"), "a number"),
+    "stabilisation: factor": (
+        lambda s: mpm.Stabilisation("ghost", factor=-1),
+        "factor = -1 must be",
+    ),
     "stabilisation: threshold a word": (
         lambda s: mpm.Stabilisation("aggregation", threshold="1"),
         "threshold = '1' must be a number",

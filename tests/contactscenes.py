@@ -8,6 +8,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
+from dolfinmpm.grid.lattice import smallest_height
 
 COMM = MPI.COMM_WORLD
 ELASTIC = mpm.materials.Hencky(E=1e5, nu=0.3)
@@ -42,7 +43,7 @@ def compressed(kind, **options):
         mpm.Plane((0, 1), (0, -1)), name="plate",
         displacement=lambda t: (0, -0.05 * np.sin(0.5 * np.pi * t) ** 2),
     )  # fmt: skip
-    F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+    F += mpm.contact(plate, points, V.increment, V.test, penalty=25.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     stored = 0.5 * (1e5 * 0.7 / (1.3 * 0.4)) * np.log(0.95) ** 2
     return kind(F, V.increment, points, bcs, **options), stored
@@ -66,7 +67,14 @@ def falls(
         area = np.where(np.linalg.norm(r, axis=1)[:, None] > 0.33, 0.05 * r / 0.4, 0.0)
         face = mpm.Surface.from_arrays(points, np.where(area != 0, 0.06 * r, 0.0), area)
     F += mpm.contact(
-        slope, points, V.increment, V.test, friction=0.3, corners=corners, surface=face
+        slope,
+        points,
+        V.increment,
+        V.test,
+        friction=0.3,
+        corners=corners,
+        surface=face,
+        penalty=50.0 * smallest_height(grid),
     )
     return mpm.Explicit(F, V.increment, points, **options)
 
@@ -83,9 +91,10 @@ def is_hit(law=ELASTIC, **options):
     )  # fmt: skip
     left = mpm.RigidBody(mpm.Plane((-0.76, 0), (1, 0)), name="left")
     right = mpm.RigidBody(mpm.Box((0.76, -1), (1.5, 3)), velocity=(-0.3, 0.0), name="right")
-    F += mpm.contact(ball, points, u, v, friction=0.4)
-    F += mpm.contact(left, points, u, v, friction=0.1, tag=1)
-    F += mpm.contact(right, points, u, v, tag=2) + mpm.contact(left, points, u, v, tag=2)
+    F += mpm.contact(ball, points, u, v, friction=0.4, penalty=6.25)
+    F += mpm.contact(left, points, u, v, friction=0.1, tag=1, penalty=6.25)
+    for side in (right, left):
+        F += mpm.contact(side, points, u, v, tag=2, penalty=6.25)
     return mpm.Explicit(F, u, points, mpm.fixed(V, "bottom"), **options)
 
 
@@ -97,7 +106,7 @@ def is_ploughed(law=CLAY, **options):
         mpm.Wedge((-0.3, 0.76), 0.6, 0.6), fillet=0.03, angular_velocity=0.5, name="wedge",
         velocity=lambda t: (0.0, -4.0) if t < 0.02 else (4.0, 0.0),
     )  # fmt: skip
-    F += mpm.contact(wedge, points, V.increment, V.test, friction=0.3)
+    F += mpm.contact(wedge, points, V.increment, V.test, friction=0.3, penalty=6.25)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     return mpm.Explicit(F, V.increment, points, bcs, **options)
 
@@ -111,5 +120,5 @@ def is_pressed(free=False, basis="gimp", averaged=None, law=CLAY, **options):
         mpm.TurnedBox((-0.3, -0.25, 0.07), (0.3, 0.35, 0.5), 0.3), fillet=0.03,
         velocity=(0.4, 0.2, -3.0), angular_velocity=(0.3, -0.4, 0.5), name="box", **mass,
     )  # fmt: skip
-    F += mpm.contact(box, points, V.increment, V.test, friction=0.3)
+    F += mpm.contact(box, points, V.increment, V.test, friction=0.3, penalty=12.5)
     return mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), **options)

@@ -179,17 +179,20 @@ INPUTS = {
     "mpm.regrid(s.solver(), [np.full(9, nan), np.linspace(0, 2, 9)])":
         "lines[0] = array([nan, nan, nan, nan, nan, nan,",
     # -- conditions
-    's.solver(bcs=s.bcs + mpm.prescribed(s.V, "left", 0, 0.1)).step()':
+    's.solver(bcs=s.bcs + mpm.prescribed(s.V, "left", 0, increment=0.1)).step()':
         "component 0 of the node at [0. 0.] m is prescribed",
     'mpm.rollers(s.V, "lef")': "side = 'lef' must be one of \"left\", \"right\",",
-    'mpm.prescribed(s.V, "left", 0, 0.0, follows="no")': "follows = 'no' must be True or False",
-    'mpm.prescribed(s.V, "left", 0, 0.0, increment="no")': "increment = 'no' must be True or False",
-    'mpm.moving(s.V, "left", 0, "1")': "velocity = '1' must be a number (m/s)",
-    'mpm.moving(s.V, "left", 0, None)': "velocity = None must be a number (m/s)",
-    'mpm.moving(s.V, "left", 0, nan)': "velocity = nan m/s must be finite; nan is what a",
-    's.motion(bcs=mpm.moving(s.V, "left", 0, lambda t: "a")).step(0.0001)':
+    'mpm.prescribed(s.V, "left", 0, follows="no")': "follows = 'no' must be True or False",
+    'mpm.prescribed(s.V, "left", 0, value="no")': "the value prescribed at 'left' = 'no' must be a",
+    'mpm.prescribed(s.V, "left", 0, value=None)': "the value prescribed at 'left' = None must be a",
+    'mpm.prescribed(s.V, "left", 0, increment=0.1, value=0.1)': "value = 0.1 are both given; give",
+    's.solver(bcs=s.bcs + mpm.prescribed(s.V, "right", 0, value=0.1))': "which moves points: give",
+    'mpm.moving(s.V, "left", 0, velocity="1")': "velocity = '1' must be a number (m/s)",
+    'mpm.moving(s.V, "left", 0, velocity=None)': "velocity = None must be a number (m/s)",
+    'mpm.moving(s.V, "left", 0, velocity=nan)': "velocity = nan m/s must be finite; nan is what a",
+    's.motion(bcs=mpm.moving(s.V, "left", 0, velocity=lambda t: "a")).step(0.0001)':
         "velocity = 'a' must be a number (m/s)",
-    's.motion(bcs=mpm.moving(s.V, "left", 0, lambda x, t: 0.0)).step(0.0001)':
+    's.motion(bcs=mpm.moving(s.V, "left", 0, velocity=lambda x, t: 0.0)).step(0.0001)':
         "velocity = a function must be a function of the",
     'mpm.frictional(s.V, "left", friction="a")': "friction = 'a' must be a number",
     's.motion(bcs=mpm.frictional(s.V, "left", friction=0.3))': "the frictional face at 'left' is",

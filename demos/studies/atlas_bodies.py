@@ -54,7 +54,7 @@ def draw(seed: int) -> dict[str, Any]:
         "shape": shape, "fillet": 0.0 if shape["kind"] == "disc" else fillet,
         "x": rng.uniform(4.0, 5.0) * H, "depth": rng.uniform(0.5, 1.5) * H,
         "drag": rng.uniform(1.0, 3.0) * H, "step": rng.uniform(0.1, 0.25) * H,
-        "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0) / H,
+        "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0),
         "turns": rng.uniform(-0.02, 0.02) if rng.random() < 1 / 3 else 0.0,
     }  # fmt: skip
 
@@ -73,8 +73,8 @@ def law_of(p: dict[str, Any]) -> Any:
 
 def a_tenth(basis: str, stabilisation: str) -> mpm.Stabilisation:
     """A stabilisation by its name; of the ghost penalty a tenth of what the basis usually has."""
-    gamma = {"gamma": TENTHS[basis]} if stabilisation == "ghost" else {}
-    return mpm.Stabilisation(stabilisation, **gamma)
+    factor = TENTHS[basis] if stabilisation == "ghost" else None
+    return mpm.Stabilisation(stabilisation, factor=factor)
 
 
 def way_of(p: dict[str, Any]) -> tuple[int, Any]:
@@ -102,7 +102,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     steps, way = way_of(p)
     body = mpm.RigidBody(
         shape_of(p["shape"], centre), displacement=way, fillet=p["fillet"], name="body",
-        **({"angular_velocity": p["turns"]} if p["turns"] else {}),
+        **({"rotation_increment": p["turns"]} if p["turns"] else {}),
     )  # fmt: skip
     F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
     F += mpm.contact(body, points, u, v, friction=p["rubs"], penalty=p["penalty"])

@@ -84,7 +84,7 @@ def arguments(words=None):
     options.add_argument("--depth", type=float, default=1.0, help="m")
     options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
-    options.add_argument("--gamma", type=float, default=1.0, help="ghost penalty in units of E/30")
+    options.add_argument("--factor", type=float, default=1.0, help="ghost penalty in units of E/30")
     options.add_argument(
         "--stages",
         type=float,
@@ -163,7 +163,7 @@ class Beam:
         self.load = fem.Constant(grid, (0.0, 0.0))
         F = mpm.momentum(rubber, points, u, v) - tip * ufl.inner(self.load, v) * points.dX
         if args.ghost != "none":
-            gamma = args.gamma * args.modulus / 30
+            gamma = args.factor * args.modulus / 30
             F += mpm.ghost(points, u, v, gamma=gamma, scaling=args.ghost)
 
         def support(x):

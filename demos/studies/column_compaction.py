@@ -107,7 +107,7 @@ def arguments():
         "--ghost", choices=("none", "literal", "scaled"), help="ghost penalty of that scaling"
     )
     options.add_argument(
-        "--gamma", type=float, help="ghost penalty in units of E/30; that of the basis by default"
+        "--factor", type=float, help="ghost penalty in units of E/30; that of the basis by default"
     )
     options.add_argument(
         "--points", dest="points_file", metavar="PATH", help="CSV of all points at the end"
@@ -168,7 +168,7 @@ soil = mpm.materials.Hencky(E=args.modulus, nu=args.poisson)
 gravity = fem.Constant(grid, (0.0,) * d)
 F = mpm.momentum(soil, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
 stabilisation = stabilisation(
-    args.stabilisation, E=args.modulus, gamma=args.gamma, scaling=args.ghost or "scaled"
+    args.stabilisation, E=args.modulus, factor=args.factor, scaling=args.ghost or "scaled"
 )
 
 sides = ("left", "right") if d == 2 else ("left", "right", "front", "back")

@@ -54,12 +54,12 @@ def block(args, dimension, offset, angle=0.0):
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
     chosen = stabilisation(
-        args.stabilisation, E=E, nu=NU, gamma=args.gamma_k, threshold=args.threshold,
+        args.stabilisation, E=E, nu=NU, factor=args.factor_k, threshold=args.threshold,
         scaling=args.scaling, eta=args.eta,
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=E, nu=NU), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=chosen)
-    return study.conditioning(problem, RHO, args.gamma_m)
+    return study.conditioning(problem, RHO, args.factor_m)
 
 
 def arguments():
@@ -78,11 +78,11 @@ def arguments():
         "--offsets", help="number of places, or places in cells by commas; the published ones in 1D"
     )
     options.add_argument(
-        "--gamma-k",
+        "--factor-k",
         type=float,
         help="penalty of K, units of E/30; by default that of the basis, in 2D 10 if it is linear",
     )
-    options.add_argument("--gamma-m", type=float, default=1.0, help="penalty of M, units of ρ/4")
+    options.add_argument("--factor-m", type=float, default=1.0, help="penalty of M, units of ρ/4")
     options.add_argument("--scaling", choices=("scaled", "literal"), default="scaled")
     options.add_argument(
         "--threshold", type=float, help="filled share of a root cell; 0.995 in 1D, 0.9 in 2D"
@@ -94,8 +94,8 @@ def arguments():
     if args.threshold is None:
         args.threshold = 0.995 if args.dimension == 1 else 0.9
     linear = args.basis in ("linear", "gimp") and args.stabilisation == "ghost"
-    if args.gamma_k is None and args.dimension == 2 and linear:
-        args.gamma_k = 10.0
+    if args.factor_k is None and args.dimension == 2 and linear:
+        args.factor_k = 10.0
     if args.points_per_cell is None:
         args.points_per_cell = 2 if args.dimension == 1 else 3
     return args

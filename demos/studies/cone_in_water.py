@@ -63,7 +63,7 @@ class Clay:
         if self.permeability > 0:
             drained = [(mpm.Surface(points, lambda x: x[-1] > -1e-9, _up(points.gdim)), p0)]
             for side in ("right", "bottom"):
-                bcs += mpm.prescribed(Q, side, 0, p0, increment=False)
+                bcs += mpm.prescribed(Q, side, 0, value=p0)
         modulus = self.bulk_modulus + 4 / 3 * self.shear_modulus
         F = mpm.poromechanics(
             self.law, points, (u, Q.increment), (v, Q.test), permeability=self.permeability,

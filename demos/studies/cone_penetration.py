@@ -219,8 +219,10 @@ class Scene:
         if deposit is not None:
             mpm.set_stress(points, law, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
+        # in units of E/h with the h of the fine cells, where others are smaller
+        penalty = args.penalty * self.finest / h
         F += mpm.contact(
-            self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,
+            self.tool, points, u, v, penalty=penalty, friction=args.friction,
             corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:
@@ -229,7 +231,7 @@ class Scene:
             bcs += mpm.rollers(V, "left", "right", "front", "back")
         stabilisation = args.stabilisation
         if stabilisation == "ghost":
-            stabilisation = mpm.Stabilisation("ghost", gamma=args.ghost)
+            stabilisation = mpm.Stabilisation("ghost", factor=args.ghost)
         kind = mpm.Transient if self.wet else mpm.QuasiStatic
         self.problem = kind(
             F, fields, points, bcs + mpm.fixed(V, "bottom"),
@@ -243,13 +245,16 @@ class Scene:
         """Cone and shaft in one, with its tip where it starts."""
         args, R = self.args, self.args.radius
         tip, long = -args.start, args.depth + 4 * self.height
+        # in water a step takes a second
+        rate = "velocity" if args.law == "cam-clay" else "increment"
+        ahead = 0.0, -self.way
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
             shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
-            return mpm.RigidBody(shape, velocity=(0.0, 0.0, -self.way), **motion)
+            return mpm.RigidBody(shape, **{rate: (0.0, *ahead)}, **motion)
         side = [(R, tip + self.height), (R, tip + long)]
         meridian = [(0.0, tip), *side, *((-r, z) for r, z in side[::-1])]
-        return mpm.RigidBody(mpm.Polygon(meridian), velocity=(0.0, -self.way), **motion)
+        return mpm.RigidBody(mpm.Polygon(meridian), **{rate: ahead}, **motion)
 
     def background(self):
         """The grid, and its lower and upper corner."""
@@ -266,6 +271,7 @@ class Scene:
         up = np.append(
             up, (up[-1] - up[-2]) * np.arange(1, 1 + (4 if first == 0.0 else 1)) + up[-1]
         )
+        self.finest = min(np.diff(line).min() for line in (across, up))
         lines = [across, up] if self.flat else [across, across, up]
         low, high = (np.array([line[k] for line in lines]) for k in (0, -1))
         return mpm.create_lattice(MPI.COMM_WORLD, lines), low, high

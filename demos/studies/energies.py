@@ -198,7 +198,7 @@ def random_impact(args, seed):
         velocity=(rng.uniform(-0.5, 0.5) * speed, -speed),
         angular_velocity=rng.uniform(-0.3, 0.3) * speed / R,
     )  # fmt: skip
-    corners, penalty = [None, "material"][rng.integers(2)], float(rng.choice([10.0, 50.0, 200.0]))
+    corners, penalty = [None, "material"][rng.integers(2)], float(rng.choice([1.0, 5.0, 20.0]))
     F = mpm.momentum(mpm.materials.Hencky(E, nu), points, V.increment, V.test)
     F += mpm.contact(
         rigid, points, V.increment, V.test, friction=args.friction, corners=corners, penalty=penalty

@@ -113,7 +113,7 @@ class Ours:
         F -= ufl.inner(self.points.density * gravity, V.test) * self.points.dX
         if tool is not None:
             u, v = V.increment, V.test
-            F += mpm.contact(rigid(tool), self.points, u, v, friction=0.3, penalty=1 / h)
+            F += mpm.contact(rigid(tool), self.points, u, v, friction=0.3, penalty=1.0)
         # general steps take ten times as long
         self.share = 1.0 if fused else 0.1
         self.points.add_field("velocity", (d,), "m/s")

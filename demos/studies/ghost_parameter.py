@@ -9,7 +9,7 @@
 #
 # Three questions are asked. How does $C$ depend on $\gamma$ and Poisson's ratio, with $\gamma$ in
 # units of Young's modulus $E$ and of the P-wave modulus $M = \lambda + 2\mu$? Does
-# `gamma="adaptive"` meet its target under elastic tangents and under those of soil that yields?
+# `factor="adaptive"` meet its target under elastic tangents and under those of soil that yields?
 # And what does the penalty do to the deflection of a cantilever few cells deep, whose cells are all
 # cut or next to cut ones?
 
@@ -217,7 +217,7 @@ def deflection(depth, g, cut, **options):
     u, v = V.increment, V.test
     E = 1.0
     law = mpm.materials.Hencky(E=E, nu=0.2)
-    stabilisation = mpm.Stabilisation("ghost", gamma=90 * g, E=E) if g is not None else None
+    stabilisation = mpm.Stabilisation("ghost", factor=90 * g, E=E) if g is not None else None
     stabilisation = stabilisation or mpm.Stabilisation("ghost", **options)
     F = mpm.momentum(law, points, u, v, strain="small")
     F -= ufl.inner(ufl.as_vector((0.0, -1e-7)), v) * points.dX
@@ -247,8 +247,8 @@ beams = []
 for depth in args.depths:
     found = [deflection(depth, g, args.cut) for g in args.factors]
     limit = found[0]
-    default, hundredth = (deflection(depth, None, args.cut, gamma=k) for k in (1.0, 0.01))
-    own = deflection(depth, None, args.cut, gamma="adaptive", target=args.target)
+    default, hundredth = (deflection(depth, None, args.cut, factor=k) for k in (1.0, 0.01))
+    own = deflection(depth, None, args.cut, factor="adaptive", target=args.target)
     beams.append({
         "depth": depth, "g": args.factors, "share": [w / limit for w in found],
         "default_by_hundredth": default / hundredth, "adaptive": own / limit,

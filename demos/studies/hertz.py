@@ -117,11 +117,11 @@ class Scene:
         V = mpm.Space(grid, args.basis)
         u, v = V.increment, V.test
         kappa = args.modulus / (1 - args.poisson**2) / (args.softness * self.a)
-        self.rate = [0.0]
+        self.down = [0.0]
         centre = (0.0,) * (d - 1) + (args.radius,)
         self.body = mpm.RigidBody(
             mpm.Ball(centre, args.radius), name=args.shape,
-            velocity=lambda t: (0.0,) * (d - 1) + (-self.rate[0],),
+            increment=lambda t: (0.0,) * (d - 1) + (-self.down[0],),
         )  # fmt: skip
         top = mpm.Surface(points, lambda x: np.isclose(x[-1], 0.0), (0,) * (d - 1) + (1,), "top")
         F = mpm.momentum(mpm.materials.Hencky(args.modulus, args.poisson), points, u, v)
@@ -149,7 +149,7 @@ class Scene:
 
     def press(self, depth):
         """Go to a depth (m). Collective."""
-        self.rate[0] = depth - self.depth
+        self.down[0] = depth - self.depth
         self.problem.step()
         self.history.record(depth=float(self.depth), force=float(self.force))
 

@@ -161,9 +161,11 @@ class Scene:
         # the load that the half-width would have, and how far that goes
         self.approach = closed_form(args, load_of(args, b))[2]
         down = fem.Constant(grid, -self.approach / args.steps)
-        bcs = mpm.fixed(spaces[0], "bottom") + mpm.prescribed(spaces[1], "top", d - 1, down)
+        bcs = mpm.fixed(spaces[0], "bottom") + mpm.prescribed(
+            spaces[1], "top", d - 1, increment=down
+        )
         for k in range(d - 1):
-            bcs += mpm.prescribed(spaces[1], "top", k, 0.0)
+            bcs += mpm.prescribed(spaces[1], "top", k, increment=0.0)
         for V in spaces:
             bcs += mpm.rollers(V, *("left", "front")[: d - 1])
         self.problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")

@@ -34,7 +34,7 @@ def arguments():
     options = parser("Growing tissue: energy, growth and stabilisation in UFL.")
     options.add_argument("--law", choices=("neo-hookean", "gent"), default="neo-hookean")
     options.add_argument("--stabilisation", choices=("none", "own", "ghost"), default="own")
-    options.add_argument("--gamma", type=float, default=1.0, help="penalty in units of E/90")
+    options.add_argument("--factor", type=float, default=1.0, help="penalty in units of E/90")
     options.add_argument("--cells", type=int, default=16, help="over the radius")
     options.add_argument("--points-per-cell", type=int, default=4, help="in each direction")
     options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
@@ -163,7 +163,7 @@ def state(psi, F):
 # motion has no jump and stays free.
 
 # %%
-gamma = args.gamma * args.modulus / 90
+gamma = args.factor * args.modulus / 90
 n, size = ufl.FacetNormal(grid), mpm.cell_size(grid)
 
 

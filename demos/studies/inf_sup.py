@@ -71,7 +71,7 @@ def arguments():
     add("--cells", type=int, default=4, help="of the pressure a direction, in cut bodies")
     add("--uncut", type=numbers(int), default=[4, 8, 12], help="of the pressure, in whole bodies")
     add("--places", type=int, default=24, help="of cut bodies")
-    add("--gamma-u", type=float, help="penalty of u, units of 1/30; by default that of the basis")
+    add("--factor-u", type=float, help="penalty of u, units of 1/30; by default that of the basis")
     add("--gamma-p", type=float, default=0.3, help="penalty of p, γ h³/3 ∫ [[∂p]] [[∂q]]")
     return options.parse_args()
 
@@ -134,7 +134,7 @@ def matrices(pair, kind, cells, ends, around):
         F -= projected(points, factor, ufl.grad(p), p, q, one, none, 1.0) * points.dX
     sides = ("left", "right", "bottom", "top") if around else ("left", "bottom")
     tied = of_p if of_p == "aggregation" else "none"
-    u_stabilisation = stabilisation(of_u, E=1.0, nu=0.0, gamma=args.gamma_u)
+    u_stabilisation = stabilisation(of_u, E=1.0, nu=0.0, factor=args.factor_u)
     K = mpm.QuasiStatic(
         F, [u, p], points, mpm.fixed(V, *sides), stabilisation=[u_stabilisation, tied]
     )

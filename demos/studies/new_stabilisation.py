@@ -49,7 +49,7 @@ def derivative_jumps(points, u, v, h, s):
     Du, Dv = ufl.grad(u), ufl.grad(v)
     first = ufl.inner(ufl.jump(Du), ufl.jump(Dv))
     second = ufl.inner(ufl.jump(ufl.grad(Du)), ufl.jump(ufl.grad(Dv)))
-    return args.gamma * s / 90 * (h * first + h**3 * second) * points.dS
+    return args.factor * s / 90 * (h * first + h**3 * second) * points.dS
 
 
 def traction_jumps(points, u, v, h, s):
@@ -57,7 +57,7 @@ def traction_jumps(points, u, v, h, s):
     n = ufl.FacetNormal(points.grid)
     strain_u, strain_v = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
     jumps = ufl.inner(ufl.jump(strain_u, n), ufl.jump(strain_v, n))
-    return args.gamma * s / 90 * h * jumps * points.dS
+    return args.factor * s / 90 * h * jumps * points.dS
 
 
 def cell_gradient(points, u, v, h, s):
@@ -81,7 +81,7 @@ def arguments():
     )
     options.add_argument("--stabilisations", default=",".join((*BUILT_IN, *OWN)), help="by commas")
     options.add_argument("--offsets", type=int, default=20, help="number of places")
-    options.add_argument("--gamma", type=float, default=1.0, help="factor of the new jumps")
+    options.add_argument("--factor", type=float, default=1.0, help="factor of the new jumps")
     options.add_argument("--eta", type=float, default=1e-3, help="share in whole cells")
     options.add_argument(
         "--cells", default="8,16,32", help="a unit of length, for the errors; by commas"

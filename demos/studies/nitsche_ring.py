@@ -15,7 +15,7 @@
 #
 # A cell of which the ring fills next to nothing has only the energy that a stabilisation gives it:
 # with the ghost penalty of $\gamma = M/30$ the constant is up to a hundred times $M/h$, in whole
-# cells a few times. The solver finds it cell by cell. `--beta` takes one number of $M/h$ for all
+# cells a few times. The solver finds it cell by cell. `--penalty` takes one number of $M/h$ for all
 # instead: what is too small for the worst cell makes the tangent indefinite, what is large
 # enough for it locks the others; `--method penalty` drops the tractions.
 #
@@ -47,7 +47,7 @@ def arguments():
         "--offset", type=float, default=0.3, help="of the ring's middle from a node, in cells"
     )
     options.add_argument("--method", choices=("nitsche", "skew", "penalty"), default="nitsche")
-    options.add_argument("--beta", type=float, help="penalty in M/h; the cells' own by default")
+    options.add_argument("--penalty", type=float, help="penalty in M/h; the cells' own by default")
     options.add_argument(
         "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
     )
@@ -116,7 +116,7 @@ def ring(cells, offset):
     law = mpm.materials.Hencky(E=E, nu=nu)
     F = mpm.momentum(law, points, u, v, strain="small")
     F += mpm.dirichlet(
-        law, hole, u, v, exact, method=args.method, beta=args.beta, strain="small"
+        law, hole, u, v, exact, method=args.method, penalty=args.penalty, strain="small"
     )  # fmt: skip
     problem = mpm.QuasiStatic(F, u, points, stabilisation=args.stabilisation)
     return problem, exact, hole, h
@@ -132,14 +132,14 @@ def solved(cells):
     sums = np.array([volume @ np.sum(wrong**2, axis=1), volume.sum()])
     square, total = comm.allreduce(sums)
     push = -np.sum(markers["dirichlet1_force"] * markers["area"], axis=1) / markers["V"]
-    beta = markers["dirichlet1_stiffness"] * h / M
+    penalty = markers["dirichlet1_stiffness"] * h / M
     return {
         "h": h,
         "error": float(np.sqrt(square / total) / widening),
         "pressure": comm.allreduce(push.sum()) / hole.total_area / (pressure * widening),
-        "beta": [
-            comm.allreduce(beta.min(initial=np.inf), op=MPI.MIN),
-            comm.allreduce(beta.max(initial=0.0), op=MPI.MAX),
+        "penalties": [
+            comm.allreduce(penalty.min(initial=np.inf), op=MPI.MIN),
+            comm.allreduce(penalty.max(initial=0.0), op=MPI.MAX),
         ],
         "iterations": record.iterations,
         "unknowns": record.unknowns,
@@ -154,7 +154,7 @@ for cells in args.cells:
     row = runs[-1]
     say(
         f"h = {row['h']:8.5f}: error {row['error']:.3e}, pressure {row['pressure']:.5f}, "
-        f"β from {row['beta'][0]:.3g} to {row['beta'][1]:.3g}"
+        f"k h/M from {row['penalties'][0]:.3g} to {row['penalties'][1]:.3g}"
     )
 orders = [
     float(np.log(r["error"] / s["error"]) / np.log(r["h"] / s["h"]))
@@ -201,7 +201,7 @@ finish(
         "errors": [row["error"] for row in runs],
         "orders": orders,
         "pressure": runs[-1]["pressure"],
-        "beta": runs[-1]["beta"],
+        "penalties": runs[-1]["penalties"],
         "kappas": kappas,
         **worst,
         "ranks": comm.size,
@@ -214,7 +214,7 @@ finish(
 # the penalty goes from 6 to some 30 times $M/h$. With a penalty alone of $10^3 M/h$ it is four to
 # six times as large, and ten times where cells are large: what the penalty holds too well cannot
 # follow the circle. κ stays below 3·10⁴ with the ghost penalty and 10³ with aggregation. With
-# `--beta 4` and the ghost penalty some positions have negative eigenvalues.
+# `--penalty 4` and the ghost penalty some positions have negative eigenvalues.
 
 # %%
 if not args.no_plot:

@@ -76,7 +76,7 @@ def solve(args):
     down = (0.0,) * (d - 1) + (-1.0,)
     plate = mpm.RigidBody(
         mpm.Plane((*(0.0,) * (d - 1), H), down), name="plate",
-        velocity=tuple(args.displacement / args.steps * c for c in down),
+        increment=tuple(args.displacement / args.steps * c for c in down),
     )  # fmt: skip
     top = None
     if args.contact == "surface":

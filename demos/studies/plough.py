@@ -69,14 +69,13 @@ def arguments(words=None):
     add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
     add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
     add("--ghost", type=float, help="factor of the stabilisation's penalty; see above")
-    add("--penalty", type=float, help="κ/E (1/m); 1.25 a cell by default")
+    add("--penalty", type=float, default=1.25, help="κ h/E")
     add("--domains", choices=("stretch", "volume"), default="volume")
     add("--corners", choices=("domains", "material"), default="domains")
     add("--growth", type=float, default=1.5, help="of cells beyond the fine ones")
     add("--solver", choices=("auto", "direct", "iterative"), default="auto")
     add("--tolerance", type=float, default=2e-4)
     given = options.parse_args(words)
-    given.penalty = 1.25 / given.h if given.penalty is None else given.penalty
     sizes = given.distance, given.h, given.step, given.depth, given.half_width, given.penalty
     if not min(sizes) > 0 or given.step > 1 or given.growth < 1:
         options.error("sizes must be positive, the step at most a cell, growth at least 1")
@@ -208,29 +207,31 @@ class Scene:
         grown = {} if args.basis == "linear" else {"domains": args.domains}
         V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
-        self.speed = 0.0
+        self.ahead = 0.0
         share = self.share.mesh()
         share.points += (self.start, 0.0, 0.0)
         plough = mpm.RigidBody(
-            share, name="plough", velocity=lambda t: (self.speed, 0.0, 0.0),
+            share, name="plough", increment=lambda t: (self.ahead, 0.0, 0.0),
             fillet=0.25 * h / args.points_per_cell,
         )  # fmt: skip
         F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * points.dX
+        # in units of E/h with the h of the fine cells, where others are smaller
+        penalty = args.penalty * min(np.diff(line).min() for line in self.lines()) / h
         F += mpm.contact(
-            plough, points, u, v, friction=args.friction, penalty=args.penalty, corners=args.corners
+            plough, points, u, v, friction=args.friction, penalty=penalty, corners=args.corners
         )
         # the plates give way by a hundredth of a cell of sand at half the depth of the bed
         deep = np.array([[0.0], [0.0], [-0.5 * self.bed[2]]])
         stiffness = 100 * float(ground.modulus(sand.E_ref, sand.exponent)(deep)[0]) / h
         for side in ("left", "right"):
             plate = mpm.Boundary.from_side(points, side)
-            F += mpm.signorini(None, plate, u, v, stiffness=stiffness)
+            F += mpm.signorini(None, plate, u, v, stiffness_per_area=stiffness)
         bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
         options = {
             "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},
             "iterative": {"ksp_type": "gmres", "pc_type": "gamg"},
         }[args.solver]  # fmt: skip
-        stabilisation = mpm.Stabilisation(args.stabilisation, gamma=args.ghost)
+        stabilisation = mpm.Stabilisation(args.stabilisation, factor=args.ghost)
         problem = mpm.QuasiStatic(
             F, u, points, bcs, stabilisation=stabilisation, tolerance=args.tolerance,
             petsc_options=options,
@@ -259,7 +260,7 @@ class Scene:
         args = self.args
         self.step()
         count = math.ceil(args.distance / (args.step * args.h) - 1e-9)
-        self.speed = args.distance / count
+        self.ahead = args.distance / count
         for _ in mpm.steps(count, label="plough"):
             self.step()
 

@@ -48,9 +48,10 @@ def arguments(words=None):
     options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
     options.add_argument("--steps", type=int, default=40)
     options.add_argument("--displacement", type=float, help="last one of the wall (m)")
-    options.add_argument("--penalty", type=float, default=100.0, help="κ/E (1/m)")
+    options.add_argument("--penalty", type=float, help="κ h/E; 100 h/m by default")
     options.add_argument("--stabilisation", default="none")
     given = options.parse_args(words)
+    given.penalty = 100.0 * given.h if given.penalty is None else given.penalty
     sizes = given.unit_weight, given.height, given.modulus, given.h, given.penalty, given.length
     if not min(sizes) > 0 or given.cohesion < 0 or not 0 <= given.friction_angle < 60:
         options.error("sizes must be positive, cohesion not negative, the angle in [0, 60) degrees")
@@ -100,9 +101,9 @@ class Scene:
         missing = abs((passive if sign > 0 else active) - 0.5 * rest * args.unit_weight * H**2)
         enough = 2.5 * missing / (0.5 * H * args.modulus) * wide * h
         self.displacement = args.displacement or max(enough, 1e-4 * H)
-        self.speed = 0.0
+        self.ahead = 0.0
         self.wall = mpm.RigidBody(
-            mpm.Plane((0, 0), (1, 0)), name="wall", velocity=lambda t: (self.speed, 0.0)
+            mpm.Plane((0, 0), (1, 0)), name="wall", increment=lambda t: (self.ahead, 0.0)
         )
         F = mpm.momentum(sand, points, u, v)
         F -= ufl.inner(points.density * ufl.as_vector((0.0, -GRAVITY)), v) * points.dX
@@ -125,7 +126,7 @@ class Scene:
     def run(self):
         """Let the wall take the thrust at rest, and push. Collective."""
         self.step()
-        self.speed = self.sign * self.displacement / self.steps
+        self.ahead = self.sign * self.displacement / self.steps
         for _ in mpm.steps(self.steps, label="wall"):
             self.step()
 

@@ -151,7 +151,9 @@ def arguments():
         choices=("none", "ghost", "aggregation", "weak-aggregation", "extended"),
         default="aggregation",
     )
-    options.add_argument("--gamma", type=float, default=1.0, help="of a penalty; see Stabilisation")
+    options.add_argument(
+        "--factor", type=float, default=1.0, help="of a penalty; see Stabilisation"
+    )
     options.add_argument("--threshold", type=float, default=0.5, help="of aggregation")
     options.add_argument("--steps", type=int, default=24)
     options.add_argument("--fbar", choices=("on", "off"), default="off", help="against locking")
@@ -216,7 +218,7 @@ problem = mpm.ArcLength(
     max_length=length,
     target_iterations=50,
     stabilisation=stabilisation(
-        args.stabilisation, gamma=args.gamma, threshold=args.threshold, E=args.modulus
+        args.stabilisation, factor=args.factor, threshold=args.threshold, E=args.modulus
     ),
 )
 

@@ -57,7 +57,7 @@ def arguments(words=None):
     options.add_argument("--growth", type=float, default=1.3, help="of cells where nothing flows")
     options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="bspline2")
     options.add_argument("--fbar", choices=("on", "off"), default="off")
-    options.add_argument("--penalty", type=float, default=50.0, help="κ/E (1/m)")
+    options.add_argument("--penalty", type=float, help="κ h/E; 50 h/m by default")
     options.add_argument("--domains", choices=("stretch", "volume"), default="stretch")
     options.add_argument("--corners", choices=("domains", "material"), default="material")
     given = options.parse_args(words)
@@ -67,6 +67,7 @@ def arguments(words=None):
         # a wedge that is narrower needs more cells across
         narrow = math.tan(math.radians(given.semi_angle)) / math.tan(math.radians(30.0))
         given.h = 0.1 * given.depth * min(1.0, narrow**1.5)
+    given.penalty = 50.0 * given.h if given.penalty is None else given.penalty
     if given.steps is None:
         given.steps = math.ceil(8 * given.depth / given.h - 1e-9)
     if not min(given.E_over_cu, given.depth, given.h, given.penalty) > 0:
@@ -122,7 +123,7 @@ class Scene:
         V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
         self.wedge = mpm.RigidBody(
-            mpm.Wedge((0.0, 0.0), theta, 3.0 * c), velocity=(0.0, -c / args.steps), name="wedge"
+            mpm.Wedge((0.0, 0.0), theta, 3.0 * c), increment=(0.0, -c / args.steps), name="wedge"
         )
         F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on")
         F += mpm.contact(self.wedge, points, u, v, penalty=args.penalty, corners=args.corners)

@@ -242,7 +242,7 @@ def trace_constants(
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
             "a stabilisation: Nitsche's method has no finite penalty there; add "
-            'stabilisation="ghost" or "aggregation", in explicit steps the latter, or give beta'
+            'stabilisation="ghost" or "aggregation", in explicit steps the latter, or give penalty'
         ),
     )
     return constants

@@ -1,4 +1,4 @@
-"""Essential conditions: increments of nodes that are prescribed."""
+"""Essential conditions: increments or values of nodes that are prescribed."""
 
 from __future__ import annotations
 
@@ -35,6 +35,10 @@ __all__ = [
 ]
 
 Where = str | Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
+Given = float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
+
+# Default of arguments for which None is a bad value
+_NOT_GIVEN: Any = object()
 
 
 @dataclass(frozen=True)
@@ -45,12 +49,13 @@ class Condition:
         space: Space of the field.
         nodes: Local nodes, shape (n,).
         component: Component of the field.
-        value: Increment of every step (m for a displacement): a number, a DOLFINx
-            constant, or one number a node, shape (n,).
+        value: What is prescribed, see `kind`: a number, a DOLFINx constant, or one number per
+            node, shape (n,).
         where: What it says in messages.
         velocity: Velocity that it is to have (m/s) at a time (s), or None; steps in time then set
             the value, a constant.
-        whole: Whether the value is that of the field itself, which parts of a step have in full.
+        kind: "increment" of every step, of which parts of a step have a share; "value" of the
+            field itself, which parts of a step have in full; or "zero", which is both.
         place: Function of positions that says where in every step anew, or None.
     """
 
@@ -60,16 +65,16 @@ class Condition:
     value: float | fem.Constant | npt.NDArray[np.float64]
     where: str
     velocity: Callable[[float], float] | None = None
-    whole: bool = False
+    kind: str = "zero"
     place: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.bool_]] | None = None
 
     @property
     def changes(self) -> bool:
         """Whether the values may differ from zero in some step."""
-        return isinstance(self.value, fem.Constant) or bool(np.any(self.increment != 0.0))
+        return isinstance(self.value, fem.Constant) or bool(np.any(self.values != 0.0))
 
     @property
-    def increment(self) -> npt.NDArray[np.float64]:
+    def values(self) -> npt.NDArray[np.float64]:
         """The values now, shape () or (n,)."""
         value = self.value.value if isinstance(self.value, fem.Constant) else self.value
         return np.asarray(value, float)
@@ -160,17 +165,19 @@ def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
-@together(own=("value",))
+@together(own=("increment", "value"))
 def prescribed(
     space: Space,
     where: Where,
     component: int,
-    value: float | fem.Constant | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] = 0.0,
     *,
-    increment: bool = True,
+    increment: Given = _NOT_GIVEN,
+    value: Given = _NOT_GIVEN,
     follows: bool = False,
 ) -> list[Condition]:
     """Prescribe one component's increment in every step, or its value. Collective.
+
+    Without an increment and a value the component is held at zero.
 
     Args:
         space: Space of the field.
@@ -178,39 +185,50 @@ def prescribed(
             "back" (second axis in 3D), or a function of node positions (m), shape
             (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`.
         component: Component of the field.
-        value: Increment a step (m for a displacement): a number, a scalar DOLFINx
-            constant, or a function of node positions like `where` that returns n numbers.
-            When a step is halved, so is it.
-        increment: False for a field that is no increment, such as the pressure of `poromechanics`:
-            the value is the field's own, also in parts of a step that is halved.
+        increment: Increment per step (m for a displacement), of a field that moves points: a
+            number, a scalar DOLFINx constant, or a function of node positions like `where` that
+            returns n numbers. When a step is halved, so is the increment.
+        value: The field's own value, of a field that the form carries from step to step, such as
+            the pressure of `poromechanics` (Pa); given as an increment is. A step that is halved
+            keeps the value.
         follows: Whether `where`, a function, is asked anew in every step, such as for the part of
             a plane of symmetry that a tool has not opened yet; there may be no node then.
 
     Raises:
-        ParameterError: The space, the side, the component or the value is not what it
-            may be, or no node is there.
+        ParameterError: The space, the side, the component, the increment or the value is not
+            what it may be, both are given, or no node is there. Problems refuse an increment of a
+            field that is carried, and a value of a field that moves points.
     """
     _check_space(space)
-    truth("increment", increment), truth("follows", follows)
+    truth("follows", follows)
+    both = {"increment": increment, "value": value}
+    told = [kind for kind, given in both.items() if given is not _NOT_GIVEN]
+    if len(told) == 2:
+        raise ParameterError(
+            f"increment = {shown(increment)} and value = {shown(value)} are both given; give "
+            "increment=... for a field that moves points, value=... for one that is carried"
+        )
+    kind, given = (told[0], both[told[0]]) if told else ("zero", 0.0)
     if whole("component", component, 0) >= space.components:
         raise ParameterError(
             f"component = {component} must be in 0 ... {space.components - 1} of this field"
         )
-    constant = isinstance(value, fem.Constant) or np.isscalar(value)
+    constant = isinstance(given, fem.Constant) or np.isscalar(given)
     if follows and not (callable(where) and constant):
         raise ParameterError(
             "follows=True goes with a function of positions as where, and with a number or a "
-            "constant as value: how many nodes there are may change"
+            f"constant as {kind}: how many nodes there are may change"
         )
     nodes, name = _nodes(space, where, follows)
-    given = _value(space, nodes, name, value)
+    what = f"the {'increment' if kind == 'zero' else kind} prescribed at '{name}'"
+    checked = _checked(space, nodes, what, given)
     place = where if follows and callable(where) else None
-    return [Condition(space, nodes, int(component), given, name, None, not increment, place)]
+    return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
 
 
 @together
 def moving(
-    space: Space, where: Where, component: int, velocity: float | Callable[[float], float]
+    space: Space, where: Where, component: int, *, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
     """Prescribe the velocity of one component in time, for steps in time. Collective.
 
@@ -229,13 +247,12 @@ def moving(
         return number("velocity", at_time("velocity", given, t), unit="m/s")
 
     at(0.0)
-    (condition,) = prescribed(space, where, component, own_constant(space.grid, 0.0))
+    (condition,) = prescribed(space, where, component, increment=own_constant(space.grid, 0.0))
     return [replace(condition, velocity=at)]
 
 
-def _value(space: Space, nodes, name: str, value: Any) -> Any:
+def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     """What is prescribed, checked."""
-    what = f"the increment prescribed at '{name}'"
     if isinstance(value, fem.Constant):
         if value.ufl_shape != ():
             raise ParameterError(

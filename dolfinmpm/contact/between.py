@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 import ufl
 from mpi4py import MPI
@@ -121,6 +122,10 @@ class Between(Term):
         steps = self.boundaries[0].markers[self.names[3]]
         return self.points.comm.allreduce(bool(steps.any()), op=MPI.LOR)
 
+    def stiffness_per_area(self) -> npt.NDArray[np.float64]:
+        """κ (Pa/m), shape ()."""
+        return np.asarray(self.stiffness)
+
     def check_sides(self) -> None:
         """Raise unless each boundary has its body behind it. Collective.
 
@@ -216,8 +221,8 @@ def contact_between(
         u: Increments of the two fields, `Space.increment`, in that order.
         v: Their test functions, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
-        penalty: κ h/E, h being the size of the smallest cell and E the harmonic mean of the
-            bodies' Young's moduli.
+        penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
+            least height of a cell. `mpm.stiffness_per_area` tells κ.
         stiffness_per_area: κ itself (Pa/m), instead.
         slip_stiffness: Stiffness against slip that sticks, as a share of κ.
         penetration: Bound of the penetration (m), or None for what the penalty leaves.

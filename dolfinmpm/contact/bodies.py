@@ -81,6 +81,32 @@ class Bodies:
         """Work that friction on them has taken (J)."""
         return sum(contact.dissipated for contact in self.contacts)
 
+    def check_steps(self, in_time: bool, kind: str) -> None:
+        """Raise where a body's motion is not of the steps that a problem takes.
+
+        Args:
+            in_time: Whether the steps have a length in s.
+            kind: The problem's class, for messages.
+
+        Raises:
+            ParameterError: An increment is prescribed in time, or a velocity without time.
+        """
+        for body in self.all:
+            free = set() if body.freedom is None else set(body.freedom.free)
+            for course, first in zip(body.courses, (0, body.gdim)):
+                if in_time and course.kind == "increment":
+                    raise ParameterError(
+                        f"{course.name} is the motion of '{body.name}' per step, and the steps of "
+                        f"{kind} have a length in time: give its velocity, or its motion in total"
+                    )
+                # velocities of free components are those at first
+                held = not free.issuperset(range(first, first + course.size))
+                if held and not in_time and course.kind == "velocity":
+                    raise ParameterError(
+                        f"{course.name} is the motion of '{body.name}' per second, and {kind} "
+                        "knows no time: give its increment per step, or its motion in total"
+                    )
+
     def take(self) -> None:
         """Take the bodies for a step. A body that another problem has moved since is not to be had.
 

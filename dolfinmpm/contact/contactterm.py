@@ -27,6 +27,7 @@ from dolfinmpm.contact.means import Means
 from dolfinmpm.contact.rigid import RigidBody
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.grid.lattice import smallest_height
 
 __all__ = ["Contact", "contact"]
 
@@ -43,7 +44,7 @@ class Contact(Term):
         tags: Tags of the points that touch, or None for all.
         friction: μ.
         stiffness: Penalty (Pa/m) that was given, or None.
-        penalty: Penalty by Young's modulus (1/m), else.
+        penalty: Penalty in units of E/h, else.
         slip_share: ε_T/ε_N.
         penetration: Bound of the penetration (m) by multipliers, or None.
         names: Fields of the points: tangential forces on corners (N) in the frame of the body,
@@ -66,6 +67,7 @@ class Contact(Term):
         self.friction: float = friction
         self.stiffness: float | None = stiffness
         self.penalty: float = penalty
+        self._cell: float | None = None
         self.slip_share: float = slip_share
         self.penetration: float | None = penetration
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
@@ -110,6 +112,9 @@ class Contact(Term):
         if self.stiffness is not None:
             return
         points.add_field(modulus, (), "Pa")
+        if self._cell is None:
+            # a grid that is laid anew makes no contact stiffer
+            self._cell = smallest_height(points.grid)
         E = points[modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
@@ -172,7 +177,13 @@ class Contact(Term):
         """Penalty per area at some points (Pa/m), shape (len(rows),)."""
         if self.stiffness is not None:
             return np.full(rows.size, self.stiffness)
-        return np.asarray(self.penalty * self.points[self.names[2]][rows])
+        if self._cell is None:
+            raise ParameterError(f"{self!r} has no stiffness before a problem is made of the form")
+        return np.asarray(self.penalty / self._cell * self.points[self.names[2]][rows])
+
+    def stiffness_per_area(self) -> Array:
+        """κ of the points on this rank (Pa/m), shape (points,)."""
+        return self.stiffness_at(np.arange(len(self.points)))
 
 
 def contact(
@@ -182,7 +193,7 @@ def contact(
     v: Any,
     *,
     friction: float = 0.0,
-    penalty: float = 50.0,
+    penalty: float = 5.0,
     stiffness_per_area: float | None = None,
     slip_stiffness: float = 0.5,
     penetration: float | None = None,
@@ -212,8 +223,9 @@ def contact(
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
-        penalty: κ by Young's modulus of the points' first state (1/m): κ = penalty · E. 50 as
-            AMPSSIE has it; 1000 for stiff bodies that are confined.
+        penalty: κ in units of E/h: E is Young's modulus of the points' first state, h the least
+            height of a cell. Some 100 for stiff bodies that are confined.
+            `mpm.stiffness_per_area` tells κ.
         stiffness_per_area: κ itself (Pa/m), instead.
         slip_stiffness: Stiffness against slip that sticks, as a share of κ.
         penetration: Bound of the penetration (m), or None for what the penalty leaves.
@@ -237,7 +249,7 @@ def contact(
     if points.axisymmetric:
         body.require_axis()
     friction = friction_coefficient(friction)
-    number("penalty", penalty, 0.0, unit="1/m")
+    number("penalty", penalty, 0.0)
     if stiffness_per_area is not None:
         number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
     number("slip_stiffness", slip_stiffness, 0.0)

@@ -1,4 +1,4 @@
-"""Prescribed motions of rigid bodies: displacements and rotations, or their rates."""
+"""Prescribed motions of rigid bodies: in total, per step, or per second."""
 
 from __future__ import annotations
 
@@ -21,20 +21,36 @@ Motion = Callable[[float], Any]
 
 
 class Course:
-    """One prescribed motion: a displacement or a rotation, by itself or by its rate.
+    """One prescribed motion, a displacement or a rotation.
 
     Args:
-        name, given: The motion by its name: a function of time (s), a constant, or None.
-        rate_name, rate: The same of its rate.
         size: Number of its components.
+        motions: The motion in total, its velocity and its increment per step, in that order and
+            by their names, of which one may be given: a function of time (s; steps), a DOLFINx
+            constant for the motion in total, numbers for the others.
+
+    Attributes:
+        size: The argument.
+        name: Name of the motion that is given, or "".
+        kind: "total", "velocity" or "increment"; "" for a body that stands still.
+        given: The motion in total, or None.
+        rate: Its velocity or its increment per step, or None.
+        absolute: Whether a rotation is a rotation vector in total.
 
     Raises:
-        ParameterError: A motion or a rate is not what it may be.
+        ParameterError: Two motions are given, or one is not what it may be.
     """
 
-    def __init__(self, name: str, given: Any, rate_name: str, rate: Any, size: int):
-        self.size, self.given, self.rate, self.absolute = size, given, rate, False
-        self._name = name if given is not None else rate_name
+    def __init__(self, size: int, **motions: Any):
+        kinds = dict(zip(motions, ("total", "velocity", "increment")))
+        told = {name: motion for name, motion in motions.items() if motion is not None}
+        if len(told) > 1:
+            raise ParameterError(f"{' and '.join(told)} are given at once; leave one out")
+        name, motion = next(iter(told.items()), ("", None))
+        self.size, self.name, self.kind, self.absolute = size, name, kinds.get(name, ""), False
+        given, rate = (motion, None) if self.kind == "total" else (None, motion)
+        self.given: Any = given
+        self.rate: Any = rate
         self._first: Array = np.zeros(size)
         if isinstance(given, fem.Constant):
             if given.value.size != size:
@@ -49,7 +65,7 @@ class Course:
                 )
             self._first = self.value(given, 0.0)
         elif rate is not None and not callable(rate):
-            constant: Array = vector(rate_name, rate, size)
+            constant: Array = vector(name, rate, size)
             self.rate = lambda t: constant
         if callable(self.rate):
             self.value(self.rate, 0.0)
@@ -58,14 +74,14 @@ class Course:
         """Raise ParameterError where it is not zero at first."""
         if self._first.any():
             raise ParameterError(
-                f"{self._name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
+                f"{self.name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
                 "got since it was made; make the shape where the body is at first"
             )
 
     def value(self, function: Motion, t: float) -> Array:
         """What a function of time gives at t, shape (size,)."""
-        answer = np.atleast_1d(np.asarray(at_time(self._name, function, t)))
-        return vector(f"{self._name}({t:g})", answer, self.size)
+        answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
+        return vector(f"{self.name}({t:g})", answer, self.size)
 
     def change(self, start: Array, t: float, dt: float) -> Array:
         """Change from the start of a step, at t, to dt later."""
@@ -82,5 +98,5 @@ class Course:
 
 
 def first_rate(course: Course) -> Array:
-    """What a velocity is at first; zero where there is none."""
+    """What a velocity, or an increment, is at first; zero where there is none."""
     return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)

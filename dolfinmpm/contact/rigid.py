@@ -32,22 +32,27 @@ _numbers = itertools.count(1)
 class RigidBody(ReadOnce):
     """A rigid body that touches material points through `contact`; all ranks know it.
 
-    It stands still, or its motion is prescribed. Time t is that of the problem in s, or for
-    quasi-static problems the number of steps since the body was made, so that a velocity is what it
-    moves in a step. In parts of a step it goes that part of the way.
+    It stands still, or its motion is prescribed: by increments in quasi-static problems, by
+    velocities in problems in time, or in total in both. Time t is that of the problem in s, or for
+    quasi-static problems the number of steps since the body was made. In parts of a step the body
+    goes that part of the way.
 
     Args:
         shape: `Plane`, `Wedge`, `Polygon`, `Disc`, `Box` or `TurnedBox` in 2D; `Plane`, `Cone`,
             `Ball`, `Box` or a closed surface mesh in 3D: a file that meshio reads (STL, Gmsh), or
             a `meshio.Mesh`, of triangles whose normals point out of the body.
-        velocity: Of its centre (m/s; m per step), shape (gdim,): numbers, or a function of t.
-        angular_velocity: About the centre (rad/s; rad per step), counter-clockwise: a number, in
-            3D a vector of shape (3,); or a function of t.
-        displacement: Where the centre has got to since the body was made (m), instead of
-            velocities: a function of t that is 0 at t = 0, or a DOLFINx constant, which steps set
-            and solvers scale like a load; what it holds already the first step brings about.
-        rotation: How far the body has turned since (rad), likewise: an angle, in 3D a rotation
-            vector.
+        increment: Motion of its centre in every step of a quasi-static problem (m), shape (gdim,):
+            numbers, or a function of t.
+        velocity: Velocity of its centre in a problem in time (m/s), likewise.
+        displacement: Where the centre has got to since the body was made (m): a function of t that
+            is 0 at t = 0, or a DOLFINx constant, which steps set and solvers scale like a load;
+            the first step brings about what the constant holds already. One of `increment`,
+            `velocity` and `displacement` may be given.
+        rotation_increment: Rotation about the centre in every step of a quasi-static problem
+            (rad), counter-clockwise: a number, in 3D a vector of shape (3,); or a function of t.
+        angular_velocity: Its velocity in a problem in time (rad/s), likewise.
+        rotation: How far the body has turned since it was made (rad), as `displacement` is given:
+            an angle, in 3D a rotation vector.
         centre: What it turns about (m); by default the middle of a box around it, or a plane's
             point.
         fillet: Radius (m) by which convex edges are rounded, so that what slides around them meets
@@ -83,9 +88,11 @@ class RigidBody(ReadOnce):
         self,
         shape: Any,
         *,
+        increment: Sequence[float] | Motion | None = None,
         velocity: Sequence[float] | Motion | None = None,
-        angular_velocity: float | Sequence[float] | Motion | None = None,
         displacement: fem.Constant | Motion | None = None,
+        rotation_increment: float | Sequence[float] | Motion | None = None,
+        angular_velocity: float | Sequence[float] | Motion | None = None,
         rotation: fem.Constant | Motion | None = None,
         centre: Sequence[float] | None = None,
         fillet: float = 0.0,
@@ -107,18 +114,17 @@ class RigidBody(ReadOnce):
         if not isinstance(self.name, str) or not self.name.isidentifier():
             raise ParameterError(f"name = {shown(name)} must be an identifier")
         turns = 1 if d < 3 else 3
-        if velocity is not None and displacement is not None:
-            raise ParameterError("velocity and displacement are both given; leave one out")
-        if angular_velocity is not None and rotation is not None:
-            raise ParameterError("angular_velocity and rotation are both given; leave one out")
-        self._shift = Course("displacement", displacement, "velocity", velocity, d)
-        self._turn = Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
+        self._shift = Course(d, displacement=displacement, velocity=velocity, increment=increment)
+        self._turn = Course(
+            turns, rotation=rotation, angular_velocity=angular_velocity,
+            rotation_increment=rotation_increment,
+        )  # fmt: skip
         # a rotation vector is not the sum of small ones
         self._turn.absolute = d == 3 and rotation is not None
         loads = mass, inertia, gravity, force, moment
         self.freedom: Freedom | None = None
         if free is not None or any(load is not None for load in loads):
-            rates = [first_rate(c) for c in (self._shift, self._turn)]
+            rates = [first_rate(course) for course in self.courses]
             self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
@@ -136,10 +142,10 @@ class RigidBody(ReadOnce):
         first = np.concatenate([first_rate(self._shift), first_rate(self._turn)])
         if across or first[0] != 0.0 or first[2] != 0.0:
             raise ParameterError(
-                f"'{self.name}' would go across the axis or turn (velocity {first[:2]} m/s, "
-                f"angular velocity {first[2]:g} rad/s, free components {across}), and against a "
-                "body of revolution it moves along the axis alone: give velocity=(0.0, v), or "
-                "free=(False, True, False)"
+                f"'{self.name}' would go across the axis or turn (at first by {first[:2]} m and "
+                f"{first[2]:g} rad per step or second, free components {across}), and against a "
+                "body of revolution it moves along the axis alone: give increment=(0.0, v), "
+                "velocity=(0.0, v) or free=(False, True, False)"
             )
 
     @property
@@ -162,10 +168,9 @@ class RigidBody(ReadOnce):
 
     def _instead(self, name: str) -> str:
         """See `ReadOnce`."""
-        of_time = ("velocity", "angular_velocity"), ("displacement", "rotation")
-        if name in of_time[0]:
+        if name.endswith(("velocity", "increment")):
             return f"make it with a function of time, {name}=lambda t: ..., which steps call"
-        if name in (*of_time[1], "force", "moment"):
+        if name in ("displacement", "rotation", "force", "moment"):
             return (
                 f"make it with a function of time, {name}=lambda t: ..., or with a "
                 "dolfinx.fem.Constant, whose value you set"
@@ -190,21 +195,24 @@ class RigidBody(ReadOnce):
         return self.pose.turn
 
     @property
+    def courses(self) -> tuple[Course, Course]:
+        """Its prescribed motions, those of the centre and those about it."""
+        return self._shift, self._turn
+
+    @property
     def loads(self) -> list[fem.Constant]:
         """DOLFINx constants that prescribe its motion or load it."""
-        both = self._shift, self._turn
-        prescribe = [c.given for c in both if isinstance(c.given, fem.Constant)]
+        prescribe = [c.given for c in self.courses if isinstance(c.given, fem.Constant)]
         return prescribe + ([] if self.freedom is None else self.freedom.loads)
 
     def prescribed(self, t: float) -> list[Array]:
         """What functions prescribe at a time (s; steps): places or rates, shift before turn."""
-        courses = self._shift, self._turn
-        both = [(c, f) for c in courses for f in (c.given, c.rate) if f is not None]
+        both = [(c, f) for c in self.courses for f in (c.given, c.rate) if f is not None]
         return [c.value(f, t) for c, f in both if not isinstance(f, fem.Constant)]
 
     def check_start(self) -> None:
         """Raise ParameterError where it would not begin where its shape is."""
-        for course in (self._shift, self._turn):
+        for course in self.courses:
             course.check_start()
 
     # -- what solvers do with it ----------------------------------------------

@@ -61,6 +61,10 @@ class SpringBed(Term):
         size = np.linalg.norm(area, axis=1)
         return area / np.where(size > 0.0, size, 1.0)[:, None], self.stiffness * size
 
+    def stiffness_per_area(self) -> float:
+        """k (Pa/m)."""
+        return self.stiffness
+
     def energy(self) -> tuple[float, float]:
         """See `Term`. Collective."""
         n, k = self.normals

@@ -109,7 +109,7 @@ class Held:
     @property
     def driven(self) -> bool:
         """Whether increments other than zero are prescribed now. Collective."""
-        moved = any(np.any(condition.increment != 0.0) for condition in self.conditions)
+        moved = any(np.any(condition.values != 0.0) for condition in self.conditions)
         return self._spaces[0].grid.comm.allreduce(moved, op=MPI.LOR)
 
     def at(self, bases: Sequence[Basis], share: float) -> tuple[list[Flags], list[Array]]:
@@ -154,8 +154,8 @@ class Held:
                 continue
             column, own = condition.component, condition.nodes < basis.nodes.owned
             nodes = condition.nodes[own]
-            part = 1.0 if condition.whole else share
-            value = np.broadcast_to(part * condition.increment, condition.nodes.shape)[own]
+            part = 1.0 if condition.kind == "value" else share
+            value = np.broadcast_to(part * condition.values, condition.nodes.shape)[own]
             differs = flags[nodes, column] & (values[nodes, column] != value)
             clash = nodes[differs]
             if clash.size and error is None:

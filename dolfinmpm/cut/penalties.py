@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from typing import Any
 
 import ufl
@@ -54,6 +56,24 @@ def check_word(what: str, value: str) -> None:
         raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
 
 
+def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
+    """A number, not negative, or a scalar of UFL on the points' grid."""
+    if isinstance(value, str) and value == ADAPTIVE:
+        raise ParameterError(
+            f'{what} = "{ADAPTIVE}" must be a number (Pa); "{ADAPTIVE}" is a factor of the laws\' '
+            f'own moduli: give factor="{ADAPTIVE}"'
+        )
+    if not isinstance(value, Expr):
+        return penalty_factor(what, value)
+    if value.ufl_shape != () or extract_arguments(value):
+        raise ParameterError(f"{what} = {shown(value)} must be a number or a scalar of UFL")
+    if extract_unique_domain(value) not in (None, points.grid.ufl_domain()):
+        raise ParameterError(
+            f"{what} lives on another grid than the points; make it on points.grid"
+        )
+    return value
+
+
 def _normal_derivative(w: Expr, side: str, k: int) -> Expr:
     """k-th derivative of w on one side of a facet, along the normal of its first side."""
     derivative = w
@@ -70,10 +90,12 @@ def ghost(
     points: MaterialPoints,
     u: Expr,
     v: Expr,
-    gamma: float | Expr | str,
+    gamma: float | Expr | None = None,
     order: int | None = None,
     scaling: str = "scaled",
     target: float | None = None,
+    *,
+    factor: float | Expr | str | None = None,
 ) -> ufl.Form:
     """Ghost penalty: jumps of the increment's normal derivatives across ghost facets.
 
@@ -87,69 +109,71 @@ def ghost(
         points: Material points; the facets are those of their boundary cells.
         u: Increment of the step.
         v: Test function.
-        gamma: γ. For a stiffness E/30 (Pa) works well, or 1/30 with `scaling="tangent"`; for a
-            mass ρ/4 with `scaling="literal"`. "adaptive" is, facet by facet, the least by
-            which the local constant of its two cells is no more than `target`, under
-            the tangent of the laws there; see `dolfinmpm.assembly.facetpairs`.
+        gamma: γ (Pa). For a stiffness E/30 works well, for a mass ρ/4 with `scaling="literal"`.
         order: q, the degree of the basis by default.
         scaling: "scaled" divides γ by h², so that the term scales with h as a
             stiffness does and conditioning does not depend on units; "literal" is
-            the published form, with γ in Pa/m² (or kg/m³ for a mass). "tangent" is "scaled"
-            with γ in units of the P-wave modulus of the laws' tangent at the facet, a mean
-            over the points of its two cells (see `dolfinmpm.cut.facetmoduli`): a penalty in
-            units of E loses its hold near incompressibility, where the local constant
-            rises from 414 to 7340 (ν = 0, 0.49), against 441 with this one.
+            the published form, with γ in Pa/m² (or kg/m³ for a mass).
         target: Local constant that "adaptive" aims at, 30 by default; no less than twice the
             constant of functions without jumps, which no γ can lower: 10 to 14 of linear
             functions on squares and cubes, 180 to 250 of quadratic and thousands of cubic
             splines.
+        factor: γ in units of M/30, in place of γ. M is the P-wave modulus of the laws' tangent at
+            the facet, a mean over the points of its two cells (see `dolfinmpm.cut.facetmoduli`):
+            a penalty in units of E loses its hold near incompressibility, where the local
+            constant rises from 414 to 7340 (ν = 0, 0.49), against 441 with M. "adaptive" takes,
+            facet by facet, the least γ by which the local constant of its two cells is no more
+            than `target`, under the tangent of the laws there; see
+            `dolfinmpm.assembly.facetpairs`.
 
     Raises:
-        ParameterError: γ is negative or no number, the order, the scaling or the target is not
-            what it may be, or u and v are no increment and no test function of one field.
+        ParameterError: γ or the factor is negative or no number, both are given, the order, the
+            scaling or the target is not what it may be, or u and v are no increment and no test
+            function of one field.
     """
     check_points(points)
     check_increment(points, u)
     check_test(points, u, v)
-    adaptive = isinstance(gamma, str)
-    scaling = choice("scaling", scaling, SCALINGS)
-    if isinstance(gamma, str):
-        check_word("gamma", gamma)
+    scaling = choice("scaling", scaling, SCALINGS[:2])
+    if isinstance(factor, str):
+        check_word("factor", factor)
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
-        raise ParameterError(f'target = {shown(target)} is of gamma="adaptive" alone')
-    elif not isinstance(gamma, Expr):
-        gamma = penalty_factor("gamma", gamma)
-    elif gamma.ufl_shape != () or extract_arguments(gamma):
-        raise ParameterError(f"gamma = {shown(gamma)} must be a number or a scalar of UFL")
-    elif extract_unique_domain(gamma) not in (None, points.grid.ufl_domain()):
-        raise ParameterError("gamma lives on another grid than the points; make it on points.grid")
+        raise ParameterError(f'target = {shown(target)} is of factor="{ADAPTIVE}" alone')
+    of_law = factor is not None
+    if of_law and gamma is not None:
+        raise ParameterError(
+            f"gamma = {shown(gamma)} (Pa) and factor = {shown(factor)} (in units of M/30) are both "
+            "given; give one of them"
+        )
+    if not of_law:
+        gamma = _scalar("gamma", gamma, points)
+    elif target is None:
+        gamma = _scalar("factor", factor, points) / 30
     order = None if order is None else whole("order", order, 1)
     # before γ, always: FFCx tells forms apart by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
-    factor: Expr
-    if adaptive or scaling == "tangent":
+    if of_law:
         check_displacement(points, u=u, v=v)
-        factor = FacetModulus(points, u, target, scaling)("+")
-        if not adaptive:
-            factor *= gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-    else:
-        factor = gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma)
-        if points.axisymmetric:
-            factor *= FacetRing(points, u)("+")
+    parts: list[Any] = [FacetModulus(points, u, target, scaling)("+")] if of_law else []
+    if gamma is not None:
+        parts.append(gamma if isinstance(gamma, Expr) else own_constant(points.grid, gamma))
+    if points.axisymmetric and not of_law:
+        parts.append(FacetRing(points, u)("+"))
+    weight: Expr = functools.reduce(operator.mul, parts)
     smooth = space.basis.continuity if space is not None else 0
     if order is None:
         order = space.basis.degree if space is not None else 1
     h = ufl.avg(size) if isinstance(size, fem.Function) else size
     if scaling != "literal":
-        factor = factor / h**2
+        weight = weight / h**2
 
     def jump(w: Expr, k: int) -> Expr:
         return _normal_derivative(w, "+", k) - _normal_derivative(w, "-", k)
 
     terms = [
-        factor
+        weight
         * h ** (2 * k + 1)
         / ((2 * k + 1) * math.factorial(k) ** 2)
         * ufl.inner(jump(u, k), jump(v, k))

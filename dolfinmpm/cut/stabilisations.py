@@ -38,9 +38,9 @@ KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
 # Arguments that a kind makes use of, beside the moduli
 _OWN = {
-    "ghost": ("gamma", "scaling", "target"),
+    "ghost": ("factor", "scaling", "target"),
     "aggregation": ("threshold",),
-    "weak-aggregation": ("gamma", "threshold"),
+    "weak-aggregation": ("factor", "threshold"),
     "extended": ("threshold",),
     "soft": ("eta",),
 }
@@ -63,7 +63,7 @@ class Stabilisation:
             of the elastic stiffness of whole cells, in the tangent only).
         E: Young's modulus (Pa) that penalties are scaled with; the law's by default.
         nu: Poisson's ratio, likewise.
-        gamma: Penalty in units of E/30, or M/30, for "ghost" and of E for "weak-aggregation";
+        factor: Penalty in units of M/30, or E/30, for "ghost" and of E for "weak-aggregation";
             or "adaptive", see `ghost`. By default 1; on quadratic and cubic splines 100 and 10⁴
             for a ghost penalty, because their last functions are so much smaller where a
             body ends, and 0.3 and 0.1 for weak aggregation, whose continuations weigh the more.
@@ -86,7 +86,7 @@ class Stabilisation:
     kind: str = "none"
     E: float | None = None
     nu: float | None = None
-    gamma: float | str | None = None
+    factor: float | str | None = None
     scaling: str | None = None
     threshold: float | None = None
     eta: float | None = None
@@ -114,10 +114,10 @@ class Stabilisation:
             number("stabilisation's E", self.E, 0.0, unit="Pa")
         if self.nu is not None:
             number("stabilisation's nu", self.nu, -1.0, 0.5)
-        if isinstance(self.gamma, str) and self.kind == "ghost":
-            check_word("stabilisation's gamma", self.gamma)
-        elif self.gamma is not None:
-            penalty_factor("stabilisation's gamma", self.gamma)
+        if isinstance(self.factor, str) and self.kind == "ghost":
+            check_word("stabilisation's factor", self.factor)
+        elif self.factor is not None:
+            penalty_factor("stabilisation's factor", self.factor)
         if self.target is not None:
             number("stabilisation's target", self.target, 1.0)
         if self.threshold is not None:
@@ -126,7 +126,7 @@ class Stabilisation:
                 raise ParameterError(f"stabilisation's threshold = {share:g} must be in (0, 1]")
         if self.eta is not None:
             number("stabilisation's eta", self.eta, 0.0, 1.0)
-        for name in ("gamma", "scaling", "threshold", "eta", "target"):
+        for name in ("factor", "scaling", "threshold", "eta", "target"):
             value = getattr(self, name)
             if value is not None and name not in _OWN.get(self.kind, ()):
                 having = [f'"{kind}"' for kind, own in _OWN.items() if name in own]
@@ -134,9 +134,9 @@ class Stabilisation:
                     f"{name} = {shown(value)} would do nothing: it is of the stabilisation "
                     f'{" and ".join(having)}, and this is "{self.kind}"; leave it out'
                 )
-        if self.target is not None and self.gamma != ADAPTIVE:
+        if self.target is not None and self.factor != ADAPTIVE:
             raise ParameterError(
-                f'stabilisation\'s target = {self.target:g} is of gamma="{ADAPTIVE}" alone'
+                f'stabilisation\'s target = {self.target:g} is of factor="{ADAPTIVE}" alone'
             )
 
     @property
@@ -152,7 +152,7 @@ class Stabilisation:
         if self.kind != "ghost":
             return False
         usual = "tangent" if self.E is None else "scaled"
-        return self.gamma == ADAPTIVE or (self.scaling or usual) == "tangent"
+        return self.factor == ADAPTIVE or (self.scaling or usual) == "tangent"
 
     def force_terms(
         self, points: MaterialPoints, u: Expr, v: Expr, known: Expr | None = None
@@ -166,20 +166,22 @@ class Stabilisation:
         if self.kind != "ghost":
             return None
         if known is not None:
-            return ghost(points, u, v, self.factor(u) * known, scaling="literal")
-        if self.gamma == ADAPTIVE:
-            literal = self.scaling or "scaled"
-            return ghost(points, u, v, ADAPTIVE, scaling=literal, target=self.target)
+            return ghost(points, u, v, self.factor_of(u) * known, scaling="literal")
+        if self.factor == ADAPTIVE:
+            scaling = "literal" if self.scaling == "literal" else "scaled"
+            return ghost(points, u, v, scaling=scaling, target=self.target, factor=ADAPTIVE)
         if self.follows_tangent:
-            return ghost(points, u, v, self.factor(u) / 30, scaling="tangent")
+            return ghost(points, u, v, factor=self.factor_of(u))
         assert self.E is not None
-        return ghost(points, u, v, self.factor(u) * self.E / 30, scaling=self.scaling or "scaled")
+        return ghost(
+            points, u, v, self.factor_of(u) * self.E / 30, scaling=self.scaling or "scaled"
+        )
 
-    def factor(self, u: Expr) -> float:
+    def factor_of(self, u: Expr) -> float:
         """The ghost penalty's factor for an increment."""
-        if self.gamma is not None:
-            assert not isinstance(self.gamma, str)
-            return self.gamma
+        if self.factor is not None:
+            assert not isinstance(self.factor, str)
+            return self.factor
         space = getattr(u, "_dolfinmpm_space", None)
         return GHOST_FACTORS[space.basis.degree if space is not None else 1]
 
@@ -220,7 +222,7 @@ class Stabilisation:
         nodes,
         radius: npt.NDArray[np.float64] | None = None,
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """Weak aggregation: γ E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
+        """Weak aggregation: factor E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
 
         The distance of a node from the continued polynomial is penalised in place
         of being made zero (after Badia, Neiva & Verdugo 2022, doi
@@ -241,11 +243,11 @@ class Stabilisation:
         # so that a far continuation, whose weights are large, does not outweigh the body
         norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
         share = own / np.maximum(norms, 1.0)
-        gamma = WEAK_FACTORS[space.basis.degree] if self.gamma is None else self.gamma
-        assert not isinstance(gamma, str)
+        factor = WEAK_FACTORS[space.basis.degree] if self.factor is None else self.factor
+        assert not isinstance(factor, str)
         if radius is not None:
             share *= ring(np.maximum(radius, 0.5 * size), 1.0)
-        weights = sparse.diags(share * gamma * self.E * size ** (space.grid.geometry.dim - 2))
+        weights = sparse.diags(share * factor * self.E * size ** (space.grid.geometry.dim - 2))
         product = sparse.coo_matrix(D.T @ weights @ D)
         blocks = product.data[:, None, None] * np.eye(space.components)
         return product.row.astype(np.int32), product.col.astype(np.int32), blocks

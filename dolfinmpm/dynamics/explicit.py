@@ -90,7 +90,7 @@ class Explicit(Problem):
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
             Penalties on the increment do nothing here: explicit steps take no tangent. Weak
             conditions act with what they have kept until a step, and their stiffness counts in
-            `critical_step`: "penalty" with a beta of some 10 costs a half of a step. What they
+            `critical_step`: "penalty" with a penalty of some 10 costs a half of a step. What they
             prescribe changes by the constant `time`, or from call to call.
         scheme: "musl", "usl" or "usf".
         mapping: How velocities go to the grid and come back; "flip" by default.

@@ -181,7 +181,7 @@ class General(ExplicitBase):
         if not any(condition.velocity for condition in bcs):
             return held
         dt, share = step.dt, step.share
-        ending = [np.array(bc.increment) for bc in bcs]
+        ending = [np.array(bc.values) for bc in bcs]
         set_velocities(bcs, lambda v: v(step.t - dt) * dt / share)
         values = self._held.at([basis], share)[1][0] / dt
         for condition, value in zip(bcs, ending):

@@ -3,17 +3,27 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+import ufl
 from ufl.algorithms import extract_coefficients
 from ufl.classes import (
     Sum,
 )
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags
+from dolfinmpm._platform.checks import Tags, as_tags, check_kind
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["brief", "operators_in", "summands", "tags_of", "term_of"]
+__all__ = [
+    "brief",
+    "operators_in",
+    "stiffness_per_area",
+    "summands",
+    "tags_of",
+    "term_of",
+]
 
 
 def brief(expression: Expr) -> str:
@@ -42,6 +52,26 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
 def term_of(integral) -> Any:
     """The term that an integral stands for, or None; see `dolfinmpm.assembly.term.as_form`."""
     return (integral.metadata() or {}).get("term")
+
+
+def stiffness_per_area(form: ufl.Form) -> list[tuple[str, npt.NDArray[np.float64]]]:
+    """Penalties per area of a form's contacts, weak conditions and walls, as they are now.
+
+    Args:
+        form: The form. Penalties that follow from laws are known when a problem has been made of
+            the form, those that follow from cut cells after its first step.
+
+    Returns:
+        For each term its name and κ (Pa/m): one number, or one per point or marker on this rank.
+
+    Raises:
+        ParameterError: It is no form, or no problem has been made of the form.
+    """
+    check_kind("form", form, ufl.Form, "give the weak form F that the problem is made of")
+    marks = [integral.metadata() or {} for integral in form.integrals()]
+    terms = [of[kind] for of in marks for kind in ("term", "condition") if kind in of]
+    known = [term for term in terms if hasattr(term, "stiffness_per_area")]
+    return [(repr(term), np.array(term.stiffness_per_area())) for term in known]
 
 
 def operators_in(term: Expr) -> list[PointOperator]:

@@ -54,7 +54,7 @@ TRACE = "trace_constant"
 METHODS = ("nitsche", "skew", "penalty")
 # Penalties in units of M/h where none is given: what a penalty alone leaves of the gap is a
 # thousandth of a cell's extension; the skew method is stable with any.
-_BETA = {"skew": 1.0, "penalty": 1e3}
+_PENALTY = {"skew": 1.0, "penalty": 1e3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class WeakCondition:
         boundary: The boundary.
         declaration: The law at the markers; None for a penalty of given stiffness.
         method: One of `METHODS`.
-        beta: Penalty in units of M/h; None for twice the constant of the cells.
+        penalty: Penalty in units of M/h; None for twice the constant of the cells.
         fixed: Penalty (Pa/m), or None.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
         moduli: Name of that of the law's elastic moduli M and G (Pa), or None.
@@ -78,7 +78,7 @@ class WeakCondition:
     boundary: Boundary
     declaration: Declaration | None
     method: str
-    beta: float | None
+    penalty: float | None
     fixed: float | None
     stiffness: str
     moduli: str | None
@@ -89,12 +89,19 @@ class WeakCondition:
     @property
     def local(self) -> bool:
         """Whether the penalty follows from the constants of the cells."""
-        return self.fixed is None and self.beta is None
+        return self.fixed is None and self.penalty is None
 
     @property
     def exact(self) -> bool:
         """Whether it has gradients at the markers beside values, which must fit them."""
         return self.method != "penalty"
+
+    def __repr__(self) -> str:
+        return f"the condition at '{self.boundary.name}'"
+
+    def stiffness_per_area(self) -> npt.NDArray[np.float64]:
+        """The penalty at the markers of this rank (Pa/m), shape (markers,)."""
+        return self.boundary.markers[self.stiffness]
 
     def stiffest(self) -> npt.NDArray[np.float64]:
         """The penalty at the markers of this rank as it is now, 0 where it is off (Pa/m)."""
@@ -118,11 +125,11 @@ class WeakCondition:
             self.gaps()[~on] = 0.0
         if self.fixed is not None:
             markers[self.stiffness] = self.fixed
-        elif self.beta is not None:
+        elif self.penalty is not None:
             assert self.declaration is not None
             rows = self.declaration.rows
             moduli = self.declaration.moduli()[:, 0]
-            markers[self.stiffness][rows] = self.beta * moduli / largest_cell(markers.grid)
+            markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
 
     def gaps(self) -> npt.NDArray[np.float64]:
         """What is missing of the prescribed displacement at the markers of this rank (m)."""
@@ -139,14 +146,14 @@ def dirichlet(
     direction: Any = None,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
-    beta: float | None = None,
-    stiffness: float | None = None,
+    penalty: float | None = None,
+    stiffness_per_area: float | None = None,
 ) -> ufl.Form:
     """Prescribed displacement on a boundary that does not fit the grid, to be added.
 
     Args:
         law: The law of the body there, whose traction Nitsche's method needs. None with
-            method="penalty" and a stiffness.
+            method="penalty" and a stiffness per area.
         boundary: The boundary.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
@@ -159,10 +166,11 @@ def dirichlet(
             a vector for the one along it.
         strain, tag: As for `momentum`; the condition is at markers whose nearest point
             has the tag.
-        beta: Penalty in units of M/h, the P-wave modulus of the law's elasticity over the size of
-            a cell; by default that of the cells' own constants for "nitsche", 1 for "skew" and
-            1000 for "penalty", of which explicit steps are short: give some 10 there.
-        stiffness: Penalty k (Pa/m), instead.
+        penalty: k in units of M/h: M is the P-wave modulus of the law's elasticity, h the size of
+            the largest cell. By default that of the cells' own constants for "nitsche", 1 for
+            "skew" and 1000 for "penalty", of which explicit steps are short: give some 10 there.
+            `mpm.stiffness_per_area` tells k.
+        stiffness_per_area: k itself (Pa/m), instead.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -171,22 +179,16 @@ def dirichlet(
     markers, d = boundary.markers, boundary.points.gdim
     check_displacement(boundary.points, u=u, v=v)
     method = choice("method", method, METHODS)
-    if beta is not None and stiffness is not None:
-        raise ParameterError("beta and stiffness are both given; give one of them")
-    if beta is not None:
-        number("beta", beta, 0.0)
-    if stiffness is not None:
-        number("stiffness", stiffness, 0.0, unit="Pa/m")
+    penalty = _checked(penalty, stiffness_per_area, _PENALTY.get(method))
     declaration, traction = None, None
     if law is not None:
         P, declaration = flux(law, markers, u, strain, tag)
         traction = ufl.dot(P, boundary.normal)
-    elif method != "penalty" or stiffness is None:
+    elif method != "penalty" or stiffness_per_area is None:
         raise ParameterError(
-            'law = None is of method="penalty" with a stiffness (Pa/m) alone; give the law of the '
-            "body at the boundary"
+            'law = None is of method="penalty" with a stiffness_per_area (Pa/m) alone; give the '
+            "law of the body at the boundary"
         )
-    beta = _BETA.get(method) if beta is None and stiffness is None else beta
     onto = _projection(boundary, direction)
     shape = (d,) if direction is None else ()
     name = f"dirichlet{len(boundary.forces) + 1}"
@@ -214,7 +216,7 @@ def dirichlet(
     total = markers.add_field(f"{name}_force", (d,), "N")
     boundary.forces.append(total.name)
     condition = WeakCondition(
-        boundary, declaration, method, beta, stiffness, k.name, moduli, on,
+        boundary, declaration, method, penalty, stiffness_per_area, k.name, moduli, on,
         {gap.name: along, reached.name: wanted, total.name: force * markers.V}, direction,
     )  # fmt: skip
     if condition.local:
@@ -227,6 +229,16 @@ def dirichlet(
         where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
     ds = boundary.ds(where, metadata=mark)
     return resisting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+
+
+def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:
+    """The penalty in units of M/h, or None where it follows from something else."""
+    if stiffness_per_area is None:
+        return usual if penalty is None else number("penalty", penalty, 0.0)
+    if penalty is not None:
+        raise ParameterError("penalty and stiffness_per_area are both given; give one of them")
+    number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
+    return None
 
 
 def _axis(boundary: Boundary, direction: Any) -> Expr:

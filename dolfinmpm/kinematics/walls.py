@@ -47,7 +47,7 @@ __all__ = ["Wall", "signorini"]
 # that sticks is softer by far. Newton's method takes all that slides for sliding on, without
 # stiffness; where the wall were much stiffer than the body, the next iteration would have it slide
 # back, and so on.
-_BETA, _SLIP = 1e2, 0.5
+_PENALTY, _SLIP = 1e2, 0.5
 # Markers so many cells apart touch the same part of a body that slides
 _NEAR = 1.0
 # slip below this share of a cell has no direction
@@ -62,7 +62,7 @@ class Wall:
         boundary: The wall.
         declaration: The law at the markers; None where the stiffness is given.
         fixed: Penalty (Pa/m), or None.
-        beta: Penalty in units of M/h.
+        penalty: Penalty in units of M/h.
         name: First part of the names of its fields.
         slip: Stiffness against slip over the penalty.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
@@ -72,13 +72,20 @@ class Wall:
     boundary: Boundary
     declaration: Declaration | None
     fixed: float | None
-    beta: float
+    penalty: float
     name: str
     slip: float
     stiffness: str
     updates: dict[str, Expr]
     local = False
     exact = False
+
+    def __repr__(self) -> str:
+        return f"the wall at '{self.boundary.name}'"
+
+    def stiffness_per_area(self) -> npt.NDArray[np.float64]:
+        """The penalty at the markers of this rank (Pa/m), shape (markers,)."""
+        return self.boundary.markers[self.stiffness]
 
     def stiffest(self) -> npt.NDArray[np.float64]:
         """Largest stiffness at the markers of this rank, 0 where no body is in front (Pa/m)."""
@@ -97,7 +104,7 @@ class Wall:
             k[:] = self.fixed
         elif self.declaration is not None:
             of_law = self.declaration.rows
-            k[of_law] = self.beta * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
+            k[of_law] = self.penalty * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
         on, way = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
@@ -140,24 +147,25 @@ def signorini(
     friction: float = 0.0,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
-    beta: float = _BETA,
-    slip_beta: float = _SLIP,
-    stiffness: float | None = None,
+    penalty: float = _PENALTY,
+    slip_penalty: float = _SLIP,
+    stiffness_per_area: float | None = None,
 ) -> ufl.Form:
     """A wall that takes compression but no tension, to be added.
 
     Args:
         law: The law of the body at the wall, whose modulus scales the penalty; None with a
-            stiffness.
+            stiffness per area.
         boundary: The wall, such as `Boundary.from_side(points, "right")`; its normal points
             out of the body's room.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
-        beta: Penalty in units of M/h; see `dirichlet`, also for what explicit steps bear.
-        slip_beta: Stiffness against slip that sticks, likewise.
-        stiffness: Penalty k (Pa/m), instead; that against slip is by slip_beta/beta of it.
+        penalty: k in units of M/h; see `dirichlet`, also for what explicit steps bear.
+        slip_penalty: Stiffness against slip that sticks, likewise.
+        stiffness_per_area: k itself (Pa/m), instead; that against slip is slip_penalty/penalty
+            of it.
 
     Raises:
         ParameterError: An argument is not what it may be.
@@ -173,12 +181,14 @@ def signorini(
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
     mu = friction_coefficient(friction)
-    number("beta", beta, 0.0), number("slip_beta", slip_beta, 0.0)
+    number("penalty", penalty, 0.0), number("slip_penalty", slip_penalty, 0.0)
     declaration = None
-    if stiffness is not None:
-        number("stiffness", stiffness, 0.0, unit="Pa/m")
+    if stiffness_per_area is not None:
+        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
     elif law is None:
-        raise ParameterError("law = None needs a stiffness (Pa/m); give the law of the body")
+        raise ParameterError(
+            "law = None needs a stiffness_per_area (Pa/m); give the law of the body"
+        )
     else:
         declaration = flux(law, markers, u, strain, tag)[1]
     name = f"wall{len(boundary.forces) + 1}"
@@ -194,7 +204,7 @@ def signorini(
     traction = -p * n
     updates = {gap.name: g}
     if mu > 0 and d > 1:
-        stick = k * own_constant(markers.grid, slip_beta / beta)
+        stick = k * own_constant(markers.grid, slip_penalty / penalty)
         bound = own_constant(markers.grid, mu) * p
         trial = shear - stick * (u - ufl.dot(n, u) * n)
         least = stick * own_constant(markers.grid, _STILL * largest_cell(markers.grid))
@@ -206,8 +216,10 @@ def signorini(
         updates[shear.name] = rubbed
     updates[force.name] = traction * markers.V
     boundary.forces.append(force.name)
-    slip = slip_beta / beta if mu > 0 else 0.0
-    wall = Wall(boundary, declaration, stiffness, float(beta), name, slip, k.name, updates)
+    slip = slip_penalty / penalty if mu > 0 else 0.0
+    wall = Wall(
+        boundary, declaration, stiffness_per_area, float(penalty), name, slip, k.name, updates
+    )
     mark = {**boundary.ds.metadata(), "condition": wall}
     where: Any = "everywhere"
     if declaration is not None and declaration.tags is not None:

@@ -51,7 +51,7 @@ def of_step(problem: Problem, t: Any = None) -> Told:
             name = f"velocity of condition {k + 1} at '{condition.where}'"
             found.append((name, _asked(condition.velocity, end)))
         elif isinstance(condition.value, fem.Constant):
-            name = f"increment of condition {k + 1} at '{condition.where}'"
+            name = f"{condition.kind} of condition {k + 1} at '{condition.where}'"
             found.append((name, _at_once(condition.value.value)))
     for body in problem.bodies.all:
         at = body.time + 1.0 if t is None else end
@@ -148,7 +148,7 @@ def _condition(condition: Condition) -> Any:
     value: Any = condition.value
     if condition.velocity is not None:
         value = _asked(condition.velocity, 0.0)
-    elif not isinstance(value, fem.Constant) and condition.increment.ndim:
+    elif not isinstance(value, fem.Constant) and condition.values.ndim:
         value = "numbers"
     return f"component {condition.component} at '{condition.where}'", told(value)
 

@@ -157,9 +157,9 @@ def check_loads(
                 "the load that the step is to reach"
             )
     for condition in bcs:
-        if error is None and not np.isfinite(condition.increment).all():
+        if error is None and not np.isfinite(condition.values).all():
             error = ParameterError(
-                f"the increment prescribed at '{condition.where}' is {condition.increment} and "
+                f"the {condition.kind} prescribed at '{condition.where}' is {condition.values} and "
                 "must be finite"
             )
     raise_together(comm, error)

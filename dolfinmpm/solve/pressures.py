@@ -6,17 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError, raise_together
+from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.heldmotions import idle
+from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import PointField
 from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.participants import Activation, movers
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.solve.operator import Operator
 
-__all__ = ["refuse_idle", "refuse_increments", "refuse_undetermined"]
+__all__ = ["refuse_idle", "refuse_undetermined", "refuse_wrong_kinds"]
 
 # Share of what an arbitrary field of its size does, up to which a constant one does nothing
 _NOTHING = 1e-12
@@ -76,23 +77,31 @@ def refuse_undetermined(operator: Operator) -> None:
     matrix.petsc.destroy()
 
 
-def refuse_increments(bcs: Sequence[Condition], kept: Sequence[PointField]) -> None:
-    """Refuse increments of fields that are none. Collective.
+def refuse_wrong_kinds(
+    bcs: Sequence[Condition], spaces: Sequence[Space], kept: Sequence[PointField]
+) -> None:
+    """Refuse increments of fields that are carried, and values of those that move points.
 
-    A field that a form carries as it is, from step to step, is no increment.
+    Args:
+        bcs: The conditions.
+        spaces: Spaces of the problem's fields.
+        kept: Fields of points that the form carries from step to step.
 
     Raises:
-        ParameterError: A condition would give parts of a step a share of its value.
+        ParameterError: A part of a step would have a share of a value, or a whole increment.
     """
-    wholes = [f.of for f in kept if isinstance(f, CarriedField)]
+    carried = [f.of for f in kept if isinstance(f, CarriedField)]
+    moving = [spaces[k].increment for k in movers(spaces)]
     for condition in bcs:
-        if condition.whole or all(w is not condition.space.increment for w in wholes):
-            continue
-        error = None
-        if condition.changes:
-            error = ParameterError(
-                f"the condition at '{condition.where}' prescribes an increment, a share of which "
-                "is that of a step's part, and the field is none: its values are carried from step "
-                "to step; give mpm.prescribed(..., increment=False)"
+        u, where = condition.space.increment, condition.where
+        kept_as_is = any(one is u for one in carried)
+        if condition.kind == "increment" and kept_as_is:
+            raise ParameterError(
+                f"the condition at '{where}' prescribes an increment, and the form carries the "
+                "field's values from step to step: give mpm.prescribed(..., value=...)"
             )
-        raise_together(condition.space.grid.comm, error)
+        if condition.kind == "value" and not kept_as_is and any(one is u for one in moving):
+            raise ParameterError(
+                f"the condition at '{where}' prescribes a value, and the field is the increment "
+                "of a step, which moves points: give mpm.prescribed(..., increment=...)"
+            )

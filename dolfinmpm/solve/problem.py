@@ -54,7 +54,7 @@ from dolfinmpm.solve.bodyfields import check_bodies
 from dolfinmpm.solve.conflicts import check_boundaries_of
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_increments
+from dolfinmpm.solve.pressures import refuse_wrong_kinds
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
@@ -150,11 +150,12 @@ class Problem(ReadOnce):
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
-        refuse_increments(bcs, self.form.parts.carried)
-        if not scheme.inertia:
-            check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         rigid = [term for term in self.form.terms if isinstance(term, Contact)]
         self.bodies = Bodies(rigid, points.grid)
+        self.bodies.check_steps(scheme.in_time, type(self).__name__)
+        refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
+        if not scheme.inertia:
+            check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None

@@ -96,10 +96,10 @@ def with_stabilisations(
         if (
             field.beside is not None
             and stabilisation.kind == "ghost"
-            and stabilisation.gamma is None
+            and stabilisation.factor is None
         ):
             # ties have done what the factors of splines are for
-            stabilisation = replace(stabilisation, gamma=1.0)
+            stabilisation = replace(stabilisation, factor=1.0)
         extra = stabilisation.force_terms(points, *trial, known)
         if field.beside is not None:
             changes, extra = _sum(changes, extra), None

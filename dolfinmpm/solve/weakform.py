@@ -160,9 +160,9 @@ class WeakForm:
         found = [d for d in self.parts.declarations if d.u is modulus.increment]
         if not found:
             raise FormError(
-                'a ghost penalty follows the tangent of a law (gamma="adaptive" or '
-                'scaling="tangent"), and the form has no mpm.momentum of this increment: give it '
-                'a γ in Pa with scaling="scaled", as mpm.ghost(points, u, v, gamma=E/30) or '
+                "a ghost penalty by a factor follows the tangent of a law, and the form has no "
+                "mpm.momentum of this increment: give it a γ in Pa, as "
+                "mpm.ghost(points, u, v, gamma=E/30), or the modulus, as "
                 'mpm.Stabilisation("ghost", E=...)'
             )
         return found

@@ -41,17 +41,17 @@ class Conditioning:
 
 @together
 def conditioning(
-    problem: QuasiStatic, density: float, gamma: float = 1.0, extra: ufl.Form | None = None
+    problem: QuasiStatic, density: float, factor: float = 1.0, extra: ufl.Form | None = None
 ) -> Conditioning:
     """Condition numbers and critical steps of a problem in its present state. Collective.
 
-    The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4 times the
+    The mass is stabilised as the stiffness is: a ghost penalty with ρ/4 times the
     factor of the basis, the same ties, a weak tie with ρ h^d. Soft stiffness helps no mass.
 
     Args:
         problem: Problem whose tangent is K.
         density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
-        gamma: Their factor.
+        factor: Of these penalties.
         extra: Form added to that of the consistent mass, such as a penalty of one's own; the
             stiffness has it in the problem's form.
 
@@ -60,7 +60,7 @@ def conditioning(
     """
     check_kind("problem", problem, QuasiStatic, "give a problem with a tangent")
     number("density", density, 0.0, unit="kg/m^d")
-    number("gamma", gamma, 0.0, closed=True)
+    number("factor", factor, 0.0, closed=True)
     if extra is not None:
         check_kind("extra", extra, ufl.Form, "give a form over points.dX, points.dS or points.dC")
     stiffness, points = problem, problem.points
@@ -70,14 +70,14 @@ def conditioning(
     if extra is not None:
         form += extra
     tied: Stabilisation | str = "none"
-    if stabilisation.kind == "ghost" and gamma > 0:
-        penalty = gamma * GHOST_FACTORS[space.basis.degree] * density / 4
+    if stabilisation.kind == "ghost" and factor > 0:
+        penalty = factor * GHOST_FACTORS[space.basis.degree] * density / 4
         form += ghost(points, u, v, penalty, scaling="literal")
     elif stabilisation.kind in ("aggregation", "extended"):
         tied = stabilisation
-    elif stabilisation.kind == "weak-aggregation" and gamma > 0:
+    elif stabilisation.kind == "weak-aggregation" and factor > 0:
         size = mean_size(cell_size(points.grid))
-        tied = replace(stabilisation, E=density * size**2, gamma=gamma)
+        tied = replace(stabilisation, E=density * size**2, factor=factor)
     inertia = QuasiStatic(
         form, u, points, stiffness.bcs, stabilisation=tied, options_prefix="mass_"
     )

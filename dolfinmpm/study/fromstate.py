@@ -75,7 +75,7 @@ class FromState:
         if moving is not None:
             raise ParameterError(
                 f"'{moving}' goes on moving, and a factor of safety is of a body whose loads stay: "
-                "give it no velocity and a displacement that has been reached, or weight"
+                "give it a displacement that has been reached, or weight"
             )
         if not self._laws():
             raise ParameterError("no law of the problem has a strength that could be reduced")
@@ -175,7 +175,7 @@ class FromState:
         problem = self._problem
         held = problem._held
         still = [
-            condition if condition.whole else replace(condition, value=0.0, velocity=None)
+            condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
             for condition in held.conditions
         ]
         problem._held = Held(still, problem.form.spaces)

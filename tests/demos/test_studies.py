@@ -36,7 +36,7 @@ def test_column_compaction(tmp_path, ranks):
     [
         "--dimension 3 --elements 8 --poisson 0.3 --ghost scaled",
         "--elements 10 --points-per-cell 3 --modulus 2e4 --density 100 --height 30 --steps 20",
-        "--basis linear --elements 8 --ghost literal --gamma 2",
+        "--basis linear --elements 8 --ghost literal --factor 2",
         "--gravity -0.5 --elements 16",
     ],
 )

@@ -23,9 +23,11 @@ def test_nitsche_ring_otherwise(tmp_path):
     options = "--cells", "4,8", "--offset", "1e-5", "--stabilisation", "aggregation"
     figures = run("nitsche_ring", *options, "--positions", "1", "--output", str(tmp_path))
     assert figures["orders"][0] > 1.9
-    assert figures["beta"][1] < 30
+    assert figures["penalties"][1] < 30
     assert (tmp_path / "nitsche_ring.png").stat().st_size > 0
     penalty = run("nitsche_ring", "--cells", "4,8", "--method", "penalty", "--no-plot")
     assert penalty["errors"][1] > 4 * figures["errors"][1]
-    fixed = run("nitsche_ring", *["--cells", "4", "--beta", "4", "--positions", "6", "--no-plot"])
+    fixed = run(
+        "nitsche_ring", *["--cells", "4", "--penalty", "4", "--positions", "6", "--no-plot"]
+    )
     assert fixed["least"] < 0

@@ -322,7 +322,7 @@ def test_errors():
     with pytest.raises(FormError, match="a control must be a form over the points"):
         make(control=arch.down(v) + ufl.inner(u, v) * points.dX, length=1.0)
     with pytest.raises(ParameterError, match="prescribes an increment"):
-        make(bcs=mpm.prescribed(arch.V, "left", 0, 0.1))
+        make(bcs=mpm.prescribed(arch.V, "left", 0, increment=0.1))
     with pytest.raises(ParameterError, match="must be positive; see `first`"):
         make(length=-1.0)
     with pytest.raises(ParameterError, match="length = 0"):

@@ -132,7 +132,10 @@ def test_what_acts_is_subtracted_however_it_is_written():
         (s.ghost(), r"mpm\.ghost"),
         (s.ghost(gamma=s.c, order=1, scaling="literal"), r"mpm\.ghost"),
         (mpm.dirichlet(s.law, side, s.u, s.v), r"mpm\.dirichlet\) at 'side'"),
-        (mpm.dirichlet(None, side, s.u, s.v, method="penalty", stiffness=1.0), "at 'side'"),
+        (
+            mpm.dirichlet(None, side, s.u, s.v, method="penalty", stiffness_per_area=1.0),
+            "at 'side'",
+        ),
         (mpm.signorini(s.law, wall, s.u, s.v, friction=0.3), r"mpm\.signorini\) at 'right'"),
     ):
         check_signs(s.F + 0.5 * resistance)
@@ -288,8 +291,8 @@ def test_every_function_of_positions_gets_one_layout(kind):
     points = mpm.fill(grid, mpm.Where(whole), 2, told("density", lambda x: 1 + x[-1]))
     np.testing.assert_allclose(points["density"], 1 + points["x"][:, -1])
     V = mpm.Space(grid)
-    top = mpm.prescribed(V, told("place", high), 0, told("value", lambda x: x[-1]))
-    np.testing.assert_allclose(top[0].increment, 1.0)
+    top = mpm.prescribed(V, told("place", high), 0, increment=told("value", lambda x: x[-1]))
+    np.testing.assert_allclose(top[0].values, 1.0)
     law = mpm.materials.Hencky(told("parameter", lambda x: 1e3 * (1 + x[-1])), 0.3)
     mpm.QuasiStatic(mpm.momentum(law, points, V.increment, V.test), V.increment, points)
     np.testing.assert_allclose(points["hencky_parameters"][:, 0], 1e3 * (1 + points["x"][:, -1]))

@@ -283,7 +283,9 @@ def test_the_gradient_of_a_scalar_is_the_same_all_around():
     assert mpm.gradient(points, p).ufl_shape == (2,)
     points.add_field("potential")
     F = ufl.inner(mpm.gradient(points, p), mpm.gradient(points, q)) * points.dX
-    bcs = mpm.prescribed(V, "left", 0, 0.0) + mpm.prescribed(V, "right", 0, np.log(3.0))
+    bcs = mpm.prescribed(V, "left", 0, increment=0.0) + mpm.prescribed(
+        V, "right", 0, increment=np.log(3.0)
+    )
     mpm.QuasiStatic(F, p, points, bcs, updates={"potential": p}).step()
     np.testing.assert_allclose(points["potential"], np.log(points["x"][:, 0]), atol=1e-3)
 
@@ -351,8 +353,8 @@ def test_soft_stiffness_is_that_of_whole_rings():
 @pytest.mark.parametrize(
     ("kind", "radius"), [(mesh.CellType.quadrilateral, 1.5), (mesh.CellType.triangle, 1.625)]
 )
-@pytest.mark.parametrize("scaling", ["scaled", "tangent"])
-def test_ghost_facets_are_rings(scaling, kind, radius):
+@pytest.mark.parametrize("scale", ["gamma", "factor"])
+def test_ghost_facets_are_rings(scale, kind, radius):
     """Facets with a jump, all of one radius, have 2π r times their energy in a plane."""
     penalties = []
     for axisymmetric in (True, False):
@@ -362,7 +364,7 @@ def test_ghost_facets_are_rings(scaling, kind, radius):
         V = mpm.Space(grid, "linear")
         u, v = V.increment, V.test
         F = mpm.momentum(HENCKY, points, u, v)
-        F += mpm.ghost(points, u, v, gamma=0.7, scaling=scaling)
+        F += mpm.ghost(points, u, v, **{scale: 0.7})
         here = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left")).activate()
         r, z = here.fields[0].basis.node_coordinates()[:, :2].T
         # r² bends across verticals, r z across diagonals

@@ -130,7 +130,7 @@ def test_cells_of_a_body_s_boundary_are_active_and_those_of_walls_are_not():
         line = mpm.Boundary.from_polygon(
             points, [(0.501, 0.3), (0.501, 0.45)], closed=False, follows=follows
         )
-        whole = F + mpm.dirichlet(LAW, line, V.increment, V.test, beta=10.0)
+        whole = F + mpm.dirichlet(LAW, line, V.increment, V.test, penalty=10.0)
         problem = mpm.QuasiStatic(whole, V.increment, points, stabilisation="ghost")
         cells.append(problem.activate().active_cells)
     assert cells[1] > cells[0] == cells[2]
@@ -366,9 +366,12 @@ def _bad():
         ),
         "no law": (lambda: mpm.dirichlet(None, line, u, v), ParameterError, "law = None"),
         "both": (
-            lambda: mpm.dirichlet(LAW, line, u, v, beta=1.0, stiffness=1.0), ParameterError, "both",
+            lambda: mpm.dirichlet(LAW, line, u, v, penalty=1.0, stiffness_per_area=1.0),
+            ParameterError, "both",
         ),
-        "beta": (lambda: mpm.dirichlet(LAW, line, u, v, beta=-1.0), ParameterError, "beta"),
+        "penalty": (
+            lambda: mpm.dirichlet(LAW, line, u, v, penalty=-1.0), ParameterError, "penalty",
+        ),
         "wall of a body": (
             lambda: mpm.signorini(LAW, line, u, v), ParameterError, "one of a body",
         ),
@@ -396,7 +399,7 @@ BAD = (
     "one corner", "twice", "outside", "not finite", "words", "polygon in 3D", "triangles in 2D",
     "no such vertex", "triangles of floats", "no level", "nowhere", "level not finite", "side",
     "side of triangles", "no area", "rows", "no markers", "follows", "method", "no boundary",
-    "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "beta",
+    "value", "scalar value", "UFL value", "direction", "no direction", "no law", "both", "penalty",
     "wall of a body", "friction", "wall without law", "other points", "late",
     "total in space", "an empty cell",
 )  # fmt: skip

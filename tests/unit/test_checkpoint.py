@@ -73,9 +73,9 @@ def pressed():
     V = mpm.Space(grid, "gimp")
     law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4)
     shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
-    tool = mpm.RigidBody(shape, velocity=(0.0, -0.05), name="tool")
+    tool = mpm.RigidBody(shape, increment=(0.0, -0.05), name="tool")
     F = mpm.momentum(law, points, V.increment, V.test)
-    F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
+    F += mpm.contact(tool, points, V.increment, V.test, friction=0.3, penalty=25.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="aggregation")
     return problem, problem.step
@@ -93,12 +93,12 @@ def bits(problem):
 RUNS = {
     "yielding with ghost penalty": (block, 8, (0, 3, 6)),
     "yielding with adaptive penalties": (
-        lambda: block(stabilisation=mpm.Stabilisation("ghost", gamma="adaptive")), 8, (0, 3),
+        lambda: block(stabilisation=mpm.Stabilisation("ghost", factor="adaptive")), 8, (0, 3),
     ),
     "triangles with adaptive penalties": (
         lambda: block(
             basis="linear", kind=mesh.CellType.triangle,
-            stabilisation=mpm.Stabilisation("ghost", gamma="adaptive"),
+            stabilisation=mpm.Stabilisation("ghost", factor="adaptive"),
         ), 6, (3,),
     ),
     "yielding with aggregation": (lambda: block(stabilisation="aggregation"), 8, (3,)),
@@ -171,7 +171,7 @@ def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
         temperature = points.add_field("temperature", (2,), "K", 280.0)
         F = mpm.momentum(mpm.materials.NeoHookean(E=1e3, nu=0.3), points, u, v)
         F -= foot.contact(u, v)
-        bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, push)
+        bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, increment=push)
         updates = {"temperature": temperature + u}
         return mpm.QuasiStatic(F, u, points, bcs, updates=updates), foot, s, push
 

@@ -53,7 +53,7 @@ def moved(
     return problem, points["x"] - points["x0"]
 
 
-ADAPTIVE = mpm.Stabilisation("ghost", gamma="adaptive")
+ADAPTIVE = mpm.Stabilisation("ghost", factor="adaptive")
 long = pytest.mark.long
 
 

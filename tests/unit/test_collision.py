@@ -136,7 +136,7 @@ def test_what_moves_a_wall_does_work(scheme, contact):
     """A wall pushes two blocks against another: the energy that they have is its work."""
 
     def sides(V):
-        return [*mpm.moving(V, "left", 0, 0.5), *mpm.rollers(V, "right")]
+        return [*mpm.moving(V, "left", 0, velocity=0.5), *mpm.rollers(V, "right")]
 
     problem = between_walls(contact, sides, scheme=scheme)
     problem.step(0.1)

@@ -40,7 +40,7 @@ def settle(basis, n, size, per_cell, moduli, stabilisation, cell=mesh.CellType.q
 @pytest.mark.parametrize(
     ("first", "second"),
     [
-        ({"kind": "ghost"}, {"kind": "ghost", "E": 3e5, "gamma": 0.7}),
+        ({"kind": "ghost"}, {"kind": "ghost", "E": 3e5, "factor": 0.7}),
         ({"kind": "soft"}, {"kind": "soft", "E": 3e5, "nu": 0.1, "eta": 2e-3}),
     ],
     ids=["ghost", "soft"],

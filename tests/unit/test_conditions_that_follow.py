@@ -82,7 +82,10 @@ def test_explicit_steps_ask_too():
     ("make", "text"),
     [
         (lambda V: mpm.prescribed(V, "left", 0, follows=True), "function of positions"),
-        (lambda V: mpm.prescribed(V, lowered, 0, lambda x: x[0], follows=True), "a constant"),
+        (
+            lambda V: mpm.prescribed(V, lowered, 0, increment=lambda x: x[0], follows=True),
+            "a constant",
+        ),
         (lambda V: mpm.prescribed(V, lambda x: "no", 0, follows=True), "function of places"),
     ],
 )
@@ -102,7 +105,9 @@ def test_a_constant_follows():
 
     def pushed(V):
         push = fem.Constant(V.grid, 0.01)
-        return mpm.prescribed(V, lambda x: lowered(x) & (x[1] > 0.05), 0, push, follows=True)
+        return mpm.prescribed(
+            V, lambda x: lowered(x) & (x[1] > 0.05), 0, increment=push, follows=True
+        )
 
     problem = block(pushed)
     x0 = problem.points["x"].copy()

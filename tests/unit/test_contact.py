@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from conftest import Linearised, unit_grid
+from conftest import COMM, Linearised, unit_grid
 from contactscenes import compressed
 from dolfinx import fem
 
@@ -13,6 +13,7 @@ import dolfinmpm as mpm
 from dolfinmpm.contact.making import surface_of
 from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
 from dolfinmpm.contact.pose import Pose, rotation_of
+from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve.freebodies import FreeBodies
 
 L_SHAPE = [(0, 0), (2, 0), (2, 2), (1, 0.5), (0, 2)]
@@ -117,10 +118,10 @@ def pressed(basis="gimp", d=2, friction=0.3, kind=None, **options):
     u, v = V.increment, V.test
     middle = (0.45,) * (d - 1) + (2 / 3 + 0.5,)
     turn = 0.03 if d == 2 else (0.02, 0.03, 0.05)
-    motion = {"velocity": (0.01,) + (0,) * (d - 2) + (-0.04,), "angular_velocity": turn}
+    motion = {"increment": (0.01,) + (0,) * (d - 2) + (-0.04,), "rotation_increment": turn}
     body = mpm.RigidBody(mpm.Ball(middle, 0.5), **(motion | options))
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
-    F += mpm.contact(body, points, u, v, friction=friction)
+    F += mpm.contact(body, points, u, v, friction=friction, penalty=50.0 * smallest_height(grid))
     return mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")), body
 
 
@@ -293,7 +294,7 @@ def test_what_a_constant_holds_at_first_the_first_step_brings_about(when):
     put("before the problem")
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
     problem = mpm.QuasiStatic(
-        F + mpm.contact(body, points, u, v), u, points, mpm.fixed(V, "bottom")
+        F + mpm.contact(body, points, u, v, penalty=12.5), u, points, mpm.fixed(V, "bottom")
     )
     put("after it")
     problem.share = 0.5
@@ -316,7 +317,7 @@ def test_a_constant_moves_a_body_and_is_scaled_as_a_load_is():
     place, angle = fem.Constant(grid, (0.0, 0.0)), fem.Constant(grid, 0.0)
     body = mpm.RigidBody(mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), displacement=place, rotation=angle)
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
-    F += mpm.contact(body, points, u, v, friction=0.3)
+    F += mpm.contact(body, points, u, v, friction=0.3, penalty=12.5)
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
     place.value[:], angle.value = (0.02, -0.06), 0.1
     record = problem.step()
@@ -340,3 +341,30 @@ def test_the_work_of_tools_counts_in_implicit_steps(kind):
     found = problem.energies()
     assert found.external == pytest.approx(stored, rel=0.03)
     assert found.strain + found.kinetic == pytest.approx(found.external, rel=0.02)
+
+
+def test_penalties_in_units_of_the_modulus_are_told_in_pascals_per_metre():
+    grid = mpm.create_lattice(COMM, [np.linspace(0, 1, 5)] * 2)
+    points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
+    V = mpm.Space(grid, "gimp")
+    u, v = V.increment, V.test
+    law, h = mpm.materials.Hencky(E=10.0, nu=0.2), 0.25
+    body = mpm.RigidBody(mpm.Disc((0.5, 1.01), 0.5), name="disc")
+    side = mpm.Boundary.from_side(points, "right")
+    F = mpm.momentum(law, points, u, v)
+    F += mpm.contact(body, points, u, v, penalty=3.0)
+    with pytest.raises(mpm.errors.ParameterError, match="before a problem is made"):
+        mpm.stiffness_per_area(F)
+    F += mpm.signorini(law, side, u, v, penalty=7.0)
+    F += mpm.dirichlet(None, side, u, v, method="penalty", stiffness_per_area=11.0)
+    mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
+    found = dict(mpm.stiffness_per_area(F))
+    M = 10.0 * (1 - 0.2) / ((1 + 0.2) * (1 - 2 * 0.2))
+    for name, k in (
+        ("the contact with 'disc'", 3.0 * 10.0 / h),
+        ("the wall at 'right'", 7.0 * M / h),
+        ("the condition at 'right'", 11.0),
+    ):
+        np.testing.assert_allclose(found[name], k, rtol=1e-12)
+    with pytest.raises(mpm.errors.ParameterError, match="must be a Form"):
+        mpm.stiffness_per_area(3.0)

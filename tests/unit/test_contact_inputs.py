@@ -90,6 +90,8 @@ def test_bodies_that_cannot_be():
         (lambda: mpm.RigidBody(disc, displacement=(0, 1)), "function of time or a dolfinx"),
         (lambda: mpm.RigidBody(disc, displacement=constant), "must have 2"),
         (lambda: mpm.RigidBody(disc, velocity=(0, 0), displacement=lambda t: (0, t)), "leave one"),
+        (lambda: mpm.RigidBody(disc, velocity=(0, 0), increment=(0, 0)), "given at once; leave"),
+        (lambda: mpm.RigidBody(disc, rotation_increment=(0, 1)), "1 finite numbers"),
         (lambda: mpm.RigidBody(disc, fillet=-1.0), "fillet"),
         (lambda: mpm.RigidBody(disc, name="a disc"), "identifier"),
         (lambda: mpm.RigidBody(disc, mass=0.0, inertia=1.0), "mass = 0 kg"),
@@ -114,9 +116,11 @@ class Block:
         )
         self.points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1000.0)
         self.V = mpm.Space(grid, "gimp")
-        self.body = mpm.RigidBody(mpm.Disc(middle, 0.5), velocity=motion, name="disc")
+        name = "velocity" if kind is mpm.Explicit else "increment"
+        name = "displacement" if callable(motion) else name
+        self.body = mpm.RigidBody(mpm.Disc(middle, 0.5), name="disc", **{name: motion})
         self.F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), self.points, *self.uv)
-        self.F += mpm.contact(self.body, self.points, *self.uv, **options)
+        self.F += mpm.contact(self.body, self.points, *self.uv, penalty=12.5, **options)
         if kind is not None:
             bcs = mpm.rollers(self.V, "left", "right") + mpm.fixed(self.V, "bottom")
             self.problem = kind(self.F, self.V.increment, self.points, bcs)
@@ -199,7 +203,7 @@ def test_a_body_is_moved_by_one_problem():
 @pytest.mark.parametrize("kind", [mpm.QuasiStatic, mpm.Explicit])
 def test_a_next_stage_goes_on_with_a_body(kind):
     """A second problem of the same points; then the first one cannot go on."""
-    block = Block()
+    block = Block(motion=lambda t: (0.0, -0.05 * t))
     block.problem.step()
     place = block.body.position[1]
     bcs = mpm.rollers(block.V, "left", "right") + mpm.fixed(block.V, "bottom")
@@ -273,8 +277,28 @@ def test_a_free_body_that_nothing_holds_is_told():
         assert "give the contact friction" in str(told.value)
 
 
-def test_a_free_body_in_time_needs_a_mass():
+def test_a_motion_is_of_the_steps_that_a_problem_takes():
     block = Block(kind=None)
+    bcs = mpm.fixed(block.V, "bottom")
+    for kind in (mpm.Newmark, mpm.Explicit, mpm.Transient):
+        with pytest.raises(ParameterError, match="increment is the motion of 'disc' per step"):
+            kind(block.F, block.uv[0], block.points, bcs)
+    F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), block.points, *block.uv)
+    for motion in ({"velocity": (0.0, -0.05)}, {"angular_velocity": 0.1}):
+        body = mpm.RigidBody(mpm.Disc((0.5, 1.5), 0.5), name="disc", **motion)
+        with pytest.raises(ParameterError, match="is the motion of 'disc' per second"):
+            mpm.QuasiStatic(
+                F + mpm.contact(body, block.points, *block.uv), block.uv[0], block.points
+            )
+    # a velocity at first, of a free body that is put down before it is let go
+    free = mpm.RigidBody(
+        mpm.Disc((0.5, 1.5), 0.5), velocity=(0.0, -0.05), mass=1.0, inertia=1.0, name="disc"
+    )
+    mpm.QuasiStatic(F + mpm.contact(free, block.points, *block.uv), block.uv[0], block.points)
+
+
+def test_a_free_body_in_time_needs_a_mass():
+    block = Block(kind=None, motion=None)
     ball = mpm.RigidBody(mpm.Disc((0.5, 1.5), 0.5), force=(0, -1), free=(False, True, False))
     F = block.F + mpm.contact(ball, block.points, *block.uv)
     for kind in (mpm.Newmark, mpm.Explicit):
@@ -290,7 +314,7 @@ def test_a_force_presses_a_free_body_into_the_ground():
     )
     u, v = block.uv
     F = mpm.momentum(mpm.materials.Hencky(1e5, 0.3), block.points, u, v)
-    F += mpm.contact(ball, block.points, u, v, friction=0.2)
+    F += mpm.contact(ball, block.points, u, v, friction=0.2, penalty=12.5)
     problem = mpm.QuasiStatic(F, u, block.points, mpm.fixed(block.V, "bottom"))
     for load in (500.0, 1000.0, 2000.0):
         force.value[1] = -load

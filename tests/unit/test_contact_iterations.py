@@ -21,12 +21,12 @@ def pressed(touches: bool, friction: float = 0.3):
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, u, v)
     bcs = mpm.fixed(V, "bottom")
-    body = mpm.RigidBody(mpm.Ball((0.5, 0.45, 2 / 3 + 0.5), 0.5), velocity=(0.01, 0, -0.03))
+    body = mpm.RigidBody(mpm.Ball((0.5, 0.45, 2 / 3 + 0.5), 0.5), increment=(0.01, 0, -0.03))
     if touches:
-        F += mpm.contact(body, points, u, v, friction=friction)
+        F += mpm.contact(body, points, u, v, friction=friction, penalty=50 / 7)
     else:
         middle = lambda x: (abs(x[2] - 2 / 3) < 1e-6) & (np.hypot(x[0] - 0.5, x[1] - 0.5) < 0.2)  # noqa: E731
-        bcs += mpm.prescribed(V, middle, 2, -0.02)
+        bcs += mpm.prescribed(V, middle, 2, increment=-0.02)
     return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost"), body
 
 
@@ -92,9 +92,9 @@ def wedged(**options):
     points = mpm.fill(grid, mpm.Box((0, -1.5), (4, 0)), 2, 1000.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
-    tool = mpm.RigidBody(mpm.Wedge((2.03, 0), 0.6, 3.0), velocity=(0.0, -0.03))
+    tool = mpm.RigidBody(mpm.Wedge((2.03, 0), 0.6, 3.0), increment=(0.0, -0.03))
     F = mpm.momentum(mpm.materials.Tresca(5e6, 0.33, 1e4), points, u, v)
-    F += mpm.contact(tool, points, u, v, corners="material")
+    F += mpm.contact(tool, points, u, v, corners="material", penalty=12.5)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     return mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options), tool
 

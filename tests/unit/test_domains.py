@@ -38,7 +38,7 @@ def stretched(domains):
     points["l0"][:] = points["l"][:] = 5.0, 0.5
     V = mpm.Space(background, "gimp", domains=domains)
     F = mpm.momentum(mpm.materials.Hencky(1.0, 0.0), points, V.increment, V.test)
-    bcs = mpm.prescribed(V, lambda x: x[0] > -1.0, 0, lambda x: x[0])
+    bcs = mpm.prescribed(V, lambda x: x[0] > -1.0, 0, increment=lambda x: x[0])
     bcs += mpm.prescribed(V, lambda x: x[0] > -1.0, 1)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
     for _ in range(4):

@@ -148,7 +148,7 @@ def test_what_a_condition_holds_no_face_acts_on(kind):
         return kind(F, V.increment, points, bcs)
 
     right = mpm.absorbing(V, "right", **waves)
-    whole = mpm.prescribed(V, lambda x: x[0] > 1.9, 0, 0.0)
+    whole = mpm.prescribed(V, lambda x: x[0] > 1.9, 0, increment=0.0)
     for held, where in ((mpm.fixed(V, "right"), "'right'"), (whole, "'nodes from")):
         words = rf"absorbing face at 'right' .* direction 0, .* the condition at {where}"
         with pytest.raises(errors.ParameterError, match=words):
@@ -193,7 +193,7 @@ def test_a_driven_end_sends_a_wave(kind):
         return 1e-3 * np.sin(2 * np.pi * t) ** 2 if 0 < t < 0.5 else 0.0
 
     def conditions(V):
-        return mpm.moving(V, "left", 0, pulse) + mpm.fixed(V, "right")
+        return mpm.moving(V, "left", 0, velocity=pulse) + mpm.fixed(V, "right")
 
     options = {} if kind is mpm.Explicit else {"stabilisation": "ghost"}
     problem = bar(kind=kind, bcs=conditions, **options)
@@ -211,7 +211,7 @@ def test_a_driven_end_sends_a_wave(kind):
 
 def test_velocities_are_of_steps_in_time():
     with pytest.raises(errors.ParameterError, match="prescribes a velocity, and QuasiStatic"):
-        bar(kind=mpm.QuasiStatic, bcs=lambda V: mpm.moving(V, "left", 0, 1.0))
+        bar(kind=mpm.QuasiStatic, bcs=lambda V: mpm.moving(V, "left", 0, velocity=1.0))
 
 
 @pytest.mark.parametrize("fused", [True, False])

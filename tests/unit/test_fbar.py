@@ -322,8 +322,11 @@ def test_patch(basis):
         def outer(x):
             return np.any((x[:2] < 1e-9) | (x[:2] > 1 - 1e-9), axis=0)
 
-        bcs = [c for i in (0, 1)
-               for c in mpm.prescribed(V, outer, i, lambda x, i=i, A=A: A[i] @ x[:2])]  # fmt: skip
+        bcs = [
+            c
+            for i in (0, 1)
+            for c in mpm.prescribed(V, outer, i, increment=lambda x, i=i, A=A: A[i] @ x[:2])
+        ]
         F = mpm.momentum(Hencky(E=100.0, nu=0.3), points, V.increment, V.test, fbar=fbar)
         mpm.QuasiStatic(F, V.increment, points, bcs).step()
         exact = np.broadcast_to(np.eye(2) + A, points["F"].shape)

@@ -117,7 +117,9 @@ class Scene:
         self.points.add_field("velocity", (d,), "m/s")
         x = self.points["x"]
         self.points["velocity"] = np.stack([x[:, 1] - 0.5, -x[:, 0]] + [0 * x[:, 0]] * (d - 2), 1)
-        bcs = mpm.prescribed(V, "bottom", 1, 0.0) + mpm.prescribed(V, "bottom", 0, self.push)
+        bcs = mpm.prescribed(V, "bottom", 1, increment=0.0) + mpm.prescribed(
+            V, "bottom", 0, increment=self.push
+        )
         self.problem = mpm.Explicit(F, u, self.points, bcs, scheme=scheme, mapping=mapping)
         assert self.problem.unfused == ""
         self.dt = 0.3 * self.problem.critical_step()

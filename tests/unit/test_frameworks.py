@@ -296,8 +296,10 @@ def test_small_strain_patch_is_linear_elasticity(d):
         return np.any((x[:d] < 1e-9) | (x[:d] > 1 - 1e-9), axis=0)
 
     bcs = [
-        c for i in range(d) for c in mpm.prescribed(V, outer, i, lambda x, i=i: A[i] @ x[:d])
-    ]  # fmt: skip
+        c
+        for i in range(d)
+        for c in mpm.prescribed(V, outer, i, increment=lambda x, i=i: A[i] @ x[:d])
+    ]
     F = mpm.momentum(LAWS["Hencky"], points, V.increment, V.test, strain="small")
     record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
     lmbda, mu = lame(1e6, 0.3)
@@ -412,8 +414,8 @@ def test_a_law_without_stress_names_the_point_and_its_state(strain, all_prescrib
     pull = fem.Constant(grid, 0.0)
     # without unknowns the law is asked by the commit first, else by Newton's method
     height = 0.1 if all_prescribed else 0.3
-    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > height, 0, pull)
-    bcs += mpm.prescribed(V, lambda x: x[1] > height, 1, 0.0)
+    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > height, 0, increment=pull)
+    bcs += mpm.prescribed(V, lambda x: x[1] > height, 1, increment=0.0)
     F = mpm.momentum(law, points, V.increment, V.test, strain=strain)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, max_halvings=3)
 

@@ -67,7 +67,7 @@ def problem(
     points["velocity"][:, 1] += 0.5 * x[:, 0] + 0.1 * x[:, -1] ** 2
     bcs = mpm.fixed(V, lambda x: x[1] < -0.4)
     if push:
-        bcs = mpm.prescribed(V, "bottom", 1, push) + mpm.rollers(V, "left")
+        bcs = mpm.prescribed(V, "bottom", 1, increment=push) + mpm.rollers(V, "left")
     if conditions is not None:
         bcs = conditions(V)
     options = {"courant": 0.4} | options
@@ -275,8 +275,12 @@ def lying(d):
 @pytest.mark.parametrize(("scheme", "d"), schemes("usl", "musl"))
 def test_velocities_in_time(scheme, d):
     def conditions(V):
-        pressed = mpm.moving(V, "bottom", 1, lambda t: 0.3 * np.sin(60 * t))
-        return pressed + mpm.moving(V, lambda x: x[0] < -0.8, 0, 0.1) + mpm.rollers(V, "right")
+        pressed = mpm.moving(V, "bottom", 1, velocity=lambda t: 0.3 * np.sin(60 * t))
+        return (
+            pressed
+            + mpm.moving(V, lambda x: x[0] < -0.8, 0, velocity=0.1)
+            + mpm.rollers(V, "right")
+        )
 
     one = compare(
         conditions=conditions, damping=0.1, mass_scaling=4.0, scheme=scheme, times=(0.013, 0.06),

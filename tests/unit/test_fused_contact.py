@@ -129,7 +129,7 @@ def test_points_that_come_later_touch_too():
         grid = grid_of((0, 0), (1, 1.25), (8, 10))
         points, V, F = body(grid, mpm.Box((0, 0), (1, 0.5)), ELASTIC, "gimp")
         plate = mpm.RigidBody(mpm.Plane((0, 0.76), (0, -1)), velocity=(0.0, -0.5), name="plate")
-        F += mpm.contact(plate, points, V.increment, V.test, friction=0.2)
+        F += mpm.contact(plate, points, V.increment, V.test, friction=0.2, penalty=6.25)
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         problem = mpm.Explicit(F, V.increment, points, bcs, fused=fused)
         problem.step(0.002)
@@ -179,7 +179,7 @@ class TestWhatCannotBe:
         grid = grid_of((0, 0), (1, 1.25), (8, 10))
         points, V, F = body(grid, mpm.Box((0, 0), (1, 1)), law, "gimp")
         tool = mpm.RigidBody(shape or mpm.Disc((0.5, 1.3), 0.3), name="tool", **motion)
-        F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)
+        F += mpm.contact(tool, points, V.increment, V.test, friction=0.3, penalty=6.25)
         return mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), fused=fused), tool
 
     def test_a_tool_outside_of_the_grid(self, fused):
@@ -228,7 +228,7 @@ class TestWhatCannotBe:
         grid = grid_of((0, 0), (1, 1.25), (8, 10))
         points, V, F = body(grid, mpm.Box((0, 0), (1, 0.5)), ELASTIC, "gimp")
         tool = mpm.RigidBody(mpm.Box((-1, 0.644), (2, 3)), name="tool")
-        F += mpm.contact(tool, points, V.increment, V.test)
+        F += mpm.contact(tool, points, V.increment, V.test, penalty=6.25)
         problem = mpm.Explicit(F, V.increment, points, fused=fused, scheme="usl", courant=1.0)
         problem.step(0.002)
         # further in one step than points are looked at

@@ -127,7 +127,7 @@ def test_prescribed_increments_predict_without_asking_twice(monkeypatch):
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 1.0)
     V = mpm.Space(grid, "linear")
     F = mpm.momentum(LAWS["Hencky"], points, V.increment, V.test)
-    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, -1e-3)
+    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-1e-3)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
     problem.step()
     asked = Asked(monkeypatch)

@@ -196,7 +196,7 @@ def confined_block(rule, dt, law, driven=False, **options):
     g = fem.Constant(grid, 10.0) * ufl.as_vector((ufl.sin(X[1]), ufl.cos(X[0])))
     F -= ufl.inner(points.density * g, V.test) * points.dX
     push = fem.Constant(grid, 0.0)
-    right = mpm.prescribed(V, "right", 0, push) if driven else mpm.rollers(V, "right")
+    right = mpm.prescribed(V, "right", 0, increment=push) if driven else mpm.rollers(V, "right")
     bcs = mpm.rollers(V, "left", "bottom", "top") + right
     problem = rule(F, V.increment, points, bcs, ghost_mass=0.0, **options)
     found = []
@@ -529,7 +529,7 @@ def test_a_wall_drags_what_sticks_to_it():
         problem, _ = block(rule, law=mpm.materials.Hencky(E=1e6, nu=0.3), **options)
         V, points = problem.form.spaces[0], problem.points
         push = fem.Constant(points.grid, 0.0)
-        bcs = mpm.prescribed(V, "bottom", 0, push) + mpm.prescribed(V, "bottom", 1)
+        bcs = mpm.prescribed(V, "bottom", 0, increment=push) + mpm.prescribed(V, "bottom", 1)
         problem = rule(problem.form.given, V.increment, points, bcs, **options)
         wall = 0.0
         for t in mpm.times(3.0, dt=0.04):

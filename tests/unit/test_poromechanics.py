@@ -431,7 +431,7 @@ def test_a_pressure_that_is_held_is_so_in_parts_of_a_step():
     found = {}
     for parts in (1, 2):
         F, points, V, Q, _ = block(height=1.0, drained=False)
-        bcs = held(V) + mpm.prescribed(Q, "right", 0, 50.0, increment=False)
+        bcs = held(V) + mpm.prescribed(Q, "right", 0, value=50.0)
         problem = problem_of(F, points, V, Q, bcs)
         if parts == 1:
             fail_first_part(problem)
@@ -442,8 +442,8 @@ def test_a_pressure_that_is_held_is_so_in_parts_of_a_step():
         assert 30 < found[parts].max() < 50
     np.testing.assert_array_equal(found[1], found[2])
 
-    bcs = held(V) + mpm.prescribed(Q, "right", 0, 50.0)
-    with pytest.raises(ParameterError, match=r"'right' prescribes an increment.*increment=False"):
+    bcs = held(V) + mpm.prescribed(Q, "right", 0, increment=50.0)
+    with pytest.raises(ParameterError, match=r"'right' prescribes an increment.*value="):
         problem_of(F, points, V, Q, bcs)
 
 
@@ -501,8 +501,8 @@ def test_forces_balance_however_easily_water_flows():
     law, found = mpm.materials.NeoHookean(1e4, 0.3), []
     for tolerance in (1e-6, 1e-12):
         F, points, V, Q, _ = block("linear", height=1.0, drained=False, permeability=1e6, law=law)
-        bcs = held(V) + mpm.prescribed(Q, "right", 0, -1e3, increment=False)
-        bcs += mpm.prescribed(V, lambda x: (x[1] > 0.99) & (x[0] < 0.3), 1, -0.1)
+        bcs = held(V) + mpm.prescribed(Q, "right", 0, value=-1e3)
+        bcs += mpm.prescribed(V, lambda x: (x[1] > 0.99) & (x[0] < 0.3), 1, increment=-0.1)
         problem_of(F, points, V, Q, bcs, tolerance=tolerance).step(1.0)
         found.append(points["x"].copy())
     np.testing.assert_allclose(*found, atol=1e-6)

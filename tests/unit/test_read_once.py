@@ -10,9 +10,11 @@ from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 
 BODY = [
     "shape",
+    "increment",
     "velocity",
-    "angular_velocity",
     "displacement",
+    "rotation_increment",
+    "angular_velocity",
     "rotation",
     "centre",
     "fillet",
@@ -51,6 +53,7 @@ def test_messages_tell_what_works():
     body = mpm.RigidBody(mpm.Disc((1, 1.5), 0.2), velocity=(0, -1), name="tool")
     for name, words in (
         ("velocity", r"velocity=lambda t"),
+        ("rotation_increment", r"rotation_increment=lambda t"),
         ("displacement", r"displacement=lambda t.*dolfinx\.fem\.Constant"),
         ("force", r"force=lambda t.*dolfinx\.fem\.Constant"),
         ("gravity", r"dolfinx\.fem\.Constant, whose value you set"),

@@ -96,7 +96,7 @@ def test_a_law_without_a_stress_halves_the_step():
     V = mpm.Space(grid, "gimp")
     push = fem.Constant(grid, -0.3)
     bcs = mpm.fixed(V, "bottom")
-    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 0.6), 1, push)
+    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 0.6), 1, increment=push)
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.3), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
 
@@ -116,7 +116,7 @@ def test_points_that_leave_the_grid():
     V = mpm.Space(grid, "linear")
     everywhere = [
         c for i in (0, 1)
-        for c in mpm.prescribed(V, lambda x: np.full(x.shape[1], True), i, (0.2, 0.0)[i])
+        for c in mpm.prescribed(V, lambda x: np.full(x.shape[1], True), i, increment=(0.2, 0.0)[i])
     ]  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, everywhere)
@@ -137,7 +137,10 @@ def test_conflicting_conditions():
     mpm.QuasiStatic(F, V.increment, points, agreeing)
     with pytest.raises(ConflictingConditionsError, match=r"by 'bottom' and as 0\.1 by 'left'"):
         mpm.QuasiStatic(
-            F, V.increment, points, mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, 0.1)
+            F,
+            V.increment,
+            points,
+            mpm.fixed(V, "bottom") + mpm.prescribed(V, "left", 0, increment=0.1),
         )
     with pytest.raises(ParameterError, match="side = 'north'"):
         mpm.fixed(V, "north")
@@ -146,7 +149,7 @@ def test_conflicting_conditions():
     with pytest.raises(ParameterError, match="no node"):
         mpm.fixed(V, lambda x: x[0] > 7)
     with pytest.raises(ParameterError, match="must be finite"):
-        mpm.prescribed(V, "left", 0, float("nan"))
+        mpm.prescribed(V, "left", 0, increment=float("nan"))
 
 
 def test_only_active_unknowns_are_solved_on_a_large_grid():
@@ -260,8 +263,8 @@ def test_a_body_moved_without_loads_converges():
     for d in (0.01, 0.1):
         points = mpm.fill(grid, mpm.Box((0.2, 0.2), (0.5, 0.6)), 2, 1.0)
         V = mpm.Space(grid, "gimp")
-        bcs = mpm.prescribed(V, lambda x: x[1] < 0.4, 0, d)
-        bcs += mpm.prescribed(V, lambda x: x[1] < 0.4, 1, 0.0)
+        bcs = mpm.prescribed(V, lambda x: x[1] < 0.4, 0, increment=d)
+        bcs += mpm.prescribed(V, lambda x: x[1] < 0.4, 1, increment=0.0)
         F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, V.increment, V.test)
         record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
         assert record.iterations <= 2
@@ -276,7 +279,7 @@ def test_one_constant_for_two_purposes():
     F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
     F -= c * V.test[0] * points.dX
     with pytest.raises(ParameterError, match="use two constants"):
-        mpm.QuasiStatic(F, V.increment, points, mpm.prescribed(V, "bottom", 0, c))
+        mpm.QuasiStatic(F, V.increment, points, mpm.prescribed(V, "bottom", 0, increment=c))
     with pytest.raises(ParameterError, match="bcs holds 'bottom'"):
         mpm.QuasiStatic(F, V.increment, points, ["bottom"])
 

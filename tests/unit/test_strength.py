@@ -88,7 +88,9 @@ def test_what_does_not_tell_its_strength():
 
 STATES = {
     "yielding with ghost penalty": block,
-    "adaptive penalties": lambda: block(stabilisation=mpm.Stabilisation("ghost", gamma="adaptive")),
+    "adaptive penalties": lambda: block(
+        stabilisation=mpm.Stabilisation("ghost", factor="adaptive")
+    ),
     "splines": lambda: block(MAKE.Hencky(E=1e6, nu=0.3), "bspline2"),
     "a tool": pressed,
     "couplings kept": hollow,
@@ -185,7 +187,7 @@ def test_prescribed_increments_rest():
         problem, _ = heap(law=MAKE.Tresca(1e7, 0.45, 1e4))
         V = problem.form.spaces[0]
         push = fem.Constant(problem.points.grid, 1e-4)
-        wall = mpm.prescribed(V, lambda x: (x[0] < 1e-9) & (x[1] > 1e-9), 0, push)
+        wall = mpm.prescribed(V, lambda x: (x[0] < 1e-9) & (x[1] > 1e-9), 0, increment=push)
         bcs = mpm.fixed(V, "bottom") + wall
         return mpm.QuasiStatic(
             problem.form.given, V.increment, problem.points, bcs, stabilisation="none"
@@ -228,7 +230,7 @@ def test_a_footing_that_weighs_on_it_is_a_load():
             mpm.Box((0.0, 1.995), (1.0, 2.5)), free=(False, True, False), force=(0.0, -force),
             name="footing",
         )  # fmt: skip
-        F = problem.form.given + mpm.contact(block, points, V.increment, V.test)
+        F = problem.form.given + mpm.contact(block, points, V.increment, V.test, penalty=25.0)
         loaded = mpm.QuasiStatic(F, V.increment, points, problem.bcs, stabilisation="ghost")
         loaded.step()
         place = block.position.copy()

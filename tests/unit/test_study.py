@@ -142,7 +142,7 @@ def test_conditions_of_what_cannot_be():
     for arguments, words in (
         ((problem, -1), r"density = -1 kg/m\^d must be above 0"),
         ((problem, "1"), "density = '1' must be a number"),
-        ((problem, 1.0, -1.0), "gamma = -1 must be at least 0"),
+        ((problem, 1.0, -1.0), "factor = -1 must be at least 0"),
         ((scene().points, 1.0), "problem = a MaterialPoints must be a QuasiStatic"),
         ((problem, 1.0, 1.0, 3.0), "extra = 3.0 must be a Form"),
     ):

@@ -21,7 +21,7 @@ def parts():
 
 def test_a_problem_prints_what_it_is_made_of(parts):
     F, V, points, bcs = parts
-    body = mpm.RigidBody(mpm.Disc((1.0, 2.5), 0.5), velocity=(0.0, -0.1), name="disc")
+    body = mpm.RigidBody(mpm.Disc((1.0, 2.5), 0.5), increment=(0.0, -0.1), name="disc")
     F += mpm.contact(body, points, V.increment, V.test, friction=0.3)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
     assert str(problem).splitlines() == [

@@ -137,7 +137,7 @@ def test_arguments_are_told_by_what_matters():
         for v in (1.0, 2.0)
     ]
     assert found(*bodies).startswith("motion of it: ((0.0, 1.0)")
-    held = [mpm.prescribed(s.V, "left", 0, value) for value in (0.1, 0.2)]
+    held = [mpm.prescribed(s.V, "left", 0, increment=value) for value in (0.1, 0.2)]
     assert found(*held) == "component 0 at 'left' of it: 0.1, 0.2"
 
 
@@ -145,7 +145,10 @@ def test_steps_are_compared_by_time_loads_conditions_and_bodies():
     s = scene()
     body = mpm.RigidBody(mpm.Plane((0, 3), (0, -1)), velocity=lambda t: (0.0, -t), name="lid")
     push = fem.Constant(s.grid, 0.0)
-    bcs = [*mpm.prescribed(s.V, "left", 0, push), *mpm.moving(s.V, "bottom", 1, lambda t: 3 * t)]
+    bcs = [
+        *mpm.prescribed(s.V, "left", 0, increment=push),
+        *mpm.moving(s.V, "bottom", 1, velocity=lambda t: 3 * t),
+    ]
     F = s.F + mpm.contact(body, s.points, s.u, s.v)
     problem = mpm.Newmark(F, s.u, s.points, bcs)
     told_of = dict(of_step(problem, 0.5))

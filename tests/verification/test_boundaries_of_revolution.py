@@ -181,7 +181,9 @@ def test_a_wall_around_a_cylinder():
         points, [(radius, 0), (radius, 0.5)], closed=False, follows=False
     )
     F = mpm.momentum(law, points, u, v) + mpm.signorini(law, tube, u, v)
-    bcs = mpm.rollers(V, "left", "bottom") + mpm.prescribed(V, "top", 1, 0.5 * (squeeze - 1))
+    bcs = mpm.rollers(V, "left", "bottom") + mpm.prescribed(
+        V, "top", 1, increment=0.5 * (squeeze - 1)
+    )
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
     problem.step()
     # by the area at the start of the step, along which the wall has not moved

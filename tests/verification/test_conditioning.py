@@ -17,7 +17,7 @@ from dolfinmpm._platform.errors import FormError, ParameterError
 OFFSETS = (1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 0.999, 1 - 1e-6)
 
 
-def worst(kind, basis="gimp", h=1.0, gamma_m=1.0, offsets=OFFSETS, **options):
+def worst(kind, basis="gimp", h=1.0, factor_m=1.0, offsets=OFFSETS, **options):
     def scene(offset):
         grid = mesh.create_interval(MPI.COMM_WORLD, 8, [0.0, 8 * h])
         body = mpm.Box((2 + offset) * h, (6 + offset) * h)
@@ -26,7 +26,7 @@ def worst(kind, basis="gimp", h=1.0, gamma_m=1.0, offsets=OFFSETS, **options):
         F = mpm.momentum(mpm.materials.Hencky(E=1.0, nu=0.0), points, V.increment, V.test)
         stabilisation = mpm.Stabilisation(kind, E=1.0, nu=0.0, **options)
         problem = mpm.QuasiStatic(F, V.increment, points, stabilisation=stabilisation)
-        return study.conditioning(problem, 1.0, gamma_m)
+        return study.conditioning(problem, 1.0, factor_m)
 
     figures = study.worst(study.sweep(scene, offsets))
     figures["dt_consistent"] /= h
@@ -51,7 +51,7 @@ def test_ghost_penalty():
 
 
 def test_ghost_penalty_of_the_stiffness_alone():
-    figures = worst("ghost", gamma_m=0.0)
+    figures = worst("ghost", factor_m=0.0)
     assert figures["kappa_K"] == pytest.approx(287, rel=0.01)
     assert figures["dt_consistent"] == pytest.approx(3e-12, rel=0.1)
 

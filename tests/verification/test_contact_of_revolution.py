@@ -39,7 +39,7 @@ def test_a_plate_on_a_cylinder(nu, kappa, corners, steps):
     assert points.shape_volume == pytest.approx(math.pi * RADIUS**2 * HEIGHT)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
-    plate = mpm.RigidBody(mpm.Plane((0, HEIGHT), (0, -1)), velocity=(0, -down), name="plate")
+    plate = mpm.RigidBody(mpm.Plane((0, HEIGHT), (0, -1)), increment=(0, -down), name="plate")
     F = mpm.momentum(mpm.materials.Hencky(E=MODULUS, nu=nu), points, u, v)
     F += mpm.contact(plate, points, u, v, stiffness_per_area=kappa, corners=corners)
     problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "bottom"), tolerance=1e-11)

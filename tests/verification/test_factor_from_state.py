@@ -165,7 +165,7 @@ def test_water_that_flows_in_a_problem_in_time():
     mpm.set_stress(points, soil, stress)
     points.add_field("pressure", (), "Pa")
     points["pressure"] = WATER * np.cos(BETA) * (DEPTH - points["x"][:, 1])
-    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(Q, "top", 0, 0.0, increment=False)
+    bcs = mpm.fixed(V, "bottom") + mpm.prescribed(Q, "top", 0, value=0.0)
     problem = mpm.Transient(F, fields, points, bcs, prolongation=periodic)
     problem.step(1e3)
     before = points["pressure"].copy()

@@ -99,10 +99,10 @@ def test_patch_of_every_kind(options):
 
 def test_a_penalty_leaves_a_gap_that_is_as_stiff_as_it_is():
     gaps = []
-    for beta in (1e3, 1e4):
-        _, boundary, _ = patch(0.4, method="penalty", beta=beta)
+    for penalty in (1e3, 1e4):
+        _, boundary, _ = patch(0.4, method="penalty", penalty=penalty)
         gaps.append(np.abs(boundary.markers["dirichlet1_gap"]).max())
-        assert 0 < gaps[-1] < 0.1 / beta
+        assert 0 < gaps[-1] < 0.1 / penalty
     assert 8 < gaps[0] / gaps[1] < 12
 
 
@@ -182,7 +182,7 @@ def test_a_fixed_factor_is_not_enough():
     """With β = 4 the tangent is indefinite where the ghost penalty alone holds a cell."""
     least = []
     for offset in (1e-3, 1e-4, 1e-5):
-        K = dense(ring(2, offset, beta=4.0)[0].stiffness())
+        K = dense(ring(2, offset, penalty=4.0)[0].stiffness())
         least.append(np.linalg.eigvalsh(0.5 * (K + K.T))[0])
     assert min(least) < 0
 

@@ -23,7 +23,11 @@ def linear_motion(grid, V, A):
     def outer(x):
         return np.any((x[:d] < 1e-9) | (x[:d] > 1 - 1e-9), axis=0)
 
-    return [c for i in range(d) for c in mpm.prescribed(V, outer, i, lambda x, i=i: A[i] @ x[:d])]
+    return [
+        c
+        for i in range(d)
+        for c in mpm.prescribed(V, outer, i, increment=lambda x, i=i: A[i] @ x[:d])
+    ]
 
 
 @pytest.mark.parametrize("law", [mpm.materials.Hencky, mpm.materials.NeoHookean])
@@ -39,7 +43,9 @@ def test_patch(any_grid, law):
     # the points integrate a distorted cell only approximately: there all nodes are moved
     affine = grid.topology.cell_type in (mesh.CellType.triangle, mesh.CellType.tetrahedron)
     everywhere = [
-        c for i in range(d) for c in mpm.prescribed(V, anywhere, i, lambda x, i=i: A[i] @ x[:d])
+        c
+        for i in range(d)
+        for c in mpm.prescribed(V, anywhere, i, increment=lambda x, i=i: A[i] @ x[:d])
     ]
     bcs = linear_motion(grid, V, A) if affine or d == 1 else everywhere
     F = mpm.momentum(law(E=100.0, nu=0.3), points, V.increment, V.test)
@@ -85,7 +91,7 @@ def test_rigid_motion_makes_no_stress(kind, law):
     def motion(i):
         return lambda x: ((R - np.eye(d)) @ (x[:d].T - centre).T)[i] + shift[i]
 
-    bcs = [c for i in range(d) for c in mpm.prescribed(V, anywhere, i, motion(i))]
+    bcs = [c for i in range(d) for c in mpm.prescribed(V, anywhere, i, increment=motion(i))]
     F = mpm.momentum(law(E=1e6, nu=0.3), points, V.increment, V.test)
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
     for _ in range(3):

@@ -28,7 +28,7 @@ def grid_of(cells, size):
 
 
 def everywhere(V, i, motion):
-    return mpm.prescribed(V, lambda x: np.full(x.shape[1], True), i, motion)
+    return mpm.prescribed(V, lambda x: np.full(x.shape[1], True), i, increment=motion)
 
 
 def uniform(basis, law, strain, stretches=(0.97, 0.95), steps=2, **options):
@@ -107,7 +107,7 @@ def test_axial_patch(basis, inner):
 @pytest.mark.parametrize("options", [
     {"configuration": "total"}, {"stabilisation": "none"}, {"stabilisation": "aggregation"},
     {"stabilisation": "weak-aggregation"}, {"fbar": True},
-    {"stabilisation": mpm.Stabilisation("ghost", gamma="adaptive")},
+    {"stabilisation": mpm.Stabilisation("ghost", factor="adaptive")},
     {"stabilisation": mpm.Stabilisation("ghost", E=100.0)},
 ])  # fmt: skip
 def test_axial_patch_with_everything(options):
@@ -124,7 +124,7 @@ def test_axial_patch_between_plates(basis, inner, fbar):
     points = mpm.fill(grid, mpm.Box((inner, 0), (3.6, 3)), 2, 1.0, axisymmetric=True)
     V = mpm.Space(grid, basis)
     u, v = V.increment, V.test
-    bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "top", 1, 3 * (axial - 1))
+    bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "top", 1, increment=3 * (axial - 1))
     bcs += mpm.rollers(V, "left") if inner == 0 else []
     F = mpm.momentum(mpm.materials.Hencky(E, nu), points, u, v, fbar=fbar)
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-13)
@@ -155,7 +155,7 @@ def test_even_stress_is_in_balance_whatever_domains_cross(basis, fbar):
     bcs = []
     for i, s in enumerate((0.96, 0.93)):
         for side in ("left", "right", "bottom", "top"):
-            bcs += mpm.prescribed(V, side, i, lambda x, i=i, s=s: (s - 1) * x[i])
+            bcs += mpm.prescribed(V, side, i, increment=lambda x, i=i, s=s: (s - 1) * x[i])
     F = mpm.momentum(mpm.materials.Hencky(100.0, 0.3), points, V.increment, V.test, fbar=fbar)
     mpm.QuasiStatic(F, V.increment, points, bcs, tolerance=1e-13).step()
     moved = np.diag([0.96, 0.93, 0.96])

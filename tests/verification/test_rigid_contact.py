@@ -25,7 +25,7 @@ def plate(kappa, d=2, basis="gimp", steps=4, marked=True, **options):
     points = mpm.fill(grid, mpm.Box((0,) * d, (*side, 0.8)), 2, 1000.0)
     V = mpm.Space(grid, basis)
     zero = (0.0,) * (d - 1)
-    body = mpm.RigidBody(mpm.Plane((*zero, 0.8), (*zero, -1)), velocity=(*zero, -0.2 / steps))
+    body = mpm.RigidBody(mpm.Plane((*zero, 0.8), (*zero, -1)), increment=(*zero, -0.2 / steps))
     top = mpm.Surface(points, lambda x: np.isclose(x[-1], 0.8), (*zero, 1)) if marked else None
     F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
     F += mpm.contact(

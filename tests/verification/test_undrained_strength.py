@@ -82,7 +82,7 @@ def test_clay_fails_at_the_critical_state_of_its_volume(rings, R):
     )  # fmt: skip
     # plates come closer by 1 % of their distance in every step
     plate = fem.Constant(grid, 0.0)
-    bcs = mpm.rollers(V, "left", "bottom") + mpm.prescribed(V, "top", 1, plate)
+    bcs = mpm.rollers(V, "left", "bottom") + mpm.prescribed(V, "top", 1, increment=plate)
     problem = mpm.QuasiStatic(F, [V.increment, Q.increment], points, bcs)
     for k in range(25):
         plate.value = -0.01 * 0.99**k

@@ -213,11 +213,11 @@ def moving_bar(h=0.5, length=10.0, **options):
         (PUBLISHED, 0.993),
         ({"stabilisation": STIFF}, 0.9986),
         pytest.param(
-            {**PUBLISHED, "stabilisation": mpm.Stabilisation("ghost", E=100.0, gamma=10.0)},
+            {**PUBLISHED, "stabilisation": mpm.Stabilisation("ghost", E=100.0, factor=10.0)},
             0.992,
             marks=pytest.mark.long,
         ),
-        ({**PUBLISHED, "stabilisation": mpm.Stabilisation("ghost", E=100.0, gamma=90.0)}, 0.989),
+        ({**PUBLISHED, "stabilisation": mpm.Stabilisation("ghost", E=100.0, factor=90.0)}, 0.989),
         pytest.param({**PUBLISHED, "ghost_mass": 0.025}, 0.997, marks=pytest.mark.long),
         pytest.param({**PUBLISHED, "ghost_mass": 2.5}, 0.990, marks=pytest.mark.long),
     ],

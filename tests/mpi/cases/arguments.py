@@ -69,7 +69,7 @@ def of_one_rank():
     wrong = lambda x: x[0] if last else x[0] >= 0  # noqa: E731
     assert "booleans" in _ends(lambda: mpm.fixed(s.V, wrong))
     text = _ends(lambda: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0,
-                                        lambda x: np.nan if last else 0.0))  # fmt: skip
+                                        increment=lambda x: np.nan if last else 0.0))  # fmt: skip
     assert "must be finite" in text
     # a function that is not a number on one rank
     f = fem.Function(s.S.function_space, name="pressure")
@@ -130,7 +130,7 @@ def _different_bodies(s) -> None:
     _differs(lambda: mpm.Space(_last(s.grid, s.grid), tag=_last(None, 2)), f"tag {of}None")
     _differs(lambda: mpm.fixed(s.V, _last("left", "bottom")), f"where {of}('left',)", "('bottom',)")
     _differs(lambda: mpm.prescribed(s.V, "left", _last(0, 1)), f"component {of}0 on")
-    _differs(lambda: mpm.moving(s.V, "left", 0, _last(1.0, 2.0)), f"velocity {of}1.0 on")
+    _differs(lambda: mpm.moving(s.V, "left", 0, velocity=_last(1.0, 2.0)), f"velocity {of}1.0 on")
     _differs(lambda: mpm.Surface(s.points, lambda x: x[1] > 0.99, (_last(0, 1), _last(1, 0))), "no")
     _differs(lambda: mpm.Boundary.from_side(s.points, _last("left", "right")), f"side {of}'left'")
     corners = [(0, 0), (2, 0), (2, _last(1.0, 0.9)), (0, 1)]
@@ -160,7 +160,7 @@ def _different_problems(s) -> None:
     _differs(lambda: s.solver(form=_last(2.0, 3.0) * s.F), "numbers of term 1 of form")
     weight = _last(s.points.density, s.points.V0) * s.v[1] * s.points.dX
     _differs(lambda: s.solver(form=s.F - weight), "fields of term", f"{of}('density',)", "('V0',)")
-    bcs = mpm.prescribed(s.V, "left", 0, _last(0.1, 0.2))
+    bcs = mpm.prescribed(s.V, "left", 0, increment=_last(0.1, 0.2))
     _differs(lambda: s.solver(bcs=bcs), f"component 0 at 'left' of bcs {of}0.1 on", "0.2 on")
     stabilisation = mpm.Stabilisation("ghost", E=_last(1e4, 1e5))
     _differs(lambda: s.solver(stabilisation=stabilisation), f"E of stabilisation {of}")
@@ -169,14 +169,14 @@ def _different_problems(s) -> None:
     _differs(lambda: s.motion(beta=_last(0.25, 0.3)), f"beta {of}0.25")
     _differs(lambda: s.motion(mpm.Explicit, courant=_last(0.5, 0.6)), f"courant {of}0.5")
     _differs(lambda: s.motion(mass=_last("consistent", "lumped")), f"mass {of}'consistent'")
-    lids = [mpm.RigidBody(mpm.Plane((0, 1.5), (0, -1)), name="lid", velocity=(0.0, v))
+    lids = [mpm.RigidBody(mpm.Plane((0, 1.5), (0, -1)), name="lid", increment=(0.0, v))
             for v in (0.0, _last(-1e-3, -2e-3))]  # fmt: skip
     touching = s.F + mpm.contact(lids[1], s.points, s.u, s.v)
     _differs(lambda: s.solver(form=touching), f"motion of body of contact of term 3 of form {of}")
     rubbing = s.F + mpm.contact(lids[0], s.points, s.u, s.v, friction=_last(0.1, 0.2))
     _differs(lambda: s.solver(form=rubbing), f"friction of contact of term 3 of form {of}0.1 on")
     side = mpm.Boundary.from_side(s.points, "bottom")
-    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, beta=_last(10.0, 20.0))
+    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, penalty=_last(10.0, 20.0))
     _differs(lambda: s.solver(form=held), f"of form {of}10.0 on", "20.0 on")
     walls = lambda: mpm.signorini(s.law, side, s.u, s.v, friction=_last(0.0, 0.1))  # noqa: E731
     _differs(walls, f"friction {of}0.0 on")
@@ -219,8 +219,8 @@ def steps_of_different_ranks():
     )  # fmt: skip
     before, push = s.g.value.copy(), fem.Constant(s.grid, 0.0)
     s.g.value[:] = 0.0, -1.0
-    speed = mpm.moving(s.V, "right", 1, lambda t: _last(0.0, 1e-3) if t > 3.5e-3 else 0.0)
-    bcs = s.bcs + mpm.prescribed(s.V, "right", 0, push) + speed
+    speed = mpm.moving(s.V, "right", 1, velocity=lambda t: _last(0.0, 1e-3) if t > 3.5e-3 else 0.0)
+    bcs = s.bcs + mpm.prescribed(s.V, "right", 0, increment=push) + speed
     problem = s.motion(form=s.F + mpm.contact(body, s.points, s.u, s.v), bcs=bcs)
     of = "differs between ranks: "
     _differs(lambda: problem.step(_last(1e-3, 2e-3)), f"t {of}0.001 on", "0.002 on")
@@ -255,7 +255,9 @@ def of_few_cells():
     F = mpm.momentum(mpm.materials.Hencky(1e3, 0.3), points, u, v) - ufl.inner(g, v) * points.dX
     texts = [
         _ends(lambda: mpm.fixed(V, lambda x: x[0] > 7)),
-        _ends(lambda: mpm.prescribed(V, lambda x: x[1] > 0.5, 0, lambda x: np.nan * x[0])),
+        _ends(
+            lambda: mpm.prescribed(V, lambda x: x[1] > 0.5, 0, increment=lambda x: np.nan * x[0])
+        ),
         _ends(lambda: mpm.Surface(points, lambda x: x[1] > 7, (0, 1))),
         _ends(lambda: mpm.plot(points, "a.foo")),
     ]

@@ -20,12 +20,12 @@ def ploughed(**options):
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     tool = mpm.RigidBody(
-        mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", angular_velocity=-0.01,
-        velocity=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
+        mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", rotation_increment=-0.01,
+        increment=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4), points, u, v)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
-    F += mpm.contact(tool, points, u, v, friction=0.3)
+    F += mpm.contact(tool, points, u, v, friction=0.3, penalty=25.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", **options)
     return problem, problem.step
@@ -61,7 +61,7 @@ def _penetrated(**options):
     out, up = np.r_[0:1.6:4j, 2.4, 4.0, 8.0], np.r_[-9, -6, -4.5:0.5:11j, 1.0]
     grid = mpm.create_lattice(COMM, [out, up])
     meridian = [(0, -2.7), (1, -1), (1, 9), (-1, 9), (-1, -1)]
-    cone = mpm.RigidBody(mpm.Polygon(meridian), velocity=(0, -0.1), fillet=0.5, name="cone")
+    cone = mpm.RigidBody(mpm.Polygon(meridian), increment=(0, -0.1), fillet=0.5, name="cone")
 
     def beside(x):
         return (cone.surface.probe(np.ascontiguousarray(x))[0] > 0.15) & (x[:, 1] < 0)
@@ -71,7 +71,7 @@ def _penetrated(**options):
     V = mpm.Space(grid, "gimp", domains="volume")
     clay = mpm.materials.Tresca(E=3e6, nu=0.45, cohesion=1e4)
     F = mpm.momentum(clay, points, V.increment, V.test, fbar=True)
-    F += mpm.contact(cone, points, V.increment, V.test, friction=0.1, penalty=10.0)
+    F += mpm.contact(cone, points, V.increment, V.test, friction=0.1)
     bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "right", 0) + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost", **options)
     return problem, problem.step
@@ -100,7 +100,7 @@ def _thrown(kind, free=True, **options):
         mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=-1.0, name="ball", **mass
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
-    F += mpm.contact(ball, points, V.increment, V.test, friction=0.2, penalty=10.0)
+    F += mpm.contact(ball, points, V.increment, V.test, friction=0.2)
     return kind(F, V.increment, points, mpm.fixed(V, "bottom"), **options), ball
 
 

@@ -39,7 +39,7 @@ def _block(law, basis="bspline2", **options):
     x = points["x"]
     turn = 2.0 * np.stack([0.95 - x[:, 1], x[:, 0] - 0.85], axis=1)
     points["velocity"] = np.array([3.0, 0.5]) + turn
-    bcs = mpm.prescribed(V, lambda x: x[0] > 2.3, 0, 0.01)
+    bcs = mpm.prescribed(V, lambda x: x[0] > 2.3, 0, increment=0.01)
     return mpm.Explicit(F, V.increment, points, bcs, **options)
 
 
@@ -143,13 +143,13 @@ def explicit_boundaries():
         if kind in ("wall", "total"):
             ends = [(0.2, 0.6), (2.4, 0.5)]
             line = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
-            F += mpm.signorini(law, line, u, v, friction=0.3, beta=10.0)
+            F += mpm.signorini(law, line, u, v, friction=0.3, penalty=10.0)
         else:
             (a, b), (c, d) = low, high
             line = mpm.Boundary.from_polygon(points, [(a, d), (a, b), (c, b)], closed=False)
             way = ufl.as_vector((2.0 * clock, -1.0 * clock + 3.0 * clock**2))
-            beta = 10.0 if kind == "penalty" else None
-            F += mpm.dirichlet(law, line, u, v, way, method=kind, beta=beta)
+            penalty = 10.0 if kind == "penalty" else None
+            F += mpm.dirichlet(law, line, u, v, way, method=kind, penalty=penalty)
         problem = mpm.Explicit(F, u, points, time=clock, **options)
         first = problem.critical_step()
         for k in range(2):

@@ -46,7 +46,7 @@ def errors_on_all_ranks():
     V = mpm.Space(grid, "gimp")
     F = hencky(points, V, ghost=False)
     clash = mpm.fixed(V, "bottom")
-    clash += mpm.prescribed(V, lambda x: (x[0] < 0.1) & (x[1] < 0.1), 0, 0.5)
+    clash += mpm.prescribed(V, lambda x: (x[0] < 0.1) & (x[1] < 0.1), 0, increment=0.5)
     expect(
         errors.ConflictingConditionsError, lambda: mpm.QuasiStatic(F, V.increment, points, clash)
     )
@@ -66,7 +66,7 @@ def errors_on_all_ranks():
     bcs = [
         c for i in (0, 1)
         for c in mpm.prescribed(
-            V, lambda x: np.full(x.shape[1], True), i, lambda x: 0.3 * (x[0] * x[1]) ** 2
+            V, lambda x: np.full(x.shape[1], True), i, increment=lambda x: 0.3 * (x[0] * x[1]) ** 2
         )
     ]  # fmt: skip
     problem = mpm.QuasiStatic(F, V.increment, points, bcs)
@@ -115,7 +115,7 @@ def errors_on_all_ranks():
     push = [
         c for i in (0, 1)
         for c in mpm.prescribed(
-            V, lambda x: np.full(x.shape[1], True), i, lambda x: -0.1 * (x[0] * x[1]) ** 8
+            V, lambda x: np.full(x.shape[1], True), i, increment=lambda x: -0.1 * (x[0] * x[1]) ** 8
         )
     ]  # fmt: skip
     problem = mpm.QuasiStatic(F, V.increment, points, push, max_halvings=0)

@@ -68,7 +68,7 @@ def adaptive_penalties():
         soil = mpm.materials.VonMises(E=100.0, nu=0.3, yield_stress=0.5, hardening=20.0)
         F = mpm.momentum(soil, points, V.increment, V.test)
         F -= ufl.inner(points.density * g, V.test) * points.dX
-        stabilisation = mpm.Stabilisation("ghost", gamma="adaptive")
+        stabilisation = mpm.Stabilisation("ghost", factor="adaptive")
         loads = [(0.02, -0.1), (0.05, -0.2), (0.08, -0.3)]
         bcs = mpm.fixed(V, "bottom")
         problem, result = run(

@@ -53,7 +53,7 @@ def _carried(dimension):
     def anywhere(x):
         return np.full(x.shape[1], True)
 
-    bcs = [c for i in range(dimension) for c in mpm.prescribed(V, anywhere, i, step)]
+    bcs = [c for i in range(dimension) for c in mpm.prescribed(V, anywhere, i, increment=step)]
     g = fem.Constant(grid, (0.0,) * dimension)
     F = hencky(points, V, ghost=False) - ufl.inner(g, V.test) * points.dX
     start = points["x"].copy(), COMM.allreduce(points["V"] @ points["x"])
@@ -150,7 +150,7 @@ def driven():
     V = mpm.Space(grid, "gimp")
     push = fem.Constant(grid, -0.25)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 4) & (x[0] < 4.5), 1, push)
+    bcs += mpm.prescribed(V, lambda x: np.isclose(x[1], 4) & (x[0] < 4.5), 1, increment=push)
     g = fem.Constant(grid, (0.0, 0.0))
     F = hencky(points, V) - ufl.inner(g, V.test) * points.dX
     return run(points, V, F, bcs, [(0.0, 0.0)] * 3, g)[1]
