@@ -12,7 +12,6 @@ from ufl.algorithms import extract_arguments
 from ufl.constantvalue import Zero
 
 from dolfinmpm.body.points import MOTION, MaterialPoints
-from dolfinmpm.dynamics import fused2d, fused3d
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
@@ -51,8 +50,6 @@ def why_not(form: WeakForm) -> str | None:
         return "laws of several or other measures of strain"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "laws by tags of which some share volume changes"
-    if points.gdim == 3 and any(d.fbar for d in declarations):
-        return "shared volume changes (F-bar) in three dimensions"
     if any(d.u is not space.increment for d in declarations):
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
@@ -110,10 +107,6 @@ class Laws:
         self._stored_of: tuple[int, bytes] | None = None
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
         self.fbar = self._declarations[0].fbar
-
-    def kernel(self, gdim: int):
-        """Maker of the loops in that many dimensions."""
-        return fused2d.kernel if gdim == 2 else fused3d.kernel
 
     def gather(self, touched: Set[str]) -> None:
         """Take parameters and internal variables of the points as they are now. Collective.

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from dolfinmpm.dynamics.passes import FAST
-from dolfinmpm.dynamics.simdmath import logarithm, logarithm_near_one
+from dolfinmpm.dynamics.smalltensors import logarithm, logarithm_near_one
 from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["kirchhoff", "stored_energy"]
