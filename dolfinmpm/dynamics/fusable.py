@@ -11,10 +11,13 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 from ufl.constantvalue import Zero
 
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
+from dolfinmpm.cut.held import Held
+from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
+from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.termqueries import contact_of, depends_on, summands
 from dolfinmpm.grid.constants import is_own
@@ -31,8 +34,42 @@ _FIXED = ("density", "V0", "x0", "l0")
 _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
-def why_not(form: WeakForm) -> str | None:
-    """Why the fused loops cannot take a form, or None if they can."""
+def why_not(
+    form: WeakForm, field: Any, mass: str, settings: Settings, held: Held, options: dict[str, Any]
+) -> str | None:
+    """Why the fused loops cannot take a problem, or None if they can.
+
+    Args:
+        form: The weak form.
+        field: Its field.
+        mass: Kind of the mass.
+        settings: How steps are taken.
+        held: Essential conditions.
+        options: Other arguments of the problem.
+    """
+    if not isinstance(field.space.basis, LatticeBasis):
+        return "the grid is not rectangular"
+    if mass != "lumped":
+        return "the mass is consistent"
+    if not settings.plain:
+        return "bulk viscosity or filters of light nodes act"
+    if held.follows:
+        return "conditions whose place follows something"
+    tied = field.stabilisation.ties_nodes or options.get("prolongation")
+    if tied or options.get("updates"):
+        return "nodes are tied, or fields updated"
+    if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
+        return "the mapping filters velocities at the nodes"
+    reason = _why_not_the_form(form)
+    if reason is not None:
+        return reason
+    loads = FusedLoads(form)
+    if not loads.known or loads.varies:
+        return "loads that depend on functions of the grid or on what moves"
+    return None
+
+
+def _why_not_the_form(form: WeakForm) -> str | None:
     points, declarations = form.points, form.parts.declarations
     space = form.spaces[0]
     if points.gdim == 1:

@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import InstabilityError
 from dolfinmpm.dynamics import fusedloop
-from dolfinmpm.dynamics.neo import stored_energy
+from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.passes import LAW, PASSES
 from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMises
 
