@@ -226,7 +226,7 @@ FEATURES = (
     Feature("output", with_output, own=("paraview.py", "vtkfiles.py")),
     Feature("progress", with_progress, own=("progress.py",)),
     Feature("checkpoint", with_checkpoint, own=("checkpoint.py", "rowfile.py")),
-    Feature("third dimension", lambda n: block(n, 3), own=("fused3d.py",)),
+    Feature("third dimension", lambda n: block(n, 3)),
     Feature("stages", None, without_stages),
 )  # fmt: skip
 

@@ -1,25 +1,36 @@
-"""Four doubles in one register, for compiled loops.
+"""Four doubles in one register, and small arrays on the stack, for compiled loops.
 
-What a node has is a vector of four; sums of such vectors over nodes are one instruction each
-where the processor has registers of 256 bits, and LLVM splits them where it has not. Numba
-alone makes no such instructions of sums that are written out.
+A node has vectors of four. A sum of such vectors over nodes is one instruction per node where the
+processor has registers of 256 bits; LLVM splits the vectors elsewhere. Numba alone makes no such
+instructions.
+
+LLVM unrolls loops over the few entries of a small array on the stack, and keeps the entries in
+registers. So index notation costs nothing.
 """
 
 from __future__ import annotations
 
+import math
+
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
+from numba.np.arrayobj import populate_array
 
 __all__ = [
     "add_at",
     "axpy",
     "four",
+    "integers",
     "lanes",
     "load",
+    "matrix",
     "number_at",
+    "numbers",
     "store",
     "times",
+    "vectors",
 ]
 
 _VECTOR = ir.VectorType(ir.DoubleType(), 4)
@@ -90,7 +101,7 @@ def axpy(typingctx, number, vector, other):
     """A number times a vector, plus another."""
 
     def generate(context, builder, sig, args):
-        flags = ("contract",)
+        flags = ("contract", "nsz")
         product = builder.fmul(_spread(builder, args[0]), args[1], flags=flags)
         return builder.fadd(product, args[2], flags=flags)
 
@@ -138,3 +149,52 @@ def number_at(typingctx, address):
         return builder.load(builder.inttoptr(args[0], ir.DoubleType().as_pointer()))
 
     return types.float64(types.intp), generate
+
+
+def _on_stack(kind, *sizes):
+    """Array of literal sizes on the stack of the function that asks, as an intrinsic has it."""
+
+    def generate(context, builder, sig, args):
+        shape = [size.literal_value for size in sizes]
+        width = context.get_abi_sizeof(context.get_value_type(kind))
+        strides = [width * math.prod(shape[k + 1 :]) for k in range(len(shape))]
+        array = context.make_array(sig.return_type)(context, builder)
+        populate_array(
+            array,
+            data=cgutils.alloca_once(builder, context.get_value_type(kind), size=math.prod(shape)),
+            shape=[context.get_constant(types.intp, size) for size in shape],
+            strides=[context.get_constant(types.intp, stride) for stride in strides],
+            itemsize=context.get_constant(types.intp, width),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    return types.Array(kind, len(sizes), "C")(*sizes), generate
+
+
+@intrinsic(prefer_literal=True)
+def numbers(typingctx, size):
+    """An array of so many doubles on the stack."""
+    return _on_stack(types.float64, size)
+
+
+@intrinsic(prefer_literal=True)
+def integers(typingctx, size):
+    """An array of so many integers on the stack."""
+    return _on_stack(types.intp, size)
+
+
+@intrinsic(prefer_literal=True)
+def matrix(typingctx, rows, columns):
+    """An array of rows and columns of doubles on the stack."""
+    return _on_stack(types.float64, rows, columns)
+
+
+@intrinsic(prefer_literal=True)
+def vectors(typingctx, size):
+    """So many vectors on the stack, by their numbers."""
+
+    def generate(context, builder, sig, args):
+        return cgutils.alloca_once(builder, _VECTOR, size=size.literal_value)
+
+    return types.CPointer(_FOUR)(size), generate

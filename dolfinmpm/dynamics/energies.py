@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.passes import FAST
 
-__all__ = ["angular_momentum", "kinetic_energy", "momentum_of", "stress_volumes"]
+__all__ = ["angular_momentum", "fastest_point", "kinetic_energy", "momentum_of", "stress_volumes"]
 
 Array = npt.NDArray[np.float64]
 
@@ -58,6 +58,17 @@ def angular_momentum(points: MaterialPoints, moment: Array | None = None) -> Arr
         own += np.stack([B[:, k, j] - B[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
     total = points.comm.allreduce(m @ own, op=MPI.SUM)
     return total[2:] if points.gdim == 2 else total
+
+
+def fastest_point(points: MaterialPoints) -> str:
+    """Number, place and speed of the point that is fastest, of all ranks. Collective."""
+    speed, worst = np.linalg.norm(points["velocity"], axis=1), None
+    if len(points):
+        p = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
+        worst = (float(speed[p]), int(points["id"][p]), points["x"][p].tolist())
+    found = [w for w in points.comm.allgather(worst) if w is not None]
+    fastest = max(found)
+    return f"{fastest[1]} at {fastest[2]} m with {fastest[0]:.3g} m/s"
 
 
 def stress_volumes(points: MaterialPoints, declarations: Sequence, V: Array) -> Array:

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 import os
-import time as clock
 from collections.abc import Mapping as StateOf
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,27 +17,24 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform import garbage, stages
 from dolfinmpm._platform.checks import check_kind, choice, truth
-from dolfinmpm._platform.errors import FormError, InstabilityError, ParameterError, raise_together
+from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weighed
-from dolfinmpm.dynamics.callmemory import CallMemory
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, check_clock, end_of
+from dolfinmpm.dynamics.clock import MotionRecord, check_clock
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide
 from dolfinmpm.dynamics.collision import Collision
 from dolfinmpm.dynamics.critical import critical_step, exact_step
 from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.energybalance import EnergyBalance
-from dolfinmpm.dynamics.faces import Sides, divided, set_velocities
+from dolfinmpm.dynamics.explicitcall import Call
+from dolfinmpm.dynamics.faces import Sides, divided
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws, why_not
 from dolfinmpm.dynamics.fused import Fused
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -47,27 +43,17 @@ from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping
 from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.settings import Settings, checked_courant
-from dolfinmpm.dynamics.snapshot import Snapshot
+from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
 from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
-from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.scheme import Scheme
-from dolfinmpm.solve.step import Step
 
 __all__ = ["Explicit"]
 
 Array = npt.NDArray[np.float64]
-
-# Steps after which the critical step is found anew, and the energies are looked at
-_EVERY = 20
-# Steps after which the state is kept, to go back to: a copy costs about as much as one step
-_KEEP = 100
-# Fields that kinetic energy and work follow from, and those that no speed of a wave does
-_KINETIC = frozenset(("velocity", "density", "V0", "F"))
-_BESIDE = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
 
 
 class Explicit(Problem):
@@ -230,31 +216,16 @@ class Explicit(Problem):
 
     def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
         """The fused loops, or why there are none."""
-        basis, stabilisation = self.fields[0].space.basis, self.fields[0].stabilisation
-        settings = self.settings
-        if not isinstance(basis, LatticeBasis):
-            return "the grid is not rectangular"
-        if self.terms.kind != "lumped":
-            return "the mass is consistent"
-        if not settings.plain:
-            return "bulk viscosity or filters of light nodes act"
-        domains = self.fields[0].space.domains
-        if self.held.follows:
-            return "conditions whose place follows something"
-        if stabilisation.ties_nodes or options.get("prolongation") or options.get("updates"):
-            return "nodes are tied, or fields updated"
-        if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
-            return "the mapping filters velocities at the nodes"
-        reason = why_not(self.form)
+        form, field, settings = self.form, self.fields[0], self.settings
+        reason = why_not(form, field, self.terms.kind, settings, self.held, options)
         if reason is not None:
             return reason
-        loads = FusedLoads(self.form)
-        if not loads.known or loads.varies:
-            return "loads that depend on functions of the grid or on what moves"
-        laws = Laws(self.points, self.form.parts.declarations)
+        laws, loads = Laws(self.points, form.parts.declarations), FusedLoads(form)
         contacts, rigid = self.bodies.contacts, None
         if contacts:
             rigid = RigidContacts(contacts, self.bodies, self.points)
+        basis, domains = field.space.basis, field.space.domains
+        assert isinstance(basis, LatticeBasis)
         return Fused(self.points, basis, self.held, laws, loads, settings, sides, domains, rigid)
 
     @together
@@ -323,156 +294,7 @@ class Explicit(Problem):
                 that of `time` again.
             PointsOutsideGridError: Points would leave the grid.
         """
-        started, watch = clock.perf_counter(), stages.Watch()
-        most, t = math.inf, as_yielded(t, self.time)
-        if isinstance(t, Time) and t.open:
-            most = min(self._loop.at_once, t.at_once)
-        target = t.end if isinstance(t, Time) else end_of(t, self.time, None)
-        if not target > self.time:
-            raise ParameterError(
-                f"t = {target:g} s must be later than the time of the state, {self.time:g} s"
-            )
-        record, between = MotionRecord(), self._between
-        check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
-        self._begin()
-        whole = target - self.time
-        touched = self._touched()
-        if touched:
-            raise_together(self.comm, self.points.fault())
-        record.migrated += balance(self.points)
-        if touched & _KINETIC or not self.ledger.started:
-            self.ledger.begin()
-        self._loop.start(1.0 / whole, touched)
-        between.state.time = math.nan
-        if not (between.single and touched <= _BESIDE and self._loop.keeps_speed):
-            between.since = _EVERY
-        while self.time < target:
-            if record.parts % _EVERY == 0:
-                if record.parts:
-                    touched = frozenset()
-                garbage.free(self.comm)
-                if record.parts or touched & _KINETIC:
-                    self._check_energy(record.dt, begins=record.parts == 0)
-                if record.parts % _KEEP == 0:
-                    between.state.take(self.time, self.ledger.work, touched)
-            if between.since >= _EVERY or self.form.boundaries:
-                # what comes to a wall is held from then on
-                between.critical, between.since = self.critical_step(), 0
-            longest = self.courant * between.critical
-            left = target - self.time
-            count = max(1, math.ceil(left / longest * (1 - 1e-12)))
-            dt = left / count
-            now = int(min(count, self._loop.at_once, most - record.parts))
-            self._check_speeds(dt)
-            now = self.bodies.followed(dt, now)
-            more = now < min(count, most - record.parts)
-            self._advance(now, dt, whole, more, record)
-            between.since += now
-            if abs(self.time - target) <= 1e-9 * dt:
-                # rounding must not add a step
-                self.time = target
-            if record.parts >= most:
-                break
-        self.loads.release()
-        self._check_energy(record.dt)
-        record.time = self.time
-        record.unknowns = self.here.unknowns.total if self.here is not None else 0
-        record.imbalance = imbalance(self.points)
-        record.bodies = self.bodies.record()
-        self._loop.release()
-        between.moment, between.single = self.points.fields.moment(), record.parts == 1
-        record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
-        self.history.append(record)
-        if isinstance(t, Time):
-            t.reached = self.time
-        return record
-
-    def _touched(self) -> Set[str]:
-        """Fields that may have been changed since the last call, on any rank. Collective."""
-        fields, comm = self.points.fields, self.comm
-        between = self._between
-        touched, between.moment = fields.touched(between.moment), None
-        if comm.size == 1:
-            return touched
-        names = sorted(fields)
-        flags = np.array([name in touched for name in names], np.uint8)
-        comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
-        return {name for name, flag in zip(names, flags) if flag}
-
-    def _advance(
-        self, count: int, dt: float, whole: float, more: bool, record: MotionRecord
-    ) -> None:
-        """Equal steps, a part of a call that goes so far (s). Collective."""
-        start = self.time
-
-        def begin(k: int) -> Step:
-            end = start + (k + 1) * dt
-            set_velocities(self.bcs, lambda v: v(end) * whole)
-            if self.settings.clock is not None:
-                self.settings.clock.value = start + k * dt
-            return Step(end, dt, dt / whole)
-
-        work = self.ledger.work
-        # velocities are half of the last step behind
-        kick = 0.5 * (work.length + dt) if work.length else dt
-        taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
-        work.add(self._loop.work())
-        work.length = dt
-        record.parts, record.migrated = record.parts + taken, record.migrated + migrated
-        self.time, record.dt = start + taken * dt, dt
-        if reason is not None:
-            raise self._unstable(reason, dt)
-
-    def _check_speeds(self, dt: float) -> None:
-        """Raise where steps of that length (s) do not follow a rigid body. Collective."""
-        fault = self.bodies.fault(dt)
-        stabilisation = "give a smaller velocity, or a smaller courant number"
-        raise_together(
-            self.comm, None if fault is None else ParameterError(f"{fault}; {stabilisation}")
-        )
-        # all ranks know alike where forces have driven the free ones
-        fault = self.bodies.fault(dt, inertia=True) if self.bodies.free else None
-        if fault is not None:
-            raise self._unstable(fault, dt)
-
-    def _check_energy(self, dt: float, begins: bool = False) -> None:
-        """Raise InstabilityError if energy comes from nowhere. Collective."""
-        reason = self.balance.fault(begins)
-        if reason is not None:
-            raise self._unstable(reason, dt)
-
-    def _unstable(self, reason: str, dt: float) -> InstabilityError:
-        """What is known of a step that ended in no state; goes back to one. Collective."""
-        points = self.points
-        speed = np.linalg.norm(points["velocity"], axis=1)
-        worst = None
-        if len(points):
-            p = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
-            worst = (float(speed[p]), int(points["id"][p]), points["x"][p].tolist())
-        found = [w for w in self.comm.allgather(worst) if w is not None]
-        fastest = max(found)
-        energies = self.energies()
-        at, longest = self.time, self.critical_step()
-        self._go_back()
-        return InstabilityError(
-            f"explicit step at t = {at:.6g} s: {reason}. The step is {dt:.3g} s, the "
-            f"critical one {longest:.3g} s; the fastest point is {fastest[1]} at "
-            f"{fastest[2]} m with {fastest[0]:.3g} m/s; energies (J): kinetic "
-            f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
-            f"{energies.external:.4g}. The state is that at t = {self.time:.6g} s: take a smaller "
-            "courant number, a mapping that damps, or aggregation where cuts are small"
-        )
-
-    def _go_back(self) -> None:
-        """To the last state that was kept. Collective."""
-        self.bodies.reset()
-        if math.isnan(self._between.state.time):
-            # nothing has moved yet
-            return
-        self._between.state.put(self.ledger.work)
-        self.ledger.end()
-        self.balance.forget()
-        self.time = self._between.state.time
+        return Call(self, self._loop, self._between, t).run()
 
     @together
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -11,11 +11,13 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 from ufl.constantvalue import Zero
 
+from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
-from dolfinmpm.dynamics import fused2d, fused3d
+from dolfinmpm.cut.held import Held
+from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.neo import stored_energy
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
+from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.termqueries import depends_on, summands, term_of
 from dolfinmpm.grid.constants import is_own
@@ -32,8 +34,42 @@ _FIXED = ("density", "V0", "x0", "l0")
 _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
-def why_not(form: WeakForm) -> str | None:
-    """Why the fused loops cannot take a form, or None if they can."""
+def why_not(
+    form: WeakForm, field: Any, mass: str, settings: Settings, held: Held, options: dict[str, Any]
+) -> str | None:
+    """Why the fused loops cannot take a problem, or None if they can.
+
+    Args:
+        form: The weak form.
+        field: Its field.
+        mass: Kind of the mass.
+        settings: How steps are taken.
+        held: Essential conditions.
+        options: Other arguments of the problem.
+    """
+    if not isinstance(field.space.basis, LatticeBasis):
+        return "the grid is not rectangular"
+    if mass != "lumped":
+        return "the mass is consistent"
+    if not settings.plain:
+        return "bulk viscosity or filters of light nodes act"
+    if held.follows:
+        return "conditions whose place follows something"
+    tied = field.stabilisation.ties_nodes or options.get("prolongation")
+    if tied or options.get("updates"):
+        return "nodes are tied, or fields updated"
+    if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):
+        return "the mapping filters velocities at the nodes"
+    reason = _why_not_the_form(form)
+    if reason is not None:
+        return reason
+    loads = FusedLoads(form)
+    if not loads.known or loads.varies:
+        return "loads that depend on functions of the grid or on what moves"
+    return None
+
+
+def _why_not_the_form(form: WeakForm) -> str | None:
     points, declarations = form.points, form.parts.declarations
     space = form.spaces[0]
     if points.gdim == 1:
@@ -51,8 +87,6 @@ def why_not(form: WeakForm) -> str | None:
         return "laws of several or other measures of strain"
     if any(d.fbar for d in declarations) and (len(declarations) > 1 or declarations[0].tags):
         return "laws by tags of which some share volume changes"
-    if points.gdim == 3 and any(d.fbar for d in declarations):
-        return "shared volume changes (F-bar) in three dimensions"
     if any(d.u is not space.increment for d in declarations):
         return "a law of another increment"
     if _kind(declarations[0]) == NEO and any(d.law.varies for d in declarations):
@@ -113,10 +147,6 @@ class Laws:
         self._stored_of: tuple[int, bytes] | None = None
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
         self.fbar = self._declarations[0].fbar
-
-    def kernel(self, gdim: int):
-        """Maker of the loops in that many dimensions."""
-        return fused2d.kernel if gdim == 2 else fused3d.kernel
 
     def gather(self, touched: Set[str]) -> None:
         """Take parameters and internal variables of the points as they are now. Collective.

@@ -23,6 +23,7 @@ from dolfinmpm.cut.held import Held
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
+from dolfinmpm.dynamics.fusedloop import kernel
 from dolfinmpm.dynamics.halfstep import lateness
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.nodes import divide, move_nodes
@@ -285,11 +286,12 @@ class Fused:
         affine, _ = _AFFINE.get(mapping.kind, (0, None))
         share = mapping.share if mapping.kind == "flip" else 0.0
         data: tuple[Array, ...] = (*arrays.data, self._loads.body)
-        kind: tuple[Any, ...]
-        kind = window.basis.degree, self._growth, laws.kind, affine, parts, general
         if self._means is not None and means:
-            kind, data = (*kind, means), (*data, self._means.sums, arrays.J_bar)
-        loop = laws.kernel(self._points.gdim)(*kind)
+            data = (*data, self._means.sums, arrays.J_bar)
+        loop = kernel(
+            self._points.gdim, window.basis.degree, self._growth, laws.kind, affine, parts, general,
+            means,
+        )  # fmt: skip
         return loop(
             window.grid, window.nodes, window.out, data, laws.table, dt, share, *switches, rows,
             arrays.skipped, self.done,

@@ -142,7 +142,7 @@ class RigidContacts:
     def _way(self, active: ActiveContact) -> Array:
         """How far corners go in the step by the velocities that strain (m), shape (m, d)."""
         d, corners = self._points.gdim, active.corners
-        first = COLUMNS[d].strain
+        first = COLUMNS[d].second
         velocities = self._window.nodes[corners.nodes, first : first + d]
         return corners.seen.displacement(self._dt * velocities)
 
@@ -151,7 +151,7 @@ class RigidContacts:
         """Find the forces at the end of the step."""
         self._bodies.put(1.0)
         d = self._points.gdim
-        speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].strain, d)
+        speed = fastest(self._window.rows(), self._window.nodes, COLUMNS[d].second, d)
         # corners go on by their points' gradients, up to half a cell from these
         self._nodes_go = 2.0 * self._dt * speed
         for k, near in enumerate(self._near):

@@ -102,12 +102,7 @@ class General(ExplicitBase):
         net, grid = self._work.net, self._work.grid
         A = self._accelerations(forces, mass, V)
         V_end = self._end(V + kick * A, mass, here, held, kick)
-        motion = NodalMotion(V, A, V_end, A)
-        gradient = np.zeros((len(points), points.gdim, points.gdim))
-        if settings.mapping.kind == "tpic":
-            operator.place([dt * V_end])
-            gradient = operator.points.gradient[0] / dt
-        new = settings.mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
+        new = self._to_points(operator, s, x_node, NodalMotion(V, A, V_end, A), mass, dt)
         self._work.projected += self._projected(new, mass, collect(s, V_end - V))
         V_strain, V_move = V if settings.scheme == "usf" else V_end, V_end
         if settings.scheme == "musl":
@@ -121,22 +116,44 @@ class General(ExplicitBase):
         state = self._advanced(operator, True, moved)
         if isinstance(state, str):
             return state
-        external = self._external(operator, mass, forces, V, V_end, V_move, step, kick)
-        if held_by is not None:
-            at = here.unknowns.fields[0].owned_nodes
-            done = -dt * float(np.sum(held_by[at] * V_strain[at]))
-            external += mass.comm.allreduce(done, op=MPI.SUM)
-        self._work.external += external
+        self._work.external += self._external(operator, mass, forces, V, V_end, V_move, step, kick)
+        self._work.external += self._work_of_boundaries(mass, here, held_by, dt * V_strain)
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         if settings.mapping.kind == "tpic":
             # from here on it is that of where the points have gone
+            gradient = new["velocity_gradient"]
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
         state.fields.update(new)
         self._find_lateness(operator, net, grid)
         self._work.external += problem.bodies.commit(problem.bodies.acting(operator))
         return commit(points, state)
+
+    def _to_points(
+        self,
+        operator: Operator,
+        s: Stencils,
+        x_node: Array,
+        motion: NodalMotion,
+        mass: Mass,
+        dt: float,
+    ) -> dict[str, Array]:
+        """New velocities, accelerations and affine parts of the points. Collective."""
+        points, mapping = self._problem.points, self._settings.mapping
+        gradient = np.zeros((len(points), points.gdim, points.gdim))
+        if mapping.kind == "tpic":
+            operator.place([dt * motion.V_end])
+            gradient = operator.points.gradient[0] / dt
+        return mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
+
+    @staticmethod
+    def _work_of_boundaries(mass: Mass, here: Activation, force: Array | None, u: Array) -> float:
+        """Work of forces of boundaries on increments of the nodes (J). Collective."""
+        if force is None:
+            return 0.0
+        at = here.unknowns.fields[0].owned_nodes
+        return mass.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
 
     def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
         """Find what velocities at the end of a step are late by, see `Work`. Collective.

@@ -48,7 +48,7 @@ def move_nodes(
         last: Whether the points move by these velocities; then the sums are done with, and cleared.
         done: Added to, see `Fused.done`.
     """
-    _, mass, force, _, velocity, strain = columns
+    _, mass, force, second = columns
     d = fixed.shape[1]
     marks, rubbing, dashpots = faces
     ends, forces, resisting = np.empty(d), np.empty(d), np.zeros(d)
@@ -85,11 +85,11 @@ def move_nodes(
                     if own[k]:
                         # what moves the node does work against its forces and its inertia
                         work += (m * scaling * (end - y) - kick * f) * end
-                nodes[k, i] = end - y
+                nodes[k, force + i] = end - y
                 grid += half * (end * end - y * y)
-                nodes[k, velocity + i] = end
+                nodes[k, i] = end
                 if not known:
-                    nodes[k, strain + i] = end
+                    nodes[k, second + i] = end
                 if pushed.shape[0] > 0:
                     pushed[k, i] = change
                 if own[k]:
@@ -121,7 +121,7 @@ def divide(box, columns, out, momentum, nodes, fixed, held, own, g, dt, done, la
             for i in range(fixed.shape[1]):
                 y = out[k, momentum + i] * per_mass
                 y = held[k, i] if fixed[k, i] else y
-                nodes[k, columns[5] + i] = y
+                nodes[k, columns[3] + i] = y
                 if last and own[k]:
                     work += dt * m * g[i] * y
             if last:

@@ -66,27 +66,25 @@ class Switches(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Where a node has what, in numbers from its first.
+    """Columns of a node's sums over points, and of its motion.
 
-    Loops take four neighbours at once: momenta with forces, changes of velocity with velocities,
-    velocities with those of the strain.
+    Sums begin with the momentum, motion with the velocity at the end of the step. Loops take four
+    neighbours at once: in two dimensions momentum with force, in three momentum with mass.
 
     Attributes:
-        width: Numbers a node.
-        mass, force, second: Sums at a node besides momentum, which is the first: mass, force,
-            and momentum of the new velocities.
-        velocity, strain: Velocities at a node, and those that strain, after their changes.
+        width: Columns per node.
+        mass: The mass.
+        force: The force; in the motion the change of velocity.
+        second: Momentum of the new velocities; in the motion the velocity for the strain.
     """
 
     width: int
     mass: int
     force: int
     second: int
-    velocity: int
-    strain: int
 
 
-COLUMNS = {2: Columns(8, 4, 2, 5, 2, 4), 3: Columns(12, 3, 4, 8, 4, 8)}
+COLUMNS = {2: Columns(8, 6, 2, 4), 3: Columns(12, 3, 4, 8)}
 
 # The passes of a step after the first scatter; the last one of each begins the next step.
 PASSES = {

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.fusable import Laws
+from dolfinmpm.dynamics.fusedneohookean import kirchhoff
 from dolfinmpm.dynamics.mass import point_masses
-from dolfinmpm.dynamics.neo import kirchhoff
 from dolfinmpm.dynamics.passes import LAW, NEO, SMALL
 from dolfinmpm.grid.tensors import determinants
 

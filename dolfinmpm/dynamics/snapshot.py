@@ -1,18 +1,20 @@
-"""The last good state of a run, to which one that turns out unstable goes back."""
+"""What explicit steps keep from call to call, among it the last good state of a run."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence, Set
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.dynamics.ledger import Work
 
-__all__ = ["Snapshot"]
+__all__ = ["CallMemory", "Snapshot"]
 
 # Fields that no step changes
 _FIXED = frozenset(("id", "tag", "x0", "V0", "l0", "density"))
@@ -71,3 +73,35 @@ class Snapshot:
                 points.fields[name] = values.copy()
             points.recount()
             points.locate()
+
+
+@dataclass
+class CallMemory:
+    """What explicit steps keep from call to call.
+
+    Attributes:
+        state: What a run goes back to.
+        moment: End of the last call, since when fields may have been changed; see `FieldArrays`.
+            None if all count as changed.
+        critical: Critical step that was found last (s).
+        since: Steps that have been taken since.
+        single: Whether the last call took one step. Only steps of one call each share a critical
+            step with those of other calls: a call of many finds its own.
+    """
+
+    state: Snapshot
+    moment: int | None = None
+    critical: float = math.nan
+    since: int = 0
+    single: bool = False
+
+    def touched(self, points: MaterialPoints) -> Set[str]:
+        """Fields that may have been changed since the last call, on any rank. Collective."""
+        fields, comm = points.fields, points.comm
+        touched, self.moment = fields.touched(self.moment), None
+        if comm.size == 1:
+            return touched
+        names = sorted(fields)
+        flags = np.array([name in touched for name in names], np.uint8)
+        comm.Allreduce(MPI.IN_PLACE, flags, op=MPI.MAX)
+        return {name for name, flag in zip(names, flags) if flag}

@@ -64,8 +64,8 @@ class Window:
         self._exchange = self.exchange(width)
         self._first, self._last = np.zeros(points.gdim, np.int64), self._shape.copy()
         self.grid = (
-            *lattice.lines,
-            *(np.ascontiguousarray(greville(line, basis.degree)) for line in lattice.lines),
+            tuple(lattice.lines),
+            tuple(np.ascontiguousarray(greville(line, basis.degree)) for line in lattice.lines),
             lattice.uniform, halo.origin.astype(np.int64), self._shape, self._first, self._last,
             np.array([1.0 / np.diff(line).min() for line in lattice.lines]),
         )  # fmt: skip

@@ -10,7 +10,12 @@ import numba
 import numpy as np
 
 from dolfinmpm.dynamics.passes import FAST
-from dolfinmpm.dynamics.simdmath import logarithm, logarithm_near_one
+from dolfinmpm.dynamics.smalltensors import (
+    contracted,
+    determinant,
+    logarithm,
+    logarithm_near_one,
+)
 from dolfinmpm.grid.tensors import determinants
 
 __all__ = ["kirchhoff", "stored_energy"]
@@ -47,30 +52,20 @@ def stored_energy(F, V0, numbers, which):
     Returns:
         The energy (J; a metre across in 2D).
     """
-    n, d = F.shape[0], F.shape[1]
+    d = F.shape[1]
     if d == 2 and which.shape[0] == 1:
         total, far = _in_plane(F, V0, numbers[which[0], 0], numbers[which[0], 1])
         if far == 0:
             return total
     total = 0.0
-    for p in range(n):
+    for p in range(F.shape[0]):
         L = which[p] if which.shape[0] > 1 else which[0]
         lmbda, mu = numbers[L, 0], numbers[L, 1]
-        trace = -float(d)
-        for i in range(d):
-            for j in range(d):
-                trace += F[p, i, j] * F[p, i, j]
-        if d == 2:
-            J = F[p, 0, 0] * F[p, 1, 1] - F[p, 0, 1] * F[p, 1, 0]
-        else:
-            J = (
-                F[p, 0, 0] * (F[p, 1, 1] * F[p, 2, 2] - F[p, 1, 2] * F[p, 2, 1])
-                + F[p, 0, 1] * (F[p, 1, 2] * F[p, 2, 0] - F[p, 1, 0] * F[p, 2, 2])
-                + F[p, 0, 2] * (F[p, 1, 0] * F[p, 2, 1] - F[p, 1, 1] * F[p, 2, 0])
-            )
+        J = determinant(d, F[p])
         if J > 0.0:
             q = logarithm(J)
-            total += V0[p] * (0.5 * mu * trace - mu * q + 0.5 * lmbda * q * q)
+            stretch = contracted(d, F[p], F[p]) - d
+            total += V0[p] * (0.5 * mu * stretch - mu * q + 0.5 * lmbda * q * q)
     return total
 
 

@@ -1,0 +1,201 @@
+"""One call of `Explicit.step`: how many steps, how long they are, and what ends them."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Set
+from typing import Any
+
+from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
+from dolfinmpm.body.loadbalance import balance, imbalance
+from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, end_of
+from dolfinmpm.dynamics.energies import fastest_point
+from dolfinmpm.dynamics.faces import set_velocities
+from dolfinmpm.dynamics.snapshot import CallMemory
+from dolfinmpm.solve.loads import check_loads
+from dolfinmpm.solve.step import Step
+
+__all__ = ["Call"]
+
+# Steps after which the critical step is found anew, and the energies are looked at
+_EVERY = 20
+# Steps after which the state is kept, to go back to: a copy costs about as much as one step
+_KEEP = 100
+# Fields that kinetic energy and work follow from, and those that no speed of a wave does
+_KINETIC = frozenset(("velocity", "density", "V0", "F"))
+_BESIDE = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
+
+
+class Call:
+    """Explicit steps from the time of a problem's state to another.
+
+    Args:
+        problem: The problem.
+        loop: What takes the steps.
+        memory: What the problem keeps from call to call.
+        t: The time (s), or one of `times`.
+
+    Raises:
+        ParameterError: The time is not later than that of the state.
+    """
+
+    def __init__(self, problem: Any, loop: Any, memory: CallMemory, t: float | None):
+        self._problem, self._loop, self._memory = problem, loop, memory
+        self._most, self._t = math.inf, as_yielded(t, problem.time)
+        if isinstance(self._t, Time) and self._t.open:
+            self._most = min(loop.at_once, self._t.at_once)
+        given = isinstance(self._t, Time)
+        self._target = self._t.end if given else end_of(self._t, problem.time, None)
+        if not self._target > problem.time:
+            raise ParameterError(
+                f"t = {self._target:g} s must be later than the time of the state, "
+                f"{problem.time:g} s"
+            )
+        self._whole, self._record = self._target - problem.time, MotionRecord()
+
+    def run(self) -> MotionRecord:
+        """Take the steps; returns what they did. Collective.
+
+        Raises:
+            InstabilityError: The state is not finite, or energy comes from nowhere; it is then the
+                last one that was kept.
+        """
+        started, watch = clock.perf_counter(), stages.Watch()
+        problem, record = self._problem, self._record
+        touched = self._enter()
+        while problem.time < self._target and record.parts < self._most:
+            if record.parts % _EVERY == 0:
+                self._look(touched if record.parts == 0 else frozenset())
+            self._go_on()
+        self._leave()
+        record.seconds, record.stages = clock.perf_counter() - started, watch.stop()
+        problem.history.append(record)
+        if isinstance(self._t, Time):
+            self._t.reached = problem.time
+        return record
+
+    def _enter(self) -> Set[str]:
+        """Begin; returns fields that were changed since the last call. Collective."""
+        problem, memory = self._problem, self._memory
+        check_loads(problem.loads.items, problem.form.given, problem.bcs, problem.comm)
+        problem._begin()
+        touched = memory.touched(problem.points)
+        if touched:
+            raise_together(problem.comm, problem.points.fault())
+        self._record.migrated += balance(problem.points)
+        if touched & _KINETIC or not problem.ledger.started:
+            problem.ledger.begin()
+        self._loop.start(1.0 / self._whole, touched)
+        memory.state.time = math.nan
+        if not (memory.single and touched <= _BESIDE and self._loop.keeps_speed):
+            memory.since = _EVERY
+        return touched
+
+    def _look(self, touched: Set[str]) -> None:
+        """Look at the energies, and keep the state if it is time to. Collective."""
+        problem, parts = self._problem, self._record.parts
+        garbage.free(problem.comm)
+        if parts or touched & _KINETIC:
+            self._check_energy(begins=parts == 0)
+        if parts % _KEEP == 0:
+            self._memory.state.take(problem.time, problem.ledger.work, touched)
+
+    def _go_on(self) -> None:
+        """The next steps that are taken at once, all equal. Collective."""
+        problem, memory, parts = self._problem, self._memory, self._record.parts
+        if memory.since >= _EVERY or problem.form.boundaries:
+            # what comes to a wall is held from then on
+            memory.critical, memory.since = problem.critical_step(), 0
+        longest, left = problem.courant * memory.critical, self._target - problem.time
+        count = max(1, math.ceil(left / longest * (1 - 1e-12)))
+        dt = left / count
+        now = int(min(count, self._loop.at_once, self._most - parts))
+        self._check_speeds(dt)
+        now = problem.bodies.followed(dt, now)
+        self._advance(now, dt, now < min(count, self._most - parts))
+        memory.since += now
+        if abs(problem.time - self._target) <= 1e-9 * dt:
+            # rounding must not add a step
+            problem.time = self._target
+
+    def _advance(self, count: int, dt: float, more: bool) -> None:
+        """Equal steps of a length (s), and whether others follow. Collective."""
+        problem, record, whole = self._problem, self._record, self._whole
+        start, time = problem.time, problem.settings.clock
+
+        def begin(k: int) -> Step:
+            end = start + (k + 1) * dt
+            set_velocities(problem.bcs, lambda v: v(end) * whole)
+            if time is not None:
+                time.value = start + k * dt
+            return Step(end, dt, dt / whole)
+
+        work = problem.ledger.work
+        # velocities are half of the last step behind
+        kick = 0.5 * (work.length + dt) if work.length else dt
+        taken, migrated, reason = self._loop.run(count, dt, kick, more, begin)
+        work.add(self._loop.work())
+        work.length = dt
+        record.parts, record.migrated = record.parts + taken, record.migrated + migrated
+        problem.time, record.dt = start + taken * dt, dt
+        if reason is not None:
+            raise self._unstable(reason, dt)
+
+    def _leave(self) -> None:
+        """End the call. Collective."""
+        problem, record, memory = self._problem, self._record, self._memory
+        problem.loads.release()
+        self._check_energy()
+        record.time = problem.time
+        record.unknowns = problem.here.unknowns.total if problem.here is not None else 0
+        record.imbalance = imbalance(problem.points)
+        record.bodies = problem.bodies.record()
+        self._loop.release()
+        memory.moment, memory.single = problem.points.fields.moment(), record.parts == 1
+
+    def _check_speeds(self, dt: float) -> None:
+        """Raise where steps of that length (s) do not follow a rigid body. Collective."""
+        bodies = self._problem.bodies
+        fault = bodies.fault(dt)
+        advice = "give a smaller velocity, or a smaller courant number"
+        raise_together(
+            self._problem.comm, None if fault is None else ParameterError(f"{fault}; {advice}")
+        )
+        # all ranks know alike where forces have driven the free ones
+        fault = bodies.fault(dt, inertia=True) if bodies.free else None
+        if fault is not None:
+            raise self._unstable(fault, dt)
+
+    def _check_energy(self, begins: bool = False) -> None:
+        """Raise InstabilityError if energy comes from nowhere. Collective."""
+        reason = self._problem.balance.fault(begins)
+        if reason is not None:
+            raise self._unstable(reason, self._record.dt)
+
+    def _unstable(self, reason: str, dt: float) -> InstabilityError:
+        """What is known of a step that ended in no state; goes back to one. Collective."""
+        problem = self._problem
+        fastest, energies = fastest_point(problem.points), problem.energies()
+        at, longest = problem.time, problem.critical_step()
+        self._go_back()
+        return InstabilityError(
+            f"explicit step at t = {at:.6g} s: {reason}. The step is {dt:.3g} s, the "
+            f"critical one {longest:.3g} s; the fastest point is {fastest}; energies (J): kinetic "
+            f"{energies.kinetic:.4g}, strain {energies.strain:.4g}, external work "
+            f"{energies.external:.4g}. The state is that at t = {problem.time:.6g} s: take a "
+            "smaller courant number, a mapping that damps, or aggregation where cuts are small"
+        )
+
+    def _go_back(self) -> None:
+        """To the last state that was kept. Collective."""
+        problem, state = self._problem, self._memory.state
+        problem.bodies.reset()
+        if math.isnan(state.time):
+            # nothing has moved yet
+            return
+        state.put(problem.ledger.work)
+        problem.ledger.end()
+        problem.balance.forget()
+        problem.time = state.time
