@@ -169,10 +169,13 @@ BAD = {
     "prescribed: nan": (lambda s: mpm.prescribed(s.V, "left", 0, np.nan), "'left' = nan must be f"),
     "prescribed: a word": (lambda s: mpm.prescribed(s.V, "left", 0, "0.1"), "must be a number"),
     "prescribed: nothing": (lambda s: mpm.prescribed(s.V, "left", 0, None), "must be a number"),
-    "prescribed: a vector": (lambda s: mpm.prescribed(s.V, "left", 0, (0.0, 1.0)), "of its own"),
+    "prescribed: a vector": (
+        lambda s: mpm.prescribed(s.V, "left", 0, (0.0, 1.0)),
+        "its own condition",
+    ),
     "prescribed: a vector constant": (
         lambda s: mpm.prescribed(s.V, "left", 0, s.g),
-        "a scalar one",
+        "a scalar constant",
     ),
     "prescribed: a function": (lambda s: mpm.prescribed(s.V, "left", 0, s.u), "UFL expression"),
     "prescribed: UFL": (lambda s: mpm.prescribed(s.V, "left", 0, 2 * s.g[0]), "UFL expression"),
@@ -182,7 +185,7 @@ BAD = {
     ),
     "prescribed: no such coordinate": (
         lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, lambda x: x[2]),
-        r"IndexError: .*shape \(2, \d+\), one row a coordinate",
+        r"IndexError: .*shape \(2, \d+\), one row per coordinate",
     ),
     "prescribed: nan somewhere": (
         lambda s: mpm.prescribed(
