@@ -1,12 +1,10 @@
-"""Small questions about terms of a form, which its parts all ask."""
+"""Small helpers for terms of a form."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ufl.algorithms import extract_coefficients
-from ufl.classes import (
-    Sum,
-)
+from ufl.classes import Sum
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import Tags, as_tags
@@ -17,7 +15,7 @@ __all__ = ["brief", "contact_of", "operators_in", "summands", "tags_of"]
 
 
 def brief(expression: Expr) -> str:
-    """An expression as messages show it."""
+    """An expression as text for messages, at most 200 characters."""
     text = str(expression)
     return text if len(text) <= 200 else text[:197] + "..."
 
@@ -32,7 +30,7 @@ def summands(expression: Expr) -> Iterator[Expr]:
 
 
 def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
-    """Whether an expression depends on the increments."""
+    """Whether an expression depends on the increments, directly or by a law."""
     return any(
         isinstance(c, PointOperator) or any(c is u for u in increments)
         for c in extract_coefficients(expression)
@@ -40,17 +38,21 @@ def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
 
 
 def contact_of(integral) -> Any:
-    """The contact that a term stands for, or None; see `dolfinmpm.contact`."""
+    """The contact of a term, or None; see `dolfinmpm.contact`."""
     return (integral.metadata() or {}).get("contact")
 
 
 def operators_in(term: Expr) -> list[PointOperator]:
-    """The laws in a term."""
+    """The operators (laws) in a term."""
     return [c for c in extract_coefficients(term) if isinstance(c, PointOperator)]
 
 
 def tags_of(integral) -> Tags:
-    """Tags of the points that integrate a term; None means all."""
+    """Tags of the points that integrate a term; None means all points.
+
+    Raises:
+        FormError: The subdomain of the term's measure is no tag.
+    """
     where = integral.subdomain_id()
     try:
         return None if where == "everywhere" else as_tags(where)
