@@ -131,7 +131,7 @@ INPUTS = {
     'mpm.Fluid("water")': "density = 'water' must be a number (kg/m³)",
     "mpm.Fluid(gravity=(0, -9.81))": "gravity = (0, -9.81) must be a number (m/s²)",
     "mpm.Fluid(gravity=-9.81)": "gravity = -9.81 m/s² must be above 0",
-    "mpm.kozeny_carman(0.4, 1e-05)": "They look swapped",
+    "mpm.kozeny_carman(0.4, 1e-05)": "The numbers look swapped",
     "mpm.kozeny_carman(1e-05, 1.2)": "porosity = 1.2 must be above 0 and below 1",
     "mpm.kozeny_carman(1e-05, 40)": "porosity = 40 must be above 0 and below 1",
     "mpm.kozeny_carman(-1e-05, 0.4)": "k = -1e-05 m/s must be above 0",

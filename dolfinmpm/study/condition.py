@@ -23,12 +23,14 @@ __all__ = ["Conditioning", "conditioning"]
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Condition numbers and critical steps of a body where it lies.
+    """Condition numbers and critical steps of a body at its present place.
 
     Attributes:
-        kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
-        dt_consistent, dt_lumped: Critical steps (s) with either mass, the second with that of
-            explicit steps: row sums, behind ties Cᵀ M_L C, and no penalty.
+        kappa_K, kappa_M: Condition numbers (-) of the stiffness, without rigid modes, and of the
+            consistent mass.
+        dt_consistent: Critical step (s) with the consistent mass.
+        dt_lumped: Critical step (s) with the lumped mass of explicit steps: row sums M_L without
+            penalty, or Cᵀ M_L C with constraints C.
         unknowns: Number of unknowns.
     """
 
@@ -45,18 +47,20 @@ def conditioning(
 ) -> Conditioning:
     """Condition numbers and critical steps of a problem in its present state. Collective.
 
-    The mass is stabilised as the stiffness is: a ghost penalty with γ ρ/4 times the
-    factor of the basis, the same ties, a weak tie with ρ h^d. Soft stiffness helps no mass.
+    The mass gets the same stabilisation as the stiffness: a ghost penalty with γ ρ/4 times the
+    factor of the basis; the same constraints of aggregation; or weak aggregation with ρ h^d. Soft
+    stiffness has no counterpart for the mass.
 
     Args:
         problem: Problem whose tangent is K.
-        density: Density ρ (kg/m^d) that penalties of the mass are scaled with.
-        gamma: Their factor.
-        extra: Form added to that of the consistent mass, such as a penalty of one's own; the
-            stiffness has it in the problem's form.
+        density: Density ρ (kg/m^d) that scales penalties of the mass.
+        gamma: Factor γ of these penalties.
+        extra: Form to add to the consistent mass, such as your own penalty. The problem's form
+            contains the corresponding term of the stiffness already.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: The problem has no tangent; density is not positive; gamma is negative; or
+            extra is no UFL form.
     """
     check_kind("problem", problem, QuasiStatic, "give a problem with a tangent")
     number("density", density, 0.0, unit="kg/m^d")
@@ -93,6 +97,6 @@ def conditioning(
 
 
 def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
-    """The lumped mass of explicit steps. Collective."""
+    """Lumped mass matrix of explicit steps. Collective."""
     terms = MassTerms(points, "lumped", None)
     return Mass(terms, replace(here, inertia=Inertia(terms.blocks(here.fields), []))).assembled()
