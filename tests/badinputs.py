@@ -725,7 +725,10 @@ BAD = {
         lambda s: s.points + mpm.fill(s.grid, mpm.Box((0.5, 0), (2, 1)), 3, 1.0),
         "fill the cell at .* bodies overlap, or volumes are too large",
     ),
-    "points: stress without a state": (lambda s: s.stressed(), "deformation gradient alone"),
+    "points: stress without a state": (
+        lambda s: s.stressed(),
+        "only from the deformation gradient",
+    ),
     "ghost: of other points": (
         lambda s: s.solver(form=s.F + s.ghost(points=s.fill())),
         "cells or facets of other material points",

@@ -137,7 +137,7 @@ INPUTS = {
     'mpm.Deposit(0.0, ["sand"])': "a layer = 'sand' must be a Layer: make it with",
     "mpm.Deposit(nan, [mpm.Layer(-5.0, 18000.0, 0.5)])": "surface = nan m must be finite; nan is",
     "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress(np.zeros((5, 2)))":
-        "x has the shape (5, 2) and must be positions (m), a",
+        "x has the shape (5, 2) and must be positions (m), one",
     'mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress("a")': "x = 'a' must be numbers,",
     'mpm.Layer("a", 18000.0, 0.5)': "bottom = 'a' must be a number (m)",
     "mpm.Layer(-5.0, -18000.0, 0.5)": "unit_weight = -18000 N/m³ must be at least 0",

@@ -34,6 +34,7 @@ __all__ = [
     "declared",
     "in_words",
     "rows_within",
+    "subdomain",
 ]
 
 
@@ -134,6 +135,11 @@ class LawField(PointField):
     """
 
     declaration: Declaration | None = None
+
+
+def subdomain(tags: Tags) -> Any:
+    """Tags as the subdomain of a measure of points; "everywhere" for all points."""
+    return "everywhere" if tags is None else tags if len(tags) > 1 else tags[0]
 
 
 def in_words(tags: Tags) -> str:
