@@ -101,7 +101,7 @@ INPUTS = {
     'mpm.stress(s.law, s.points, s.u, strain="lrge")': "strain = 'lrge' must be one of \"large\",",
     "mpm.stress(s.points, s.law, s.u)": "points = a Hencky must be a MaterialPoints: give",
     's.solver(form=s.F, updates={"density": mpm.stress(s.law, s.points, s.u)})':
-        "field 'density' has shape () at a point, the",
+        "field 'density' has shape () at a point, but",
     'mpm.gradient(s.points, "u")': "w = 'u' must be a field of UFL, such as",
     "mpm.gradient(s.u, s.points)": "points = a Function must be material points, see",
     "mpm.gradient(s.points, s.u, radius=3.0)": "radius = 3.0 must be r in UFL, such as points.x[0]",
