@@ -8,9 +8,8 @@ integrals over the edges of a cell.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,16 +28,10 @@ from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.compat import geometric_dimension, restrict
+from dolfinmpm.assembly.facetplaces import FacetPlace, gauss_rule, product, splines
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
-__all__ = [
-    "FacetPlace",
-    "FacetTensors",
-    "facet_moduli",
-    "one_dimensional",
-    "product",
-    "readable",
-]
+__all__ = ["FacetTensors", "facet_moduli", "readable"]
 
 Array = npt.NDArray[np.float64]
 # terminals with one value on each side, and operators on such values
@@ -53,32 +46,6 @@ _OPERATORS = (
     classes.Sum,
 )
 # fmt: on
-
-
-@dataclass(frozen=True)
-class FacetPlace:
-    """Position of a facet in a lattice.
-
-    Attributes:
-        lines: Coordinates of the lattice's nodes in each direction (m).
-        low: Lattice position of the lower one of the two cells at the facet.
-        direction: Direction from the lower to the upper cell.
-        swapped: Whether the upper cell is the first cell, "+".
-    """
-
-    lines: Sequence[Array]
-    low: tuple[int, ...]
-    direction: int
-    swapped: bool
-
-    def cell(self, side: str) -> tuple[int, ...]:
-        """Lattice position of the cell on a side."""
-        upper = (side == "+") == self.swapped
-        return tuple(i + (upper and d == self.direction) for d, i in enumerate(self.low))
-
-    def sizes(self, side: str) -> tuple[float, ...]:
-        """Lengths of the edges of the cell on a side (m)."""
-        return tuple(float(x[i + 1] - x[i]) for x, i in zip(self.lines, self.cell(side)))
 
 
 class _Facing(MultiFunction):
@@ -215,14 +182,7 @@ class _Numbers(MultiFunction):
 
     # handlers: UFL calls them by the names of its types; without operands as arguments it stops
 
-    def terminal(self, o):
-        return self._value(o)
-
-    def indexed(self, o):
-        return self._value(o)
-
-    def restricted(self, o):
-        return self._value(o)
+    terminal = indexed = restricted = _value
 
     def zero(self, o):
         return 0.0
@@ -291,70 +251,6 @@ class _Integral:
         return np.broadcast_to(result, sizes).reshape(shape)
 
 
-_gauss = functools.cache(np.polynomial.legendre.leggauss)
-
-
-def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
-    """Derivatives of the functions of a cell, as polynomials also outside it, shape (x, functions).
-
-    First come recursions of Cox and de Boor for values, then recursions for derivatives (de Boor,
-    A Practical Guide to Splines, 1978, ch. X).
-    """
-    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    t, p = knots[cell : cell + 2 * degree + 2], degree
-    values: Array = np.ones((x.size, 1))
-    for k in range(1, p + 1):
-        # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
-        start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]
-        share = values / (end - start)
-        before = np.zeros((x.size, k + 1))
-        after = np.zeros((x.size, k + 1))
-        if k > p - order:
-            before[:, 1:], after[:, :-1] = k * share, -k * share
-        else:
-            before[:, 1:] = (x[:, None] - start) * share
-            after[:, :-1] = (end - x[:, None]) * share
-        values = before + after
-    return values
-
-
-def one_dimensional(
-    place: FacetPlace, side: str, direction: int, degree: int
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Integrals of products of the splines around a facet, over a cell's edge in one direction.
-
-    Args:
-        place: The facet.
-        side: Side of the cell, "+" or "-".
-        direction: The direction.
-        degree: Degree of the splines.
-
-    Returns:
-        Matrices of ∫ N_a^(i) N_b^(k), by the orders i and k of derivatives, 0 or 1.
-    """
-    line, cell, low = place.lines[direction], place.cell(side)[direction], place.low[direction]
-    points, weights = _gauss(degree + 1)
-    h = line[cell + 1] - line[cell]
-    x = line[cell] + 0.5 * h * (points + 1)
-    values = np.zeros((2, x.size, degree + 1 + (direction == place.direction)))
-    for order in (0, 1):
-        values[order, :, cell - low : cell - low + degree + 1] = _splines(
-            line, degree, cell, x, order
-        )
-    first, second = (
-        tuple((0.5 * h * weights * values[i].T) @ values[k] for k in (0, 1)) for i in (0, 1)
-    )
-    return first, second
-
-
-def product(lines: Sequence[Array]) -> Array:
-    """Kronecker product of matrices, one per direction."""
-    product: Array = np.ones((1, 1))
-    for matrix in lines:
-        product = np.asarray(np.kron(product, matrix))
-    return product
-
-
 class FacetTensors:
     """Element tensors of a bilinear form over facets, between splines.
 
@@ -413,12 +309,10 @@ class FacetTensors:
                 a, b = (self._across(place, side, powers[d]) for side, powers in (first, second))
                 matrices.append(a[:, None] * b)
                 continue
-            points, weights = _gauss(gauss or self._degree + 1)
+            points, weights = gauss_rule(gauss or self._degree + 1)
             h = line[low + 1] - line[low]
             x = line[low] + 0.5 * h * (points + 1)
-            a, b = (
-                _splines(line, self._degree, low, x, powers[d]) for _, powers in (first, second)
-            )
+            a, b = (splines(line, self._degree, low, x, powers[d]) for _, powers in (first, second))
             matrices.append((0.5 * h * weights * a.T) @ b)
         return matrices
 
@@ -432,5 +326,5 @@ class FacetTensors:
         values = np.zeros(self._degree + 2)
         at = line[low + 1 : low + 2]
         own = slice(cell - low, cell - low + self._degree + 1)
-        values[own] = _splines(line, self._degree, cell, at, order)[0]
+        values[own] = splines(line, self._degree, cell, at, order)[0]
         return values
