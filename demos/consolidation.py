@@ -1,4 +1,4 @@
-"""A layer of saturated clay settles by a quarter of its height as its water drains.
+"""A layer of saturated clay settles by 21 % of its height as its water drains.
 
 The layer is 1 m thick, stands on a sealed base between smooth walls and drains at its top, where an
 even load of 0.3 M is put on at once. At first the water carries it all. Then it leaves upwards, and

@@ -1,10 +1,10 @@
-"""Rows of `benchmarks.py` on bodies of revolution, contact, boundaries, and soil with water."""
+"""Rows of `benchmarks.py` on axisymmetric bodies, contact, boundaries, and soil with water."""
 
 from __future__ import annotations
 
 from benchmark_rows import Answer, Row, each, keys
 
-RINGS, STEEL, WATER = "Bodies of revolution", "Soil and steel", "Soil and water"
+RINGS, STEEL, WATER = "Axisymmetric bodies", "Soil and steel", "Soil and water"
 EXACT = "exact: 0"
 TOUCHING = "--contact bodies --integrator newmark --mass consistent --mapping flip"
 SWEEP = "--sweep --load 1e-3 --permeability constant --theta 1"
@@ -16,12 +16,13 @@ def percent(*names: str):
 
 
 def iterations(answer: Answer) -> list[float]:
-    """Mean linear iterations of every run."""
+    """Mean number of linear iterations in every run."""
     return [run["mean_iterations"] for run in answer["runs"]]
 
 
 def _steady_pull(answer: Answer) -> list[float]:
-    """Of 20 m of ploughing: means, extremes (MN), heap, iterations per step, halvings, minutes."""
+    """For 20 m of ploughing: means and extremes of the pull (MN), heap, iterations per step,
+    halvings, minutes."""
     steps = list(zip(answer["distances"], answer["pulls"]))
     early, late = ([1e-6 * p for x, p in steps if a < x <= b] for a, b in ((4, 12), (12, 20)))
     return [
@@ -32,17 +33,13 @@ def _steady_pull(answer: Answer) -> list[float]:
 
 
 def _atlas(answer: Answer) -> list[float]:
-    """Random problems to the end (%): ghost penalty, aggregation, none; all, and those wrong."""
+    """Finished random problems (%) with ghost penalty, aggregation, no stabilisation; number of
+    problems, and of wrong results."""
     shares = [100 * answer["success"][name] for name in ("ghost", "aggregation", "none")]
     return [*shares, answer["problems"], answer["wrong"]]
 
 
 ROWS = (
-    Row("atlas", STEEL, "random slopes that slide, rigid bodies dragged through soil, collisions, "
-        "soil with water, in all bases: to the end with ghost penalty, aggregation, no "
-        "stabilisation (%), of how many problems, wrong in silence",
-        ("mpirun -n 2 python3 demos/studies/stability_atlas.py --start 100 --seeds 14",), _atlas,
-        "{:.1f}, {:.1f}, {:.1f}, {:.0f}, {:.0f}", picture="stability_atlas.png"),
     Row("cavity", RINGS, "cavity expansion, Hencky, ν = 0.3, b/a = 2: error of the pressure at "
         "r(a)/a = 1.5, cylinder and sphere (%)",
         each("cavity_expansion", "--ratio 1.5", "--ratio 1.5 --shape sphere"), percent("error"),
@@ -57,20 +54,25 @@ ROWS = (
     Row("circular", RINGS, "circular footing on Tresca clay, F-bar, smooth, rough: bearing factor",
         each("circular_footing", "--rough off", "--rough on"), keys("factor"), "{:.3f}, {:.3f}",
         "5.69, 6.05 (Cox 1961, Eason & Shield)"),
+    Row("atlas", STEEL, "random slopes that slide, rigid bodies dragged through soil, collisions, "
+        "soil with water, in all bases: finished runs with ghost penalty, aggregation, no "
+        "stabilisation (%); number of problems; wrong results without an error",
+        ("mpirun -n 2 python3 demos/studies/stability_atlas.py --start 100 --seeds 14",), _atlas,
+        "{:.1f}, {:.1f}, {:.1f}; {:.0f}; {:.0f}", picture="stability_atlas.png"),
     Row("plate", STEEL, "plate on a cube, contact stiffness 1e8 Pa/m: relative error of the height",
         each("plate_on_cube", "--stiffness-per-area 1e8"), keys("height_error"), "{:.0e}", EXACT,
         quick=True),
-    Row("incline", STEEL, "block on an incline of 45°, μ = 0.3, 1 s: error of the way, Newmark, "
-        "explicit (%)", each("incline", "", "--integrator explicit"),
+    Row("incline", STEEL, "block on an incline of 45°, μ = 0.3, 1 s: error of the displacement, "
+        "Newmark, explicit (%)", each("incline", "", "--integrator explicit"),
         percent("displacement_error"), "{:+.2f}, {:+.2f}", EXACT),
-    Row("hertz", STEEL, "cylinder on elastic ground, 8 cells over half the contact: error of its "
+    Row("hertz", STEEL, "cylinder on elastic ground, 8 cells over half the contact: error of the "
         "half-width, of the peak pressure (%)", each("hertz", "--force 1000 --resolution 8"),
         percent("half_width_error", "peak_error"), "{:+.2f}, {:+.2f}", "Hertz: 0"),
-    Row("hertz-bodies", STEEL, "two elastic bodies with fields of their own, cylinders, spheres: "
+    Row("hertz-bodies", STEEL, "two elastic bodies with separate fields, cylinders; spheres: "
         "error of the half-width, of the peak pressure (%)",
         each("hertz_bodies", "", "--shape sphere"), percent("half_width_error", "peak_error"),
         "{:+.1f}, {:+.1f}; {:+.1f}, {:+.1f}", "Hertz: 0"),
-    Row("discs-touching", STEEL, "two discs with fields of their own collide, cells of R/4, R/8: "
+    Row("discs-touching", STEEL, "two discs with separate fields collide, cells of R/4; R/8: "
         "least kinetic energy, rebound",
         each("colliding_discs", TOUCHING, f"{TOUCHING} --h 0.025"),
         keys("min_kinetic", "rebound"), "{:.3f}, {:.3f}; {:.3f}, {:.3f}",
@@ -81,8 +83,8 @@ ROWS = (
     Row("wedge", STEEL, "wedge into clay, semi-angle 15°, 20°, 30°, 45°: error of the slope of the "
         "force (%)", each("wedge", *(f"--semi-angle {a}" for a in (15, 20, 30, 45))),
         percent("slope_error"), "{:+.1f}, {:+.1f}, {:+.1f}, {:+.1f}", "Hill, Lee & Tupper 1947: 0"),
-    Row("cone", STEEL, "smooth cone in Tresca clay, I_r = 100: error of its factor, cells of R/2, "
-        "R/4 (%)",
+    Row("cone", STEEL, "smooth cone in Tresca clay, I_r = 100: error of the cone factor, cells of "
+        "R/2, R/4 (%)",
         each("cone_penetration", "--h 0.5 --depth 17 --step 0.1", "--h 0.25 --depth 14 --step 0.1"),
         percent("error"), "{:+.1f}, {:+.1f}", "Teh & Houlsby 1991: 0"),
     Row("cone-sand", STEEL, "cone of 0.8 m in sand, relative density 32 %, cells of 0.2 m: depth "
@@ -95,41 +97,42 @@ ROWS = (
         lambda a: [1e-6 * a["pull"], a["heap"], a["newton_iterations"] / len(a["pulls"])],
         "{:.3f}, {:.2f}, {:.1f}"),
     Row("plough-20", STEEL, "the same by 20 m: mean pull from 4 to 12 m, from 12 to 20 m, least "
-        "and most from 4 m on (MN), heap (m), Newton iterations per step, halved steps, minutes",
+        "and largest pull from 4 m on (MN), heap (m), Newton iterations per step, halved steps, "
+        "minutes",
         ("mpirun -n 2 python3 demos/studies/plough.py --distance 20",), _steady_pull,
         "{:.3f}, {:.3f}, {:.3f}–{:.3f}, {:.2f}, {:.1f}, {:.0f}, {:.0f}"),
-    Row("nitsche", STEEL, "ring held at its unfitted inner edge by Nitsche's method: order of the "
-        "displacement with ghost penalty, with aggregation",
+    Row("nitsche", STEEL, "ring, fixed at its unfitted inner edge by Nitsche's method: order of "
+        "the displacement with ghost penalty, with aggregation",
         each("nitsche_ring", "--cells 4,8,16 --positions 0",
              "--cells 4,8,16 --positions 0 --stabilisation aggregation"),
         lambda *answers: [answer["orders"][-1] for answer in answers], "{:.2f}, {:.2f}", "2"),
     Row("nitsche-kappa", STEEL, "the same ring in 200 positions, 4 cells over its thickness: worst "
-        "over best condition number, worst, with ghost penalty, with aggregation",
+        "over best condition number, worst one, with ghost penalty; with aggregation",
         each("nitsche_ring", "--cells 4 --positions 200",
              "--cells 4 --positions 200 --stabilisation aggregation"),
         lambda *answers: [f for a in answers for f in (max(a["kappas"]) / min(a["kappas"]),
                                                        max(a["kappas"]))],
         "{:.1f}, {:.0f}; {:.1f}, {:.0f}", "bounded"),
-    Row("oedometer", WATER, "consolidation to 21 % of the height, matched, constant, "
-        "Kozeny–Carman permeability: largest error of U at T = 0.05 … 1 (%)",
+    Row("oedometer", WATER, "consolidation by 21 % of the height: largest error of U at "
+        "T = 0.05 … 1 (%) with matched, constant, Kozeny–Carman permeability",
         each("consolidation", "--load 0.3", "--load 0.3 --permeability constant",
              "--load 0.3 --permeability kozeny-carman"), percent("U_error"),
         "{:.2f}, {:.2f}, {:.2f}", "exact, finite differences: 0", quick=True),
-    Row("self-weight", WATER, "the same under the layer's own weight, 12 % of the height: U, base "
-        "pressure by the weight (%)",
+    Row("self-weight", WATER, "the same by the layer's own weight, by 12 % of the height: error "
+        "of U, of the base pressure relative to the weight (%)",
         each("consolidation", "--scene self-weight --load 0.3 --permeability kozeny-carman"),
         percent("U_error", "base_pressure_error"), "{:.2f}, {:.2f}", "finite differences: 0",
         quick=True),
     Row("inf-sup", WATER, "inf-sup constant, displacement on cells of half the size: bodies of 4, "
-        "8, 12 whole cells; least of 24 cut ones with ghost penalties",
+        "8, 12 whole cells; least of 24 cut bodies with ghost penalties",
         each("inf_sup", "--pairs nested --stabilisations ghost"),
         lambda a: [*(w["beta"] for w in a["whole"]["nested"]), a["rows"][0]["beta_least"]],
         "{:.3f}, {:.3f}, {:.3f}; {:.3f}", "0.411, 0.407, 0.406"),
-    Row("first-steps", WATER, "overshoot of first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 "
-        "of a cell, ghost penalties: nested, equal order (%)",
+    Row("first-steps", WATER, "overshoot in first steps of 1e-8 … 1 h²/c_v, 10 cuts down to 1e-6 "
+        "of a cell, ghost penalties: nested grids, equal orders (%)",
         each("consolidation", f"{SWEEP} --pair nested", f"{SWEEP} --pair gimp-gimp"),
         percent("overshoot"), "{:.2f}, {:.2f}", "at most 1"),
-    Row("overshoot", WATER, "overshoot of a first step of 1e-6 h²/c_v, with and without the "
+    Row("overshoot", WATER, "overshoot in a first step of 1e-6 h²/c_v, with and without the "
         "pressure projection",
         each("consolidation", "--load 1e-3 --stabilisation none",
              "--load 1e-3 --stabilisation none --projection none"), keys("overshoot"),
@@ -145,16 +148,16 @@ ROWS = (
         "the edge", each("footing_consolidation", "--times 0.1"),
         lambda a: [a["settlement_centre"][0], a["settlement_edge"][0]], "{:.3f}, {:.3f}",
         "conforming Q2–Q1 elements: 1.493, 0.848", quick=True),
-    Row("slope-water", WATER, "saturated slope of Cam-Clay that rises fast: γ'H/c at failure, and "
-        "of a slope of that strength without water",
+    Row("slope-water", WATER, "saturated slope of Cam-Clay, fast loading: γ'H/c at failure; the "
+        "same for a slope of equal strength without water",
         each("coupled_slope", "--law cam-clay --rate fast"),
         lambda a: [run["limit"] for run in a["runs"].values()], "{:.2f}, {:.2f}",
         "Taylor 1937: 5.24"),
-    Row("cone-water", WATER, "cone in saturated Cam-Clay without drainage: error of its factor by "
-        "the clay's undrained strength (%)",
+    Row("cone-water", WATER, "cone in saturated Cam-Clay without drainage: error of the cone "
+        "factor with the clay's undrained strength (%)",
         each("cone_penetration", "--undrained"), percent("error"), "{:+.1f}",
         "Teh & Houlsby 1991: 0"),
-    Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations a "
-        "Newton iteration", each("footing_3d", "--cells 14,20 --steps 2"), iterations,
+    Row("water-3d", WATER, "square footing in 3D, 12 000 and 34 000 unknowns: linear iterations "
+        "per Newton iteration", each("footing_3d", "--cells 14,20 --steps 2"), iterations,
         "{:.0f}, {:.0f}"),
 )  # fmt: skip

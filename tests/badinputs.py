@@ -241,10 +241,10 @@ BAD = {
     "form: zero": (lambda s: s.solver(form=0), "must be a UFL form, got 0"),
     "form: empty": (lambda s: s.solver(form=ufl.Form([])), "no terms; begin with mpm.momentum"),
     "form: a list": (lambda s: s.solver(form=[s.F]), "must be a UFL form, got a list"),
-    "form: equation": (lambda s: s.solver(form=s.F == 0), "give its left side"),
+    "form: equation": (lambda s: s.solver(form=s.F == 0), "give the residual"),
     "form: compiled": (
         lambda s: s.solver(form=fem.form(ufl.inner(s.u, s.v) * ufl.dx)),
-        "UFL form that it was made",
+        "give the UFL form",
     ),
     "form: trial function": (
         lambda s: s.solver(form=s.add(ufl.inner(ufl.TrialFunction(s.lagrange), s.v) * s.points.dX)),
@@ -280,7 +280,7 @@ BAD = {
     ),
     "form: restricted at points": (
         lambda s: s.solver(form=s.add(ufl.inner(s.u("+"), s.v("+")) * s.points.dX)),
-        "one side of a facet, under a measure of points",
+        "one side of a facet, but its measure is over points",
     ),
     "form: constant without value": (
         lambda s: s.solver(form=s.add(ufl.inner(ufl.Constant(s.grid, (2,)), s.v) * s.points.dX)),
@@ -733,7 +733,7 @@ BAD = {
     ),
     "tags: a law of nobody": (
         lambda s: s.solver(form=s.momentum(tag=3) - s.v[0] * s.points.dX(3)).step(),
-        "no point has a law: those of the form are for tag=3",
+        "no point has a law: the laws are for tag=3",
     ),
     "tags: a stress of nobody": (
         lambda s: s.set_stress(np.eye(3), tag=5),
@@ -743,7 +743,10 @@ BAD = {
         lambda s: s.points + mpm.fill(s.grid, mpm.Box((0.5, 0), (2, 1)), 3, 1.0),
         "fill the cell at .* bodies overlap, or volumes are too large",
     ),
-    "points: stress without a state": (lambda s: s.stressed(), "deformation gradient alone"),
+    "points: stress without a state": (
+        lambda s: s.stressed(),
+        "only from the deformation gradient",
+    ),
     "ghost: of other points": (
         lambda s: s.solver(form=s.F + s.ghost(points=s.fill())),
         "cells or facets of other material points",

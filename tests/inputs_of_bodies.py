@@ -137,7 +137,7 @@ INPUTS = {
     'mpm.Deposit(0.0, ["sand"])': "a layer = 'sand' must be a Layer: make it with",
     "mpm.Deposit(nan, [mpm.Layer(-5.0, 18000.0, 0.5)])": "surface = nan m must be finite; nan is",
     "mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress(np.zeros((5, 2)))":
-        "x has the shape (5, 2) and must be positions (m), a",
+        "x has the shape (5, 2) and must be positions (m), one",
     'mpm.Deposit(0.0, [mpm.Layer(-5.0, 18000.0, 0.5)]).stress("a")': "x = 'a' must be numbers,",
     'mpm.Layer("a", 18000.0, 0.5)': "bottom = 'a' must be a number (m)",
     "mpm.Layer(-5.0, -18000.0, 0.5)": "unit_weight = -18000 N/m³ must be at least 0",
@@ -172,7 +172,7 @@ INPUTS = {
     "mpm.zoned_line(0.0, 4.0, 1.0, (2, 2, 2))": "zone = 1.0 must be 2 numbers, first and last",
     "mpm.zoned_line(0.0, 4.0, (1.0, 2.0), 6)": "cells = 6 must be 3 numbers, before, in and after",
     "mpm.regrid(s.solver(), [np.linspace(0, 1, 5), np.linspace(0, 2, 9)])":
-        "lines have [5, 9] coordinates, and the grid [9, 5]",
+        "lines have [5, 9] coordinates, and the grid has [9, 5]",
     "mpm.regrid(s.solver(), [np.linspace(4, 0, 17), np.linspace(0, 2, 9)])":
         "lines[0] = a ndarray must be two or more increasing",
     "mpm.regrid(s.solver(), [np.linspace(0, 4, 17)])": "lines = [a ndarray] must be two or three",
@@ -209,6 +209,6 @@ INPUTS = {
     # -- spaces
     "mpm.Space(s.grid, coarsen=0)": "coarsen = 0 must be a whole number of at least 1",
     'mpm.Space(s.grid, coarsen="2")': "coarsen = '2' must be a whole number of at least 1",
-    "mpm.Space(s.grid, coarsen=3)": "coarsen = 3 joins 3 cells to one in each direction,",
+    "mpm.Space(s.grid, coarsen=3)": "coarsen = 3 joins 3 cells per direction to one,",
     "mpm.Space(s.grid, tag=-1)": "tag = -1 must be a whole number from 0, a tuple of",
 }  # fmt: skip

@@ -79,7 +79,7 @@ RAW = {
     "gravity: downwards": (lambda s: deposit(gravity=-9.81), r"gravity = -9\.81 m/s² must be"),
     "permeability: of positions": (
         lambda s: soil(s, permeability=lambda x: x[0]),
-        "permeability, a function, failed with TypeError.* volumes J and the porosity n",
+        "permeability, a function, failed with TypeError.* volume ratio J and the porosity n",
     ),
     "permeability: nan": (lambda s: soil(s, permeability=np.nan), "nan is what a computation leav"),
     "permeability: nan in it": (

@@ -30,7 +30,8 @@ from dolfinmpm.assembly.facetpairs import (
     lattice_pair,
     local_constant,
 )
-from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors
+from dolfinmpm.assembly.facetplaces import FacetPlace
+from dolfinmpm.assembly.facettensors import FacetTensors
 from dolfinmpm.cut.facetmoduli import bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
 

@@ -216,7 +216,7 @@ def yielding() -> Any:
 FEATURES = (
     Feature("ghost penalty", lambda n: block(n, stabilisation="ghost"),
             own=("stabilisations.py", "penalties.py", "active.py:select", "facettensors.py",
-                 "splinefacets.py")),
+                 "facetplaces.py", "splinefacets.py")),
     Feature("aggregation", lambda n: block(n, stabilisation="aggregation"), without_ties,
             ("aggregation.py", "fractions.py", "prolongation.py")),
     Feature("F-bar", lambda n: block(n, fbar=True), without_means, ("fbar.py", "cellmeans.py")),

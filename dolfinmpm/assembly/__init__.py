@@ -1,1 +1,1 @@
-"""Assembly: terms at the points, over the grid, over facets of splines, and means over cells."""
+"""Assembly of terms at the points, over the grid, and over ghost facets of splines."""

@@ -1,4 +1,4 @@
-"""Point terms evaluated: nodal increments in, fluxes and tangents at the points out."""
+"""Evaluation of point terms: from nodal increments to forces and tangents."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ Array = npt.NDArray[np.float64]
 class Evaluation(ActiveTerm):
     """The point terms of a weak form on an activation.
 
-    Fluxes and tangents are pure functions of the points' state and the nodal
-    increments; `interpolate` takes the increments that the other methods go by. What laws
-    answered is kept until then, or until `commit`: a tangent, or the end of a step, at the
-    increments of the last residual asks no law a second time. The state must stay as it is
-    in between.
+    Fluxes and tangents are pure functions of the points' state and the nodal increments.
+    `interpolate` sets the increments for the other methods. Results of laws are kept until the
+    next `interpolate` or `commit`. A tangent, or the end of a step, at the increments of the last
+    residual therefore calls no law again. The state must not change in between.
 
     Args:
         regions: Terms of the parts of the body.
@@ -42,8 +41,8 @@ class Evaluation(ActiveTerm):
 
     Attributes:
         value: Increments of each field at the points, shape (points, components).
-        gradient: Their gradients, shape (points, components, gdim).
-        failure: Where a law found no stress when it was last asked, or None.
+        gradient: Gradients of the increments at the points, shape (points, components, gdim).
+        failure: The point at which a law found no stress in the last call, or None.
     """
 
     kind = "points"
@@ -83,10 +82,13 @@ class Evaluation(ActiveTerm):
             region.prepare()
 
     def motion(self, movers: Sequence[int]) -> tuple[Array, Array]:
-        """Displacements of the points and their gradients: each point's by the field that it sees.
+        """Displacements of the points (m) and their gradients, from the fields that move points.
 
         Args:
-            movers: Numbers of the fields that move points, no two of them the same ones.
+            movers: Numbers of these fields. Each point is moved by one field only.
+
+        Returns:
+            Displacements, shape (points, gdim), and gradients, shape (points, gdim, gdim).
         """
         first, *others = movers
         value, gradient = self.value[first], self.gradient[first]
@@ -118,11 +120,11 @@ class Evaluation(ActiveTerm):
             region.add_tangent(entries)
 
     def moduli(self) -> Array:
-        """Moduli of the laws' tangents now; see `dolfinmpm.cut.facetmoduli`.
+        """Moduli of the laws' present tangents; see `dolfinmpm.cut.facetmoduli`.
 
         Returns:
-            By volume at the start of the step (Pa), shape (points, 2); 0 at points of laws
-            that are no operators.
+            Moduli M and G per volume at the start of the step (Pa), shape (points, 2); 0 at points
+            of laws that are energies in UFL.
         """
         out = np.zeros((len(self._points), 2))
         for region in self.regions:
@@ -130,7 +132,10 @@ class Evaluation(ActiveTerm):
         return out
 
     def commit(self) -> dict[str, Array]:
-        """What the laws' fields are at the end of the step; `failure` tells where they are not."""
+        """New values of the laws' fields at the end of the step, by name.
+
+        If a value is not finite, `failure` has the point.
+        """
         self.failure = None
         new: dict[str, Array] = {}
         for region in self.regions:
@@ -139,16 +144,23 @@ class Evaluation(ActiveTerm):
         return new
 
     def blame(self, point: int) -> None:
-        """Take a point of this rank for the one that failed."""
+        """Set a point of this rank as the point that failed.
+
+        Args:
+            point: Number of the point.
+        """
         self.failure = PointFailure(point, "")
 
     def run(self, slots: Slots, program: Program, rows: npt.NDArray[np.integer]) -> Array:
-        """A program of state and increments at some points, shape (len(rows), size).
+        """Run a program of state and increments at some points.
 
         Args:
-            slots: What the program is made of; a law is zero at points that are not its own.
+            slots: Slots of the program. A law is zero at points with other laws.
             program: The program.
-            rows: Which points.
+            rows: Numbers of the points, shape (n,).
+
+        Returns:
+            The values, shape (n, program.size).
         """
         data: dict[tuple, Array] = {}
         for key in program.inputs:
@@ -167,7 +179,7 @@ class Evaluation(ActiveTerm):
         return values
 
     def _asked(self, operator: PointOperator, rows: npt.NDArray[np.integer]) -> Array:
-        """Value of an operator at some points; not numbers where it has none."""
+        """Values of an operator at some points; NaN if its law finds no stress."""
         size = int(np.prod(operator.ufl_shape))
         everywhere = np.zeros((len(self._points), size))
         for region in self.regions:

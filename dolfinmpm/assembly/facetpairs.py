@@ -1,18 +1,18 @@
-"""The penalty that two cells at a facet need, from an eigenproblem of these two alone.
+"""The penalty for the facet between two cells, from an eigenproblem of these two cells.
 
-Let one cell be full and the other empty but for next to nothing. The energy that the
-empty one would have were it full is bounded by the energy that there is, of the full cell and
-of the penalty γ J:
+Let one cell be full and the other cell almost empty. K_cut is the stiffness that the almost empty
+cell would have if it were full. Its energy is bounded by the energy of the full cell and of the
+penalty γ J:
 
     u·K_cut u ≤ C (u·K_full u + γ u·J u)  for all u.
 
-The *local constant* C is what conditioning, stable steps and unfitted conditions depend on. It
-falls with γ to the constant C∞ of functions without jumps. The least γ by which it is no more
-than a target T > C∞ follows from one eigenproblem: T K_full − K_cut + γ T J ≥ 0 on functions of the
-cells; those without jumps are eliminated, and what remains is bounded by J.
+Conditioning, stable steps and unfitted conditions depend on this *local constant* C. With
+increasing γ, C falls to the constant C∞ of functions without jumps. The least γ with C ≤ T, for a
+target T > C∞, follows from one eigenproblem: T K_full − K_cut + γ T J ≥ 0 on the functions of the
+two cells. Functions without jumps are eliminated. The rest is bounded by J.
 
-Moduli enter by the ratio of G to M alone, the penalty being proportional to M. It is computed at
-equal intervals of the ratio, as far as these are needed, and interpolated.
+The penalty is proportional to the modulus M, and otherwise depends only on the ratio G/M. It is
+computed at equal intervals of this ratio, where needed, and interpolated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm.assembly.facettensors import FacetPlace, one_dimensional, product
+from dolfinmpm.assembly.facetplaces import FacetPlace, one_dimensional, product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import cell_size
 
@@ -45,40 +45,37 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-# Intervals of the ratio G/M. A linear penalty changes by 4 % in the widest of them.
+# Number of intervals of the ratio G/M. A linear penalty changes by at most 4 % in an interval.
 INTERVALS = 32
-# C∞ times this is the least constant aimed at: next to C∞ itself the penalty goes to infinity.
+# Least target, over C∞: near C∞ the penalty goes to infinity.
 LEAST_TARGET = 2.0
-# Eigenvalues of a matrix that are rounding of 0, by the largest.
+# Eigenvalues below this share of the largest one are rounding errors of 0.
 _NONE = 1e-10
 
 
 def _parted(A: Array) -> tuple[Array, Array]:
-    """Vectors between which a matrix is zero, and those between which it is the identity."""
+    """Null space of a symmetric matrix, and scaled eigenvectors that turn it into the identity."""
     values, vectors = np.linalg.eigh(A)
     some = values > _NONE * values[-1]
     return vectors[:, ~some], vectors[:, some] / np.sqrt(values[some])
 
 
 def local_constant(full: Array, cut: Array, penalty: Array) -> float:
-    """C of two cells, the largest eigenvalue of K_cut u = C (K_full + γ J) u.
+    """Local constant C of two cells: the largest eigenvalue of K_cut u = C (K_full + γ J) u.
 
     Args:
-        full: K_full, shape (n, n).
-        cut: K_cut, likewise.
-        penalty: γ J, likewise.
+        full, cut, penalty: K_full, K_cut and γ J, shape (n, n).
     """
     _, own = _parted(full + penalty)
     return float(np.linalg.eigvalsh(own.T @ cut @ own)[-1])
 
 
 def smooth_constant(full: Array, cut: Array, smooth: Array) -> float:
-    """C∞ of two cells, by functions without jumps.
+    """Constant C∞ of two cells, with functions without jumps.
 
     Args:
-        full: K_full, shape (n, n).
-        cut: K_cut, likewise.
-        smooth: The functions, shape (n, m).
+        full, cut: K_full and K_cut, shape (n, n).
+        smooth: The functions without jumps, shape (n, m).
     """
     _, own = _parted(smooth.T @ full @ smooth)
     own = smooth @ own
@@ -86,20 +83,19 @@ def smooth_constant(full: Array, cut: Array, smooth: Array) -> float:
 
 
 def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
-    """The least γ by which the local constant is no more than a target.
+    """The least γ for which the local constant is at most a target.
 
-    Where the target is less than 2 C∞, that is aimed at.
+    A target below 2 C∞ is replaced by 2 C∞.
 
     Args:
-        full: K_full, shape (n, n).
-        cut: K_cut, likewise.
-        J: The penalty by γ, likewise.
-        target: T.
+        full, cut: K_full and K_cut, shape (n, n).
+        J: The penalty over γ, shape (n, n).
+        target: The target T.
     """
     smooth, jumps = _parted(J)
     target = max(target, LEAST_TARGET * smooth_constant(full, cut, smooth))
     A = target * full - cut
-    # rigid motions, and what neither cell resists, are in no need
+    # rigid motions, and motions that neither cell resists, need no penalty
     inner, across = smooth.T @ A @ smooth, smooth.T @ A @ jumps
     values, vectors = np.linalg.eigh(inner)
     some = values > _NONE * values[-1]
@@ -109,7 +105,7 @@ def least_penalty(full: Array, cut: Array, J: Array, target: float) -> float:
 
 
 def isotropic(M: float, G: float, gdim: int) -> Array:
-    """The isotropic tangent of two moduli, shape (gdim,) * 4."""
+    """Isotropic tangent with the moduli M and G (Pa), shape (gdim, gdim, gdim, gdim)."""
     one = np.eye(gdim)
     shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
     return (M - 2 * G) * np.einsum("ij,kl->ijkl", one, one) + G * shear
@@ -120,19 +116,19 @@ class Pair:
 
     Args:
         gradients: ∫ ∂_i N_a ∂_k N_b of each cell, shape (2, gdim, functions, gdim, functions).
-        J: The penalty by γ, between functions and components, shape (n, n).
+        J: The penalty over γ, between functions and components, shape (n, n).
     """
 
     def __init__(self, gradients: Array, J: Array):
         self._gradients, self.J = gradients, J
 
     def stiffness(self, tangent: Array) -> Array:
-        """Of both cells under a tangent D_ijkl (Pa), shape (2, n, n)."""
+        """Stiffness of both cells with a tangent D_ijkl (Pa), shape (2, n, n)."""
         K = np.einsum("risk,ciakb->carbs", tangent, self._gradients)
         return K.reshape(2, *self.J.shape)
 
     def penalty(self, ratio: float, target: float) -> float:
-        """The least γ for a target, whichever cell is cut, for M = 1 and G = ratio."""
+        """The least γ for a target, whichever of the cells is cut, with M = 1 and G = ratio."""
         first, second = self.stiffness(isotropic(1.0, ratio, self._gradients.shape[1]))
         return max(
             least_penalty(first, second, self.J, target),
@@ -144,15 +140,15 @@ def by_ratio(
     kept: Array, ratios: Array, kind: npt.NDArray[np.integer], pairs: Sequence[Callable[[], Pair]],
     target: float,
 ) -> Array:  # fmt: skip
-    """Penalties at facets for M = 1, alike ones computed once, shape (facets,).
+    """Penalties at facets for M = 1, shape (facets,). Facets of one kind share computations.
 
     Args:
-        kept: Those known, by kind and place on the line of ratios, not a number where unknown;
-            shape (kinds, INTERVALS + 1); completed.
+        kept: Known penalties by kind and ratio, NaN if unknown, shape (kinds, INTERVALS + 1).
+            Missing penalties are computed and written to it.
         ratios: G/M of every facet, shape (facets,).
-        kind: Kind of every facet, likewise.
-        pairs: What makes the pair of cells of a kind.
-        target: Constant aimed at.
+        kind: Kind of every facet, shape (facets,).
+        pairs: Function that makes the pair of cells, for every kind.
+        target: Target of the local constant.
     """
     at = np.clip(ratios, 0.0, 1.0) * INTERVALS
     low = np.minimum(at.astype(int), INTERVALS - 1)
@@ -173,7 +169,7 @@ def lattice_pair(place: FacetPlace, degree: int, tensor: Array) -> Pair:
     Args:
         place: The facet.
         degree: Degree of the splines.
-        tensor: Tensor of the penalty by γ; see `FacetTensors`.
+        tensor: Tensor of the penalty over γ; see `FacetTensors`.
     """
     d, n = len(place.lines), tensor.shape[0]
     gradients = np.empty((2, d, n, d, n))
@@ -189,13 +185,13 @@ def lattice_pair(place: FacetPlace, degree: int, tensor: Array) -> Pair:
 
 
 class MeshPairs:
-    """The two cells at facets of any mesh with straight edges, under linear functions.
+    """The two cells at a facet of any mesh with straight edges, with linear functions.
 
-    The penalty is the `ghost` one of first derivatives, with the sizes of cells in it.
+    The penalty is the penalty of `ghost` on first derivatives, with the sizes of the cells.
 
     Args:
         space: Space of the increment.
-        scaling: Of the penalty; see `ghost`.
+        scaling: Scaling of the penalty; see `ghost`.
     """
 
     def __init__(self, space: Space, scaling: str):
@@ -217,7 +213,7 @@ class MeshPairs:
         return np.asarray(x[:, : self._grid.geometry.dim])
 
     def _slopes(self, cell: int, X: Array) -> tuple[Array, Array]:
-        """Gradients (points, functions, gdim) and |det J| at reference points."""
+        """Gradients (1/m), shape (points, functions, gdim), and |det J| at reference points."""
         x = self._coordinates(cell)
         J = np.einsum("jpn,ni->pij", self._shape.tabulate(1, X)[1:, :, :, 0], x)
         own = self._element.tabulate(1, X)[1:, :, :, 0]
@@ -225,7 +221,7 @@ class MeshPairs:
         return slopes, np.abs(np.linalg.det(J))
 
     def __call__(self, row: npt.NDArray[np.int32]) -> Pair:
-        """The pair at a facet, given as (cell, local facet, cell, local facet)."""
+        """The pair of cells at a facet, given as (cell, local facet, cell, local facet)."""
         cells, d = (int(row[0]), int(row[2])), self._grid.geometry.dim
         nodes = np.concatenate([self._nodes[c] for c in cells])
         number, place = np.unique(nodes, return_inverse=True)
@@ -251,7 +247,7 @@ class MeshPairs:
         return Pair(gradients, np.asarray(np.kron(J, np.eye(d)), float))
 
     def _along(self, corners: int) -> tuple[Array, Array]:
-        """Coordinates in a facet with so many corners, and weights."""
+        """Quadrature points and weights on a facet with a number of corners."""
         if corners == 1:
             return np.empty((1, 0)), np.ones(1)
         cell = basix.CellType
@@ -263,7 +259,7 @@ class MeshPairs:
         return np.array(points, float), np.array(weights, float)
 
     def _matched(self, cells: tuple[int, int], facets: tuple[int, int]) -> tuple[Array, Array]:
-        """Corners of a facet in the reference cells of both its cells, in one order."""
+        """Corners of a facet in the reference cells of its two cells, in the same order."""
         at, x = [], []
         for cell, facet in zip(cells, facets):
             at.append(self._corners[self._facets[facet]])
@@ -273,7 +269,7 @@ class MeshPairs:
 
 
 def _normal(edges: Array) -> tuple[Array, float]:
-    """Normal of a flat facet, of either sign, and the size of the box of its edges."""
+    """Unit normal of a flat facet, of either sign, and length or area spanned by its edges."""
     if edges.shape[1] == 1:
         return np.ones(1), 1.0
     across = np.array([edges[0, 1], -edges[0, 0]]) if len(edges) == 1 else np.cross(*edges)

@@ -1,15 +1,15 @@
-"""Facet tensors of splines of any degree from one-dimensional ones, without a compiled kernel.
+"""Element tensors of facets for splines of any degree, from one-dimensional matrices.
 
-On a facet of a rectangular grid a bilinear form is a sum of products of derivatives of
-splines, each of which is a product of derivatives along the axes: of values on the two
-sides across the facet, and of integrals over one edge of a cell in every direction along it.
+No kernel is compiled. On a facet of a rectangular grid, a bilinear form is a sum of products of
+derivatives of splines. Each derivative is a product of one-dimensional derivatives. Normal to the
+facet, the factors are values at the facet from both sides. Along the facet, the factors are
+integrals over the edges of a cell.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,19 +28,13 @@ from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.compat import geometric_dimension, restrict
+from dolfinmpm.assembly.facetplaces import FacetPlace, gauss_rule, product, splines
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
-__all__ = [
-    "FacetPlace",
-    "FacetTensors",
-    "facet_moduli",
-    "one_dimensional",
-    "product",
-    "readable",
-]
+__all__ = ["FacetTensors", "facet_moduli", "readable"]
 
 Array = npt.NDArray[np.float64]
-# what has one value on each side, and what is made of such values here
+# terminals with one value on each side, and operators on such values
 # fmt: off
 _TERMINALS = (
     Argument, classes.CellVolume, classes.ConstantValue, FacetArea, FacetModulus, FacetNormal,
@@ -54,34 +48,8 @@ _OPERATORS = (
 # fmt: on
 
 
-@dataclass(frozen=True)
-class FacetPlace:
-    """Where a facet is in a lattice.
-
-    Attributes:
-        lines: Coordinates of the lattice's nodes in each direction (m).
-        low: Lattice position of the lower of its two cells.
-        direction: Direction from that to the other.
-        swapped: Whether the upper cell is the first one, "+".
-    """
-
-    lines: Sequence[Array]
-    low: tuple[int, ...]
-    direction: int
-    swapped: bool
-
-    def cell(self, side: str) -> tuple[int, ...]:
-        """Lattice position of the cell on a side."""
-        upper = (side == "+") == self.swapped
-        return tuple(i + (upper and d == self.direction) for d, i in enumerate(self.low))
-
-    def sizes(self, side: str) -> tuple[float, ...]:
-        """Edges of the cell on a side (m)."""
-        return tuple(float(x[i + 1] - x[i]) for x, i in zip(self.lines, self.cell(side)))
-
-
 class _Facing(MultiFunction):
-    """An expression with the normal of its facet as numbers, by which most of it vanishes."""
+    """Replaces the normal of a facet by numbers; most terms then vanish."""
 
     def __init__(self, place: FacetPlace):
         super().__init__()
@@ -92,37 +60,37 @@ class _Facing(MultiFunction):
     expr = MultiFunction.reuse_if_untouched
 
     def restricted(self, o):
-        # that of the second side was made one of the first before
+        # the normal of the second side has been replaced by the first side's normal before
         return self._normal if isinstance(o.ufl_operands[0], FacetNormal) else o
 
 
 def _restricted(form: ufl.Form) -> ufl.Form:
-    """The form with terminals restricted as FFCx restricts them."""
+    """The form with restricted terminals, as in FFCx."""
     form = apply_derivatives(remove_complex_nodes(apply_algebra_lowering(form)))
     return restrict(form)
 
 
 def facet_moduli(form: ufl.Form) -> list[FacetModulus]:
-    """The moduli in a form that have a value at each facet."""
+    """The moduli of facets in a form."""
     return [c for c in form.coefficients() if isinstance(c, FacetModulus)]
 
 
 def readable(form: ufl.Form, size: fem.Constant | fem.Function) -> bool:
-    """Whether `FacetTensors` can read a form over ghost facets.
+    """Whether `FacetTensors` can evaluate a form over ghost facets.
 
-    It must hold nothing that varies in space but arguments, the size of cells and moduli of
-    facets, and be integrated by Gauss's rule of any degree.
+    In such a form only arguments, sizes of cells and moduli of facets vary in space. Its metadata
+    contain at most a quadrature degree.
 
     Args:
         form: The form.
-        size: The `cell_size` of its space.
+        size: The `cell_size` of the form's space.
     """
     if any(integral.metadata().keys() - {"quadrature_degree"} for integral in form.integrals()):
         return False
     try:
         integrals = _restricted(form).integrals()
     except ValueError:
-        # without a side where one is needed: FFCx says so
+        # a restriction is missing: FFCx reports it
         return False
     return all(
         node is size or isinstance(node, _TERMINALS if node._ufl_is_terminal_ else _OPERATORS)
@@ -137,9 +105,9 @@ class _Factor:
 
     Attributes:
         number: 0 for the test function, 1 for the increment.
-        component: Of the argument's value.
+        component: Component of the argument's value.
         side: "+" or "-".
-        powers: How often it is differentiated along each direction.
+        powers: Order of the derivative in each direction.
     """
 
     number: int
@@ -149,7 +117,7 @@ class _Factor:
 
 
 def _split(o: Expr) -> tuple[Expr, tuple[int, ...], str, int]:
-    """A terminal without its index, its side and its derivatives, and these."""
+    """Split a term into its terminal, index, side and order of derivatives."""
     side, order = "+", 0
     index: tuple[int, ...] = ()
     while isinstance(o, (Restricted, Indexed, Grad)):
@@ -164,7 +132,7 @@ def _split(o: Expr) -> tuple[Expr, tuple[int, ...], str, int]:
 
 
 def _leaves(o: Expr) -> Iterator[Expr]:
-    """Terminals with their index and side."""
+    """Terminals of an expression, with index and side."""
     if isinstance(o, (Restricted, Indexed)) or o._ufl_is_terminal_:
         yield o
     else:
@@ -173,7 +141,7 @@ def _leaves(o: Expr) -> Iterator[Expr]:
 
 
 def _factor(o: Expr) -> _Factor | None:
-    """What an indexed or restricted terminal says of an argument, or None."""
+    """The factor of an indexed or restricted argument, or None for other terminals."""
     argument, index, side, order = _split(o)
     if not isinstance(argument, Argument):
         return None
@@ -187,7 +155,7 @@ def _factor(o: Expr) -> _Factor | None:
 
 
 class _Numbers(MultiFunction):
-    """The value of an integrand at a facet, the factors' being given."""
+    """Evaluates an integrand at a facet, with given values of its factors."""
 
     def __init__(self, place: FacetPlace, factors: dict[_Factor, Array], one: FacetModulus | None):
         super().__init__()
@@ -212,16 +180,9 @@ class _Numbers(MultiFunction):
             sizes = tuple(h for d, h in enumerate(sizes) if d != place.direction)
         return math.prod(sizes)
 
-    # handlers, named as UFL names its types; one without operands stops there
+    # handlers: UFL calls them by the names of its types; without operands as arguments it stops
 
-    def terminal(self, o):
-        return self._value(o)
-
-    def indexed(self, o):
-        return self._value(o)
-
-    def restricted(self, o):
-        return self._value(o)
+    terminal = indexed = restricted = _value
 
     def zero(self, o):
         return 0.0
@@ -245,12 +206,12 @@ class _Numbers(MultiFunction):
         return abs(a)
 
     def math_function(self, o, a):
-        # UFL evaluates functions of numbers
+        # UFL evaluates functions of numbers itself
         return float(type(o)(ufl.as_ufl(a)))
 
 
 class _Integral:
-    """One integral of a form over facets that face one way, and the factors that are in it."""
+    """One integral of a form over facets with one normal, and its factors."""
 
     def __init__(self, integral: ufl.Integral, facing: _Facing):
         self.integrand = expand_indices(map_expr_dag(facing, integral.integrand()))
@@ -258,7 +219,7 @@ class _Integral:
         self.gauss = None if degree is None else max(1, (int(degree) + 2) // 2)
         found = {_factor(o) for o in _leaves(self.integrand)}
         factors = sorted((f for f in found if f), key=lambda f: (f.side, f.powers, f.component))
-        # what differs in the component alone shares its matrices
+        # factors that differ only in the component share their matrices
         self.keys = [
             list(dict.fromkeys((f.side, f.powers) for f in factors if f.number == n))
             for n in (0, 1)
@@ -266,16 +227,16 @@ class _Integral:
         self.factors = [f for f in factors if f]
 
     def weights(self, place: FacetPlace, components: int, one: FacetModulus | None) -> Array:
-        """What each product of a factor of the test function and one of the increment counts.
+        """Weights of all products of a test function's factor and an increment's factor.
 
         Args:
             place: The facet.
-            components: Components of the arguments.
-            one: The modulus that is 1; others are 0.
+            components: Number of components of the arguments.
+            one: The modulus that is 1; other moduli are 0.
 
         Returns:
-            Shape (sides and derivatives of the test function, components, those of the
-            increment, components).
+            Weights, shape (sides and derivatives of the test function, components, sides and
+            derivatives of the increment, components).
         """
         sizes = [len(keys) * components for keys in self.keys]
         values: dict[_Factor, Array] = {}
@@ -290,84 +251,20 @@ class _Integral:
         return np.broadcast_to(result, sizes).reshape(shape)
 
 
-_gauss = functools.cache(np.polynomial.legendre.leggauss)
-
-
-def _splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
-    """Derivatives of the functions of a cell, continued beyond it, shape (x, functions).
-
-    By the recursions of Cox and de Boor for values, then those for derivatives (de Boor, A
-    Practical Guide to Splines, 1978, ch. X).
-    """
-    knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
-    t, p = knots[cell : cell + 2 * degree + 2], degree
-    values: Array = np.ones((x.size, 1))
-    for k in range(1, p + 1):
-        # functions p − k + 1 ... p of degree k − 1 begin at `start` and end at `end`
-        start, end = t[p - k + 1 : p + 1], t[p + 1 : p + k + 1]
-        share = values / (end - start)
-        before = np.zeros((x.size, k + 1))
-        after = np.zeros((x.size, k + 1))
-        if k > p - order:
-            before[:, 1:], after[:, :-1] = k * share, -k * share
-        else:
-            before[:, 1:] = (x[:, None] - start) * share
-            after[:, :-1] = (end - x[:, None]) * share
-        values = before + after
-    return values
-
-
-def one_dimensional(
-    place: FacetPlace, side: str, direction: int, degree: int
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Integrals over a cell's edge along one direction of the splines around a facet.
-
-    Args:
-        place: The facet.
-        side: That of the cell, "+" or "-".
-        direction: The direction.
-        degree: Degree of the splines.
-
-    Returns:
-        Matrices of ∫ N_a^(i) N_b^(k), by the numbers i and k of derivatives, 0 or 1.
-    """
-    line, cell, low = place.lines[direction], place.cell(side)[direction], place.low[direction]
-    points, weights = _gauss(degree + 1)
-    h = line[cell + 1] - line[cell]
-    x = line[cell] + 0.5 * h * (points + 1)
-    values = np.zeros((2, x.size, degree + 1 + (direction == place.direction)))
-    for order in (0, 1):
-        values[order, :, cell - low : cell - low + degree + 1] = _splines(
-            line, degree, cell, x, order
-        )
-    first, second = (
-        tuple((0.5 * h * weights * values[i].T) @ values[k] for k in (0, 1)) for i in (0, 1)
-    )
-    return first, second
-
-
-def product(lines: Sequence[Array]) -> Array:
-    """Kronecker product of matrices, one per direction."""
-    product: Array = np.ones((1, 1))
-    for matrix in lines:
-        product = np.asarray(np.kron(product, matrix))
-    return product
-
-
 class FacetTensors:
     """Element tensors of a bilinear form over facets, between splines.
 
     Args:
-        form: The form, which is `readable`.
+        form: The form; `readable` must be true for it.
         degree: Degree of the splines.
-        components: Components of the arguments.
+        components: Number of components of the arguments.
     """
 
     def __init__(self, form: ufl.Form, degree: int, components: int):
         self._degree = degree
         self._components = components
         self._form = _restricted(form)
-        # by the facet's direction and whether its first cell is the upper one
+        # by direction of the facet, and whether its first cell is the upper cell
         self._facing: dict[tuple[int, bool], list[_Integral]] = {}
 
     def __call__(self, place: FacetPlace, one: FacetModulus | None = None) -> Array:
@@ -375,12 +272,12 @@ class FacetTensors:
 
         Args:
             place: The facet.
-            one: The modulus that is 1; others are 0.
+            one: The modulus that is 1; other moduli are 0.
 
         Returns:
-            Shape (splines, splines, n). The splines are those of the two cells, the last
-            direction running fastest; n is the number of pairs of components, or 1 if
-            components do not mix, as in a ghost penalty: then for all of them.
+            The tensor, shape (splines, splines, n), between the splines of the two cells, with the
+            last direction fastest. n is the number of pairs of components. n is 1 if components
+            are not coupled and have the same tensor, as in a ghost penalty.
         """
         c = self._components
         facing = place.direction, place.swapped
@@ -404,7 +301,7 @@ class FacetTensors:
         return total
 
     def _lines(self, place: FacetPlace, first, second, gauss: int | None) -> list[Array]:
-        """Matrices between two derivatives on their sides, one per direction."""
+        """Matrices of two derivatives on their sides, one matrix per direction."""
         matrices: list[Array] = []
         for d, line in enumerate(place.lines):
             low = place.low[d]
@@ -412,21 +309,22 @@ class FacetTensors:
                 a, b = (self._across(place, side, powers[d]) for side, powers in (first, second))
                 matrices.append(a[:, None] * b)
                 continue
-            points, weights = _gauss(gauss or self._degree + 1)
+            points, weights = gauss_rule(gauss or self._degree + 1)
             h = line[low + 1] - line[low]
             x = line[low] + 0.5 * h * (points + 1)
-            a, b = (
-                _splines(line, self._degree, low, x, powers[d]) for _, powers in (first, second)
-            )
+            a, b = (splines(line, self._degree, low, x, powers[d]) for _, powers in (first, second))
             matrices.append((0.5 * h * weights * a.T) @ b)
         return matrices
 
     def _across(self, place: FacetPlace, side: str, order: int) -> Array:
-        """Derivatives at the facet of the splines across it; one is zero in the side's cell."""
+        """Derivatives at the facet of the splines normal to it, from the cell on a side.
+
+        The spline that does not reach this cell has the value 0.
+        """
         line, cell = place.lines[place.direction], place.cell(side)[place.direction]
         low = place.low[place.direction]
         values = np.zeros(self._degree + 2)
         at = line[low + 1 : low + 2]
         own = slice(cell - low, cell - low + self._degree + 1)
-        values[own] = _splines(line, self._degree, cell, at, order)[0]
+        values[own] = splines(line, self._degree, cell, at, order)[0]
         return values

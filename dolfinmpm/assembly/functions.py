@@ -1,4 +1,4 @@
-"""DOLFINx functions at material points, whichever rank computes these."""
+"""Values of DOLFINx functions at material points, on any distribution of the points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,16 @@ Array = npt.NDArray[np.float64]
 
 
 def function_values(function: fem.Function, gradient: bool, points: MaterialPoints) -> Array:
-    """A DOLFINx function, or its gradient, at the points."""
+    """Values of a DOLFINx function, or of its gradient, at the points. Collective.
+
+    Args:
+        function: The function.
+        gradient: Whether the gradient is wanted.
+        points: Material points.
+
+    Returns:
+        Values, shape (points, size).
+    """
     if gradient:
         shape = (*function.ufl_shape, points.gdim)
         degree = max(function.function_space.ufl_element().embedded_superdegree, 1)
@@ -29,7 +38,7 @@ def function_values(function: fem.Function, gradient: bool, points: MaterialPoin
         function = slope
     if points.partition is None:
         return _values(function, points["x"], points["cell"])
-    # the ranks that have the cells in DOLFINx's mesh are asked
+    # ask the ranks that own the cells in DOLFINx's mesh
     comm, to = points.comm, destinations(points.grid, points["x"], points["cell"])
     first = points.grid.topology.index_map(points.gdim).local_range[0]
     row = np.arange(len(points), dtype=np.int64)
@@ -43,7 +52,7 @@ def function_values(function: fem.Function, gradient: bool, points: MaterialPoin
 
 
 def _values(function: fem.Function, positions: Array, cells) -> Array:
-    """A DOLFINx function at positions in cells of this rank, shape (n, values)."""
+    """Values of a DOLFINx function at positions in cells of this rank, shape (n, size)."""
     if len(positions) == 0:
         return np.empty((0, int(np.prod(function.ufl_shape, dtype=int))))
     x = np.zeros((len(positions), 3))

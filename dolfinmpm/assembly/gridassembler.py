@@ -1,4 +1,4 @@
-"""Terms over cells and facets of the grid, assembled by DOLFINx."""
+"""Assembly of terms over cells and facets of the grid, by DOLFINx."""
 
 from __future__ import annotations
 
@@ -83,17 +83,17 @@ class _Block:
         self._entities: Entities | None = None
         self._matrix: Any = None
         self._moduli = facet_moduli(form)
-        # where kernels read them, and penalties of facets by the ratio of moduli
+        # columns of the moduli in packed coefficients, and penalties of facets by ratio of moduli
         self._columns: list[dict[Any, npt.NDArray[np.intp]]] = []
         self._penalties: dict[tuple[int, ...], Array] = {}
 
     def renew(self) -> None:
-        """Forget what was integrated over, if it moves."""
+        """Forget the integration domains if they move with the body."""
         if self.moving:
             self._form = None
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were."""
+        """Forget values that belong to the old lines of the grid."""
         self._form, self._penalties = None, {}
 
     def attach(self, entities: Entities) -> None:
@@ -116,7 +116,7 @@ class _Block:
             A, n = self._matrix, int(self._matrix.indptr[-1])
             self.rows, self.columns = np.empty(n, np.int32), np.empty(n, np.int32)
             _entries(A.indptr, A.indices, self.rows, self.columns)
-            # beyond the known nodes stand columns of what other ranks add to rows owned here
+            # columns behind the known nodes belong to other ranks' shares of owned rows
             nodes = spaces[1].dofmap.index_map
             self._keep = None
             if self._grid.comm.size > 1:
@@ -130,7 +130,7 @@ class _Block:
         out += values.reshape(out.shape)
 
     def matrix(self) -> Array:
-        """This rank's share of the assembled matrix, as blocks between `rows` and `columns`."""
+        """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
         for modulus in self._moduli:
             modulus.values = self._scaled(modulus)
         self._matrix.set_value(0.0)
@@ -141,10 +141,10 @@ class _Block:
         return blocks if self._keep is None else blocks[self._keep]
 
     def _columns_of(self, modulus: FacetModulus) -> dict[Any, npt.NDArray[np.intp]]:
-        """Where a facet's packed coefficients hold a modulus, by kind and id of integrals.
+        """Columns of a modulus in the packed coefficients of a facet, by kind and id of integrals.
 
-        DOLFINx has two rows a facet, which kernels read as one: each coefficient's values on both
-        sides, one coefficient after the other.
+        DOLFINx packs two rows per facet, and kernels read them as one row: the values of each
+        coefficient on both sides, coefficient by coefficient.
         """
         packed = []
         for value in (1.0, 0.0):
@@ -158,7 +158,7 @@ class _Block:
         return found
 
     def _packed(self) -> Any:
-        """Coefficients with the moduli of the facets in their places; None if there are none."""
+        """Packed coefficients with the moduli of the facets; None for a form without moduli."""
         if not self._moduli:
             return None
         packed = pack_coefficients(self._form)
@@ -196,14 +196,14 @@ class GridAssembler:
 
     Attributes:
         terms: The terms.
-        moving: Subdomain ids of facets and cells that they integrate over as they are active.
+        moving: Subdomain ids of ghost facets and active cells in the terms.
     """
 
     def __init__(self, terms: GridTerms, spaces: Sequence[Space]):
         self.terms = terms
         self._spaces = list(spaces)
         self._external = self._linear_forms(terms.external)
-        # what is linear in the increments acts through its Jacobian alone
+        # terms that are linear in the increments act only by their Jacobian
         self._internal = {} if terms.linear else self._linear_forms(terms.internal)
         self._jacobian: dict[tuple[int, int], _Block | FacetBlock] | None = None
         self._attached: Sequence[Entities] | None = None
@@ -213,7 +213,7 @@ class GridAssembler:
 
     @functools.cached_property
     def moduli(self) -> list[FacetModulus]:
-        """Moduli in the terms that have a value at each facet."""
+        """Moduli of facets in the terms."""
         forms = [form for form in self.terms.internal if form is not None]
         found = {id(m): m for form in forms for m in facet_moduli(form)}
         return list(found.values())
@@ -237,13 +237,13 @@ class GridAssembler:
 
     @property
     def splines(self) -> set[tuple[int, int]]:
-        """Row and column fields between which the tangent stands between splines."""
+        """Pairs (row field, column field) whose tangent is a `FacetBlock` between splines."""
         blocks = self._blocks()
         return {pair for pair, block in blocks.items() if isinstance(block, FacetBlock)}
 
     @property
     def spline_blocks(self) -> list[FacetBlock]:
-        """What is integrated facet by facet between splines, as far as a tangent was asked for."""
+        """Blocks over facets between splines; empty before the first tangent."""
         return [b for b in (self._jacobian or {}).values() if isinstance(b, FacetBlock)]
 
     def _blocks(self) -> dict[tuple[int, int], _Block | FacetBlock]:
@@ -261,7 +261,11 @@ class GridAssembler:
         return self._jacobian
 
     def attach(self, fields: Sequence[ActiveField]) -> None:
-        """Integrate over these fields' ghost facets and active cells from now on. Collective."""
+        """Set the ghost facets and active cells of the fields as integration domains. Collective.
+
+        Args:
+            fields: Active fields.
+        """
         if not self.terms:
             return
         entities = [field.entities for field in fields]
@@ -285,7 +289,7 @@ class GridAssembler:
                 block.attach(self._attached[k])
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were."""
+        """Forget values that belong to the old lines of the grid."""
         self._attached = None
         for block in [*self._vectors, *(self._jacobian or {}).values()]:
             block.regrid()
@@ -293,8 +297,11 @@ class GridAssembler:
     def tangent(self, fields: Sequence[ActiveField]) -> list[Blocks]:
         """Tangent of the internal terms between the solver's nodes. Collective.
 
-        `attach` must have been called for the fields. Where the terms are not linear the
-        increments that count are those that the DOLFINx functions hold.
+        Call `attach` for the fields before. Nonlinear terms take the increments from the DOLFINx
+        functions.
+
+        Args:
+            fields: Active fields.
         """
         made = []
         entities = self._attached or []
@@ -305,8 +312,8 @@ class GridAssembler:
                 block.attach(entities[i], basis)
                 T = [fields[i].C, fields[j].C]
             else:
-                # where two fields meet, the facets of the one that sees fewer cells: points
-                # without domains are in one each
+                # two fields: take the facets of the field that sees fewer cells, which is a field
+                # whose points have no domains
                 fewer = min((i, j), key=lambda k: fields[k].basis.averaged)
                 block.attach(entities[fewer])
                 T = [fields[i].to_grid, fields[j].to_grid]
@@ -315,11 +322,21 @@ class GridAssembler:
         return made
 
     def add_external(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:
-        """Add the forces that do not depend on the increments, (nodes, components) each field."""
+        """Add the forces that do not depend on the increments.
+
+        Args:
+            fields: Active fields.
+            out: Nodal forces (N) of each field, shape (nodes, components).
+        """
         self._add(self._external, fields, out)
 
     def add_internal(self, fields: Sequence[ActiveField], out: Sequence[Array]) -> None:
-        """Add the forces that do, for the increments that the DOLFINx functions hold."""
+        """Add the forces that depend on the increments, at the values of the DOLFINx functions.
+
+        Args:
+            fields: Active fields.
+            out: Nodal forces (N) of each field, shape (nodes, components).
+        """
         self._add(self._internal, fields, out)
 
     def _add(self, forms: dict[int, _Block], fields, out: Sequence[Array]) -> None:

@@ -1,13 +1,13 @@
-"""The penalty that Nitsche's method needs, from eigenproblems of the cells at the boundary.
+"""The penalty of Nitsche's method, from eigenproblems of the cells at the boundary.
 
-The method is stable if k exceeds the constant of ∫ |σ(v) n|² da ≤ k a(v, v), with a the elastic
-energy of the points and of what stabilisations add to it: the ghost penalty, or the nodes that
-aggregation ties. Neither a number of M/h nor the size of a cut will do: a cell of which the body
-fills next to nothing has as much energy as its stabilisation gives it, and no more.
+The method is stable if k exceeds the constant of ∫ |σ(v) n|² da ≤ k a(v, v). The energy a contains
+the elastic energy of the points and the stabilisation: the ghost penalty, or the constraints of
+aggregation. A fixed multiple of M/h is not enough, and the size of the cut part does not tell the
+constant either. An almost empty cell has only the energy of its stabilisation.
 
-Around every cell at the boundary the largest eigenvalue of the two forms is taken among functions
-that are zero beyond some layers of nodes. Tractions belong to differences of near nodes, so that
-this misses the constant of all functions by less than the factor of 2 that is put on it.
+Around every cell at the boundary, the largest eigenvalue of the two forms is computed among
+functions that are zero behind some layers of nodes. Tractions depend on differences of near nodes.
+The error of this restriction is therefore smaller than the factor of 2 on the constant.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ __all__ = ["trace_constants"]
 
 Array = npt.NDArray[np.float64]
 
-# eigenvalues of an energy that are rounding of 0, by the largest
+# eigenvalues of an energy below this share of the largest one are rounding errors of 0
 _NONE = 1e-13
-# and pivots of it that may be
+# and pivots below this share may be rounding errors of 0
 _SINGULAR = 1e-11
 
 
 def _tangents(moduli: Array, d: int) -> Array:
-    """Isotropic tangents of moduli M and G, shape (n, d, d, d, d)."""
+    """Isotropic tangents from moduli M and G (Pa), shape (n, d, d, d, d)."""
     M, G = moduli.T
     first, second = isotropic(1.0, 0.0, d), isotropic(0.0, 1.0, d)
     shape = (-1, 1, 1, 1, 1)
@@ -49,14 +49,14 @@ def _tangents(moduli: Array, d: int) -> Array:
 
 
 def _by_slots(points: MaterialPoints, values: Array) -> Array:
-    """Forms of tensors ∇u as those of stencils: gradients, and values where axisymmetric.
+    """Linear forms of ∇u as linear forms of stencil slots: gradients, and values if axisymmetric.
 
     Args:
         points: The points.
-        values: Shape (n, m, strain_dim, strain_dim), linear in the gradient's tensors.
+        values: Coefficients of ∇u, shape (n, m, strain_dim, strain_dim).
 
     Returns:
-        Shape (n, m, components times slots).
+        Coefficients of the slots, shape (n, m, components times slots).
     """
     n, m, rows, columns = values.shape
     if not points.axisymmetric:
@@ -69,7 +69,7 @@ def _by_slots(points: MaterialPoints, values: Array) -> Array:
 
 
 def _energies(points: MaterialPoints, moduli: Array) -> Array:
-    """Twice the elastic energies of the points, as forms of what their stencils give."""
+    """Twice the elastic energies of the points, as quadratic forms of their stencil slots."""
     e = points.strain_dim
     D = _tangents(moduli, e) * points["V"].reshape(-1, 1, 1, 1, 1)
     once = _by_slots(points, D.reshape(len(D), e * e, e, e))
@@ -79,7 +79,7 @@ def _energies(points: MaterialPoints, moduli: Array) -> Array:
 
 
 def _tractions(markers: MaterialPoints, moduli: Array) -> Array:
-    """Squares of the tractions at markers, times areas, as forms of what their stencils give."""
+    """Squared tractions at markers times areas, as quadratic forms of their stencil slots."""
     d = markers.gdim
     n = markers["area"] / markers["V"][:, None]
     D = _tangents(moduli, markers.strain_dim)[:, :d, :d]
@@ -88,7 +88,7 @@ def _tractions(markers: MaterialPoints, moduli: Array) -> Array:
 
 
 def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], grid: bool) -> Matrix:
-    """A matrix of forms at points, and of the terms over the grid if they are asked for."""
+    """Matrix of quadratic forms at points, with the terms over the grid if `grid` is true."""
     matrix = Matrix(here.pattern, here.unknowns)
     field, d = here.unknowns.fields[k], here.fields[k].space.grid.geometry.dim
     nothing = np.zeros((field.numbering.size, field.components))
@@ -108,7 +108,7 @@ def _assembled(here: Activation, k: int, parts: list[tuple[Stencils, Array]], gr
 def _around(
     here: Activation, matrices: list[Matrix], rows: npt.NDArray[np.int64], layers: int
 ) -> tuple[list[scipy.sparse.csr_matrix], npt.NDArray[np.int64]]:
-    """The parts of matrices around unknowns, and the global numbers they are of. Collective."""
+    """Parts of matrices around some unknowns, and the parts' global numbers. Collective."""
     if here.unknowns.comm.size == 1:
         shape = (here.unknowns.rows,) * 2
         pattern = here.pattern
@@ -129,7 +129,7 @@ def _around(
 
 
 def _ringed(A: scipy.sparse.csr_matrix, rows: npt.NDArray[Any], layers: int) -> npt.NDArray[Any]:
-    """Rows and those around them that they are coupled to, ring by ring."""
+    """Rows, and the rows coupled to them, layer by layer."""
     for _ in range(layers):
         rows = np.unique(A[rows].indices)
     return rows
@@ -151,14 +151,14 @@ def _fill(indptr, indices, data, patch, place, out):
 def _part(
     matrix: scipy.sparse.csr_matrix, patch: npt.NDArray[Any], place: npt.NDArray[np.int64]
 ) -> Array:
-    """A dense part of a matrix; `place` is -1 everywhere, before and after."""
+    """Dense part of a matrix; `place` is a scratch array of -1, before and after."""
     out = np.zeros((patch.size, patch.size))
     _fill(matrix.indptr, matrix.indices, matrix.data, patch, place, out)
     return 0.5 * (out + out.T)
 
 
 def _largest(energy: Array, traction: Array) -> float:
-    """Largest eigenvalue of tractions by energy; infinite where there is traction without it."""
+    """Largest eigenvalue of tractions over energy; infinite for tractions without energy."""
     from scipy import linalg
 
     n = len(energy)
@@ -176,7 +176,7 @@ def _largest(energy: Array, traction: Array) -> float:
 
 
 def _largest_of_free(energy: Array, traction: Array) -> float:
-    """The same where some motions have no energy, as those of a body that nothing holds."""
+    """`_largest` if some motions have no energy, such as rigid motions of a free body."""
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.T))
     some = values > _NONE * values[-1]
     free = vectors[:, ~some]
@@ -196,17 +196,20 @@ def trace_constants(
     moduli: Array,
     at_markers: Array,
 ) -> Array:
-    """The constants at the markers of a boundary (Pa/m), shape (markers,). Collective.
+    """Constants of Nitsche's method at the markers of a boundary (Pa/m), shape (markers,).
+
+    Collective.
 
     Args:
-        here: What is active.
+        here: The activation.
         k: Number of the displacement's field.
         boundary: The boundary.
         moduli: Elastic moduli M and G at the points (Pa), shape (points, 2).
         at_markers: Moduli at its markers, shape (markers, 2).
 
     Raises:
-        StateError: A marker is in a cell without material and without stabilisation.
+        StateError: A marker is in a cell without stiffness, because the cell has no material and
+            no stabilisation.
     """
     points, markers, field = boundary.points, boundary.markers, here.fields[k]
     d, s, own = points.gdim, field.of_markers[markers.number], field.stencils
@@ -242,7 +245,7 @@ def trace_constants(
         else StateError(
             f"the boundary's cell at {lost} m has no stiffness, neither of material points nor of "
             "a stabilisation: Nitsche's method has no finite penalty there; add "
-            'stabilisation="ghost" or "aggregation", in explicit steps the latter, or give penalty'
+            'stabilisation="ghost" or "aggregation" (explicit steps: "aggregation"), or penalty'
         ),
     )
     return constants

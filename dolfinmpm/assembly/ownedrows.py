@@ -1,4 +1,4 @@
-"""A distributed matrix whose rows all ranks add to, and what it takes to hand their parts over."""
+"""A distributed matrix: all ranks add to its rows, and send their parts to the owners."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ Integers = npt.NDArray[np.int32]
 @numba.njit(cache=True, error_model="numpy")
 def _unite(start, columns, number, row_of, got_start, got_rows, got_columns, low, high, to, rows,
            inner, outer):  # fmt: skip
-    """Rows of what this rank has and has got, columns in increasing order.
+    """Merge this rank's entries and received entries into owned rows with increasing columns.
 
     Args:
-        start, columns: First entries of this rank's rows, and their columns, locally numbered.
-        number: Global number of every local one.
-        row_of: Local row of each owned one, -1 where there is none.
-        got_start: First of each owned row's entries among those got, shape (owned + 1,).
-        got_rows: Those entries by owned row.
-        got_columns: Their columns, globally numbered.
-        low, high: First owned column, and that after the last one.
-        to: Written: where each entry goes, those got after this rank's own; in the columns of
-            other ranks −1 less its place there.
-        rows: Written: first entries of the owned rows, in owned columns and in others.
-        inner, outer: Written: owned columns, from 0 on, and others, as the matrix has them.
+        start, columns: First entries of this rank's rows, and columns of the entries, with local
+            numbers.
+        number: Global number of every local number.
+        row_of: Local row of each owned row, -1 for none.
+        got_start: Start of each owned row in `got_rows`, shape (owned + 1,).
+        got_rows: Received entries, sorted by owned row.
+        got_columns: Columns of the received entries, with global numbers.
+        low, high: First owned column, and the column behind the last owned one.
+        to: Written: position of each entry in the matrix, first this rank's entries, then received
+            entries. In columns of other ranks, −1 minus the position among these columns.
+        rows: Written: first entries of the owned rows, in owned columns and in other columns.
+        inner, outer: Written: owned columns, counted from 0, and other columns of the matrix.
 
     Returns:
-        Number of entries in owned columns, and in others.
+        Numbers of entries in owned columns and in other columns.
     """
     longest = 0
     for row in range(row_of.size):
@@ -55,7 +56,7 @@ def _unite(start, columns, number, row_of, got_start, got_rows, got_columns, low
             column[count] = got_columns[got_rows[at]]
             source[count] = columns.size + got_rows[at]
             count += 1
-        # nearly in order, but for ghosts
+        # insertion sort: only ghosts are out of order
         for k in range(1, count):
             c, s, at = column[k], source[k], k
             while at > 0 and column[at - 1] > c:
@@ -81,7 +82,7 @@ def _unite(start, columns, number, row_of, got_start, got_rows, got_columns, low
 
 @numba.njit(cache=True, error_model="numpy")
 def _put(data, to, got, got_to, values):
-    """Replace a matrix's values; those that are got are added to this rank's own."""
+    """Replace the values of a matrix: this rank's entries plus received entries."""
     for k in range(got.size):
         values[got_to[k]] = 0.0
     for k in range(data.size):
@@ -92,20 +93,21 @@ def _put(data, to, got, got_to, values):
 
 
 class OwnedRows:
-    """Rows of a distributed matrix that this rank owns, with what other ranks have for them.
+    """Owned rows of a distributed matrix, with entries from all ranks. Collective.
 
-    PETSc works in the values that are held here. All that depends on the pattern is found once.
+    PETSc works on the array of values of this object. All data that depend on the pattern are
+    computed once.
 
     Args:
         comm: Communicator.
-        start, columns: First entries of the rows that this rank has, in increasing order of its own
-            numbers, and their columns, likewise.
-        number: Global number of every row and column known here.
-        owned: How many rows it owns, which are numbered rank by rank.
-        size: Rows of the matrix.
+        start, columns: First entries of the rows on this rank, and columns of the entries, with
+            local numbers in increasing order.
+        number: Global number of every local row and column.
+        owned: Number of owned rows. Global numbers are consecutive, rank by rank.
+        size: Number of rows of the matrix.
 
     Attributes:
-        petsc: The matrix.
+        petsc: The PETSc matrix.
     """
 
     def __init__(
@@ -142,7 +144,7 @@ class OwnedRows:
             start, columns, number, row_of, got_start, np.argsort(row, kind="stable"),
             got_columns, low, high, to, rows, inner, outer,
         )  # fmt: skip
-        # values in columns of others follow those in owned ones; of no entry, nowhere
+        # values in other ranks' columns follow the values in owned columns; no entry, no position
         outside = (to < 0) & (to >= -most)
         to[outside] = n - 1 - to[outside]
         self._to, self._got_to = np.split(to, [columns.size])
@@ -158,13 +160,13 @@ class OwnedRows:
         self.petsc.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
 
     def _exchange(self, values: npt.NDArray, out: npt.NDArray, into: npt.NDArray) -> npt.NDArray:
-        """Values from all ranks, in their order. Collective."""
+        """Values from all ranks, in the order of the ranks. Collective."""
         got = np.empty(into.sum(), values.dtype)
         self._comm.Alltoallv([values, out], [got, into])
         return got
 
     def put(self, data: Array) -> None:
-        """Give the matrix its values. Collective.
+        """Set the values of the matrix. Collective.
 
         Args:
             data: This rank's entries, shape (entries,).
@@ -176,6 +178,6 @@ class OwnedRows:
 
 
 def _ranges(first: npt.NDArray, counts: npt.NDArray) -> npt.NDArray[np.intp]:
-    """Numbers from each first one on, one range after the other."""
+    """Joined ranges: counts[i] numbers from first[i] on, for all i."""
     begins = np.cumsum(counts) - counts
     return np.repeat(first - begins, counts).astype(np.intp) + np.arange(counts.sum())

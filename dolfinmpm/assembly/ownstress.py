@@ -1,12 +1,12 @@
 """Stress of internal forces that are written in UFL alone, without a law of the library.
 
-What stands beside the gradient of the test function is the flux S per first volume, of the power
-S : ∇̃v. It belongs to Cauchy's stress at the end of the step,
+The factor of the test function's gradient is the flux S per initial volume, with the power S : ∇̃v.
+The Cauchy stress at the end of the step is
 
     σ = S ΔFᵀ / det F.
 
-Across a plane nothing is known of it. Where a term is the derivative of an energy, that is known
-too.
+Components out of the plane are not known. If a term is the derivative of an energy, the energy is
+known too.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ __all__ = ["STORED", "OwnStress"]
 
 Array = npt.NDArray[np.float64]
 
-# Name of the points' field of the energy that such terms store, per first volume (J/m^d)
+# Name of the points' field of the energy of such terms, per initial volume (J/m^d)
 STORED = "stored_energy"
 
 
 class OwnStress:
-    """What the internal forces of a region without a law say of its stress. Collective.
+    """Stress from the internal forces of a region without a law. Collective.
 
     Args:
         region: Terms of the region.
-        integrals: Integrals over the points, as they were given.
+        integrals: Integrals over the points, as the user wrote them.
         spaces: Spaces of the increments.
         movers: Numbers of the fields that move points.
         points: Material points.
-        mark: What a converged step writes to its points' field `moved_under`.
+        mark: Value for the points' field `moved_under` after a converged step.
 
     Attributes:
-        known: Whether there is a stress.
-        strain: Its measure of strain, as of a law.
+        known: Whether the internal forces define a stress.
+        strain: Name of the strain formulation, as for a law.
         carried: See `PointUpdates`.
     """
 
@@ -91,7 +91,7 @@ class OwnStress:
         return self._slots.slot(("field", name), shape)
 
     def _flux(self, integrals: Sequence, movers: Sequence[int]) -> tuple[Expr, Expr]:
-        """Flux per first volume, and around the axis of axisymmetric bodies."""
+        """Flux per initial volume, and its hoop component for axisymmetric bodies."""
         slots, gdim = self._slots, self._points.gdim
         flux, hoop = zero((gdim, gdim)), zero()
         for integral in expand_derivatives(ufl.Form(list(integrals))).integrals():
@@ -103,13 +103,13 @@ class OwnStress:
                     if isinstance(slope, Zero):
                         continue
                     flux = flux + share * slope
-                    # beside v_r/r, in what is a stress
+                    # the factor of v_r/r is a stress
                     value = derive(mapped, slots.test_value[k])
                     hoop = hoop + share * self._field("x", (gdim,))[0] * value[0]
         return flux, hoop
 
     def _stretch(self, spaces: Sequence[Space], movers: Sequence[int]) -> Expr:
-        """ΔF of the step."""
+        """Deformation gradient ΔF of the step."""
         points, slots = self._points, self._slots
         H = sum((slots.gradient[k] for k in movers[1:]), start=slots.gradient[movers[0]])
         u = sum((slots.value[k] for k in movers[1:]), start=slots.value[movers[0]])
@@ -119,7 +119,7 @@ class OwnStress:
     def _density(
         self, integrals: Sequence, spaces: Sequence[Space], movers: Sequence[int]
     ) -> Expr | None:
-        """Stored energy per first volume, or None where it is not known."""
+        """Stored energy per initial volume, or None if it is not known."""
         total = zero()
         for integral in integrals:
             for k in movers:
@@ -134,16 +134,21 @@ class OwnStress:
 
     @property
     def rows(self) -> npt.NDArray[np.intp]:
-        """Its points on this rank."""
+        """Numbers of the region's points on this rank, shape (n,)."""
         chosen = self._region.chosen(self._points["tag"])
         return np.arange(len(self._points)) if chosen is None else np.flatnonzero(chosen)
 
     def energy(self) -> Array | None:
-        """Stored energy per first volume at its points (J/m^d), None if it is not known."""
+        """Stored energy per initial volume at the region's points (J/m^d); None if not known."""
         return self._points.fields.read(STORED)[self.rows] if self._stores else None
 
     def run(self, evaluation: Evaluation, new: dict[str, Array]) -> None:
-        """Write stress and energy at the end of the step into new arrays."""
+        """Write stress and energy at the end of the step into new arrays.
+
+        Args:
+            evaluation: Evaluation of the point terms, at the step's increments.
+            new: New arrays of fields by name; extended.
+        """
         rows, points, d = self.rows, self._points, self._points.strain_dim
         for name in ("stress", "moved_under", *((STORED,) if self._stores else ())):
             if name not in new:
@@ -158,7 +163,7 @@ class OwnStress:
 
 
 def _full(tensor: Expr, around: Expr, points: MaterialPoints) -> Expr:
-    """A tensor of shape (gdim, gdim), with its component around the axis at axisymmetric points."""
+    """A tensor of shape (gdim, gdim), extended by its hoop component at axisymmetric points."""
     if not points.axisymmetric:
         return tensor
     rows = [[tensor[i, j] for j in range(2)] + [0] for i in range(2)]

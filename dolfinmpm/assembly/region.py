@@ -1,4 +1,4 @@
-"""The terms of one part of the body, evaluated at its points some thousand at a time."""
+"""Evaluation of the terms of one part of the body, in chunks of some thousand points."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["PointFailure", "Region"]
 
 Array = npt.NDArray[np.float64]
 
-# Points that laws and programs work on at a time: their tangents fit into the cache.
+# Points per chunk: the tangents of a chunk fit into the cache.
 _CHUNK = 4096
 
 
@@ -34,8 +34,8 @@ class PointFailure:
     """A point at which a law finds no stress.
 
     Attributes:
-        point: Which point of this rank.
-        cause: Why, in the law's own words; may be empty.
+        point: Number of the point on this rank.
+        cause: The law's description of the failure; may be empty.
     """
 
     point: int
@@ -43,7 +43,19 @@ class PointFailure:
 
 
 class Region:
-    """The terms of a part of the body on its points."""
+    """The terms of a part of the body on its points.
+
+    Args:
+        terms: The terms.
+        points: Material points.
+        unknowns: Numbering of the unknowns.
+        part: Stencils of the part.
+        shared: Data of all points by key of slots, shared between the parts.
+
+    Attributes:
+        terms, part: The arguments.
+        failure: The point at which a law found no stress in the last call, or None.
+    """
 
     def __init__(
         self,
@@ -59,7 +71,8 @@ class Region:
         self._rows = np.sort(part.stencils[0].order)
         widths = [c.components * (1 + points.gdim) for c in unknowns.fields]
         self._columns: list[int] = [sum(widths[:k]) for k in range(len(widths))]
-        # what operators' laws keep in the order of the stencils, and whose is of these increments
+        # intermediate results of laws, in the order of the stencils, and numbers of the operators
+        # whose results belong to the present increments
         self._kept: dict[int, Array] = {}
         self._known: set[int] = set()
         self._data = dict(shared)
@@ -77,7 +90,10 @@ class Region:
             self._data["constant", k] = np.array(constant.value, float).reshape(1, -1)
 
     def prepare(self) -> None:
-        """Forget old increments, let laws take means over cells. Collective if there are any."""
+        """Forget results at old increments, and compute means over cells of laws that need them.
+
+        Collective if a law needs means.
+        """
         self._known.clear()
         for k in self.terms.by_mean:
             means = self.part.means
@@ -102,14 +118,14 @@ class Region:
         return values
 
     def _taken(self, keys, rows) -> dict[tuple, Array]:
-        """Data of some points; constants have one row for all."""
+        """Data of some points by key; constants have one row for all points."""
         return {
             key: self._data[key] if key[0] == "constant" else self._data[key].take(rows, axis=0)
             for key in keys
         }
 
     def _chunks(self) -> Iterator[tuple[int, int]]:
-        """Ranges of groups of some thousand points each."""
+        """Ranges of groups with some thousand points each."""
         groups, first = self.part.stencils[0].groups, 0
         while first < groups.size - 1:
             last = int(np.searchsorted(groups, groups[first] + _CHUNK, side="right")) - 1
@@ -120,19 +136,19 @@ class Region:
     def _run(
         self, programs: Sequence[Program], tangent: bool
     ) -> Iterator[tuple[int, int, list[Array]]]:
-        """Operators and programs, some thousand points at a time, in the order of the stencils.
+        """Run operators and programs, chunk by chunk, in the order of the stencils.
 
-        Yields the range of groups and the programs' values at their points; ends
-        early, with the point in `failure`, where a law finds no stress.
+        Yields the range of groups of a chunk and the programs' values at its points. If a law finds
+        no stress, the loop ends and `failure` has the point.
         """
         self.failure = None
         terms, s = self.terms, self.part.stencils[0]
         inputs = {key for program in programs for key in program.inputs}
-        # dead loads, say, do not ask a law for its stress
+        # some programs, such as dead loads, need no law
         asked = sorted({key[1] for key in inputs if key[0].startswith("operator")})
         plain = [key for key in inputs if not key[0].startswith("operator")]
         known = self._known & set(asked)
-        # a law that fails on the way leaves the rest as it was
+        # a law that fails in a chunk leaves the later chunks without new results
         self._known -= set(asked)
         for first, last in self._chunks():
             stages.evaluate.enter()
@@ -163,7 +179,7 @@ class Region:
         self._known |= {k for k in asked if k in self._kept}
 
     def _kept_in(self, k: int, first: int, last: int, known: bool) -> KeptTangents | None:
-        """What the k-th operator's law keeps of the points of some groups, or None."""
+        """Intermediate results of the k-th operator's law at some groups' points, or None."""
         law, s = self.terms.operators[k].law, self.part.stencils[0]
         if not (self.terms.sloped and isinstance(law, KeepingLaw) and law.keeps):
             return None
@@ -172,7 +188,10 @@ class Region:
         return KeptTangents(self._kept[k][s.groups[first] : s.groups[last]], known)
 
     def _ask(self, k: int, operand, value, slope, rows, by_mean, kept: KeptTangents | None) -> int:
-        """The k-th operator at some points, zero at those of other laws; the first that fails."""
+        """Evaluate the k-th operator at some points; it is zero at points of other laws.
+
+        Returns the first point that fails, or -1.
+        """
         operator = self.terms.operators[k]
         law: Any = operator.law
         own = None
@@ -203,7 +222,12 @@ class Region:
         self.failure = PointFailure(point, cause)
 
     def add_flux(self, program: Program | None, out: Sequence[Array]) -> None:
-        """Add a program's fluxes by the nodes, of each field to its array."""
+        """Add the nodal forces of a program's fluxes.
+
+        Args:
+            program: Program of the fluxes, or None for no fluxes.
+            out: Nodal forces (N) of each field, shape (nodes, components).
+        """
         self.failure = None
         if program is None:
             return
@@ -212,7 +236,11 @@ class Region:
                 add_vector(s, first, last, flux, column, nodal)
 
     def add_tangent(self, entries: Mapping[tuple[int, int], Entries]) -> None:
-        """Add the tangent at the last increments; `entries` by row and column field."""
+        """Add the tangent at the last increments.
+
+        Args:
+            entries: The matrix under assembly, by (row field, column field).
+        """
         terms, couplings = self.terms, self.part.couplings
         pairs = list(terms.tangent)
         means = list(terms.by_mean)
@@ -248,14 +276,14 @@ class Region:
         return zip(self.part.couplings, self._unknowns.fields)
 
     def _mean_slope(self, k: int, field: int) -> Array:
-        """How the k-th operator's sums over cells change with the nodal increments of a field."""
+        """Derivatives of the k-th operator's sums over cells by the nodal increments of a field."""
         assert self.part.couplings is not None
         s, coupling = self.part.stencils[field], self.part.couplings[field]
         d, components = self._points.gdim, self._unknowns.fields[field].components
         slopes = self.averaging(k).measure_slope(self.operand(k, s.order))
         slopes *= coupling.means.weight[s.order, None]
         flux = np.zeros((len(slopes), components, 1 + d))
-        # a rank without points has no size that could be found
+        # the explicit size serves ranks without points, where -1 does not work
         flat = flux.reshape(len(flux), components * (1 + d))
         program = self.terms.mean_flux.get(k)
         if program is None:
@@ -269,7 +297,13 @@ class Region:
         return out
 
     def ask(self, k: int, out: Array) -> None:
-        """Write the value of the k-th operator at the region's points."""
+        """Write the value of the k-th operator at the region's points.
+
+        Args:
+            k: Number of the operator.
+            out: Written at the region's points, shape (points, size); NaN if the law finds no
+                stress.
+        """
         rows = self._rows
         value = np.empty((rows.size, out.shape[1]))
         if self._ask(k, self.operand(k, rows), value, None, rows, None, None) >= 0:
@@ -277,7 +311,7 @@ class Region:
         out[rows] = value
 
     def moduli(self, out: Array) -> None:
-        """Write the moduli of the tangents of laws at their points."""
+        """Write the moduli M and G of the laws' tangents (Pa), shape (points, 2)."""
         s, points, d = self.part.stencils[0], self._points, self._points.strain_dim
         chosen = [k for k, o in enumerate(self.terms.operators) if _is_stress(o)]
         for k in chosen:
@@ -289,20 +323,24 @@ class Region:
                 by_mean = np.empty_like(value) if k in self.terms.by_mean else None
                 kept = self._kept_in(k, first, last, True) if k in self._known else None
                 if self._ask(k, operand, value, slope, rows, by_mean, kept) >= 0:
-                    # the end of the step tells of it
+                    # the end of the step reports the failure
                     return
                 if by_mean is not None:
-                    # as of deformation that is the same in the whole cell
+                    # tangent for a deformation that is the same in the whole cell
                     slope += by_mean[:, :, None] * self.averaging(k).measure_slope(operand)[:, None]
                 found = isotropic_moduli(slope.reshape(-1, d, d, d, d))
                 share = points["V0"][rows] / points["V"][rows]
                 out[rows] += share[:, None] * found
 
     def commit(self, new: dict[str, Array]) -> None:
-        """Write what the laws' fields are at the end of the step into new arrays."""
+        """Write the laws' fields at the end of the step into new arrays.
+
+        Args:
+            new: New arrays of fields by name; extended.
+        """
         self.failure = None
         s, points = self.part.stencils[0], self._points
-        # a rank without points has the fields all the same
+        # a rank without points needs the fields too
         chunks = list(self._chunks()) or [(0, 0)]
         for k, operator in enumerate(self.terms.operators):
             law: Any = operator.law
@@ -324,7 +362,7 @@ class Region:
                         finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
                         bad = int(np.argmin(finite))
                         self._fail(operator, int(rows[bad]), operand[bad])
-        # the state of the points may be another from here on
+        # the state of the points may change after this
         self._known.clear()
         self._kept.clear()
 
@@ -335,5 +373,5 @@ def _is_stress(operator: PointOperator) -> bool:
 
 
 def _taken_of(kept: KeptTangents | None, rows: npt.NDArray[np.integer]) -> KeptTangents | None:
-    """What is kept of some of the points, copied."""
+    """Copy of the kept results at some of the points."""
     return None if kept is None else KeptTangents(kept.values[rows], kept.known)

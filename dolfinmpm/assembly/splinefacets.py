@@ -1,9 +1,9 @@
-"""Terms over ghost facets of rectangular grids: one element tensor for all facets that are alike.
+"""Terms over ghost facets of rectangular grids: one element tensor for all facets of a class.
 
-On a rectangular grid the splines around a facet are the same, but for where they
-are, wherever the cells around it have the same sizes. The tensor between splines is made
-for one facet of each such class, and added for all others. Linear functions are splines of
-degree 1: on a grid of equal cells their classes are the directions.
+On a rectangular grid, two facets whose surrounding cells have the same sizes have the same splines
+around them, up to a translation. Such facets form a class. The tensor between splines is computed
+for one facet of each class, and added for all facets of the class. Linear functions are splines of
+degree 1. On a grid of equal cells they have one class per direction.
 """
 
 from __future__ import annotations
@@ -15,12 +15,8 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm.assembly.facetpairs import INTERVALS, by_ratio, lattice_pair
-from dolfinmpm.assembly.facettensors import (
-    FacetPlace,
-    FacetTensors,
-    facet_moduli,
-    readable,
-)
+from dolfinmpm.assembly.facetplaces import FacetPlace
+from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum
@@ -32,25 +28,25 @@ __all__ = ["FacetBlock", "are_alike"]
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# relative difference of sizes of cells that is rounding
+# relative difference of cell sizes below which it is a rounding error
 _SAME = 1e-12
 
 
 def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
-    """Numbers, from 0, that are the same for cells of a line with the same splines.
+    """Kinds of the cells of a line: cells with the same splines have the same number, from 0.
 
-    The splines of a cell depend on its size and on those of degree − 1 cells to each side.
+    The splines of a cell depend on its size and on the sizes of degree − 1 cells on each side.
 
     Returns:
-        Kinds of the cells, and of the pairs of neighbours.
+        Kinds of the cells, and kinds of the pairs of neighbouring cells.
     """
     steps = np.diff(line)
     order = np.argsort(steps)
-    # coordinates themselves are no more exact than this
+    # coordinates have at least this rounding error
     slack = max(_SAME * steps.max(), 8 * np.finfo(float).eps * np.abs(line).max())
     size = np.empty(steps.size, np.int32)
     size[order] = np.cumsum(np.diff(steps[order], prepend=steps[order[0]]) > slack)
-    # behind the ends of the grid knots are repeated: cells of no size
+    # at the ends of the grid, repeated knots act like cells without size
     reach = degree - 1
     padded = np.concatenate([np.full(reach, -1), size, np.full(reach, -1)])
 
@@ -64,10 +60,15 @@ def _kinds(line: Array, degree: int) -> tuple[Ints, Ints]:
 
 
 def are_alike(form: ufl.Form, space: Space) -> bool:
-    """Whether facets fall into few classes, each with one element tensor of the form. Collective.
+    """Whether `FacetBlock` integrates a form: by classes of facets, or facet by facet.
 
-    Or whether they are taken one by one all the same, for FFCx would take too long. The
-    same on all ranks. The form must be bilinear and over ghost facets alone; see `readable`.
+    It does so if the facets have few classes, or if FFCx would take too long. The form must be
+    bilinear and over ghost facets only; see `readable`. The answer is the same on all ranks.
+    Collective.
+
+    Args:
+        form: The form.
+        space: Space of both arguments.
     """
     basis = space.basis
     if not isinstance(basis, LatticeBasis):
@@ -79,17 +80,20 @@ def are_alike(form: ufl.Form, space: Space) -> bool:
             return False
     if not readable(form, space.cell_size):
         return False
-    # 2 degree − 1 kinds of cells in a line of equal ones; a graded one has a kind a cell
+    # a line of equal cells has 2 degree − 1 kinds of cells; a graded line has one kind per cell
     kinds = [_kinds(line, basis.degree)[0] for line in basis.lattice.lines]
     few = all(k.max() < 8 * basis.degree for k in kinds)
-    # moduli of facets want the tensors themselves; else
-    # a tensor a facet costs less than minutes of compilation, as FFCx's of third derivatives
+    # moduli of facets need the tensors themselves. Otherwise one tensor per facet costs less than
+    # compilation by FFCx, which takes minutes for third derivatives.
     return few or bool(facet_moduli(form)) or basis.degree + len(kinds) > 4
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _collect(low, direction, table, table_shape, macro, nodes, count):
-    """Nodes around every facet, and how many facets each of them is near; whether all are known."""
+    """Write the nodes around every facet and count the facets of each node.
+
+    Returns whether all nodes are known.
+    """
     gdim = low.shape[1]
     known = True
     for f in range(low.shape[0]):
@@ -105,7 +109,7 @@ def _collect(low, direction, table, table_shape, macro, nodes, count):
 
 @numba.njit(cache=True, error_model="numpy")
 def _turn(nodes, place, start, facet, position):
-    """Facets of every touched node, and its position among the nodes around each."""
+    """Write the facets of every touched node, and the node's position in each facet's nodes."""
     fill = start[:-1].copy()
     for f in range(nodes.shape[0]):
         for a in range(nodes.shape[1]):
@@ -116,7 +120,7 @@ def _turn(nodes, place, start, facet, position):
 
 @numba.njit(cache=True, error_model="numpy")
 def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns, slots):
-    """Nodes that each touched node is coupled to; only counts them if the arrays are empty."""
+    """Write the nodes coupled to each touched node; only count them if the arrays are empty."""
     seen[:] = -1
     total = 0
     for row in range(start.size - 1):
@@ -134,7 +138,7 @@ def _couple(nodes, direction, start, facet, position, slot, seen, begin, columns
 
 @numba.njit(cache=True, error_model="numpy")
 def _add(kind, direction, start, facet, position, slot, tensors, scale, begin, slots, sums, out):
-    """Sum the facets' scaled tensors between every touched node and those coupled to it."""
+    """Sum the facets' scaled tensors between every touched node and its coupled nodes."""
     m, n = tensors.shape[3], tensors.shape[4]
     sums[:] = 0.0
     for row in range(start.size - 1):
@@ -156,13 +160,14 @@ class FacetBlock:
     """A bilinear form over ghost facets, between splines or linear functions.
 
     Args:
-        form: The form, of which `are_alike` holds.
+        form: The form; `are_alike` must be true for it.
         space: Space of both arguments.
 
     Attributes:
         rows, columns: Spline nodes of each block, in the basis's local numbering.
-        moving: Ids of the entities that it integrates over.
-        constants, coefficients: Data of the form; no coefficients but moduli of facets.
+        moving: Subdomain ids of the facets in the form.
+        constants, coefficients: Data of the form. The only coefficients are moduli of facets.
+        moduli: Moduli of facets in the form.
     """
 
     def __init__(self, form: ufl.Form, space: Space):
@@ -173,16 +178,16 @@ class FacetBlock:
         self.constants: list[fem.Constant] = form.constants()
         self.moduli = facet_moduli(form)
         self.coefficients: list[fem.Function] = list(self.moduli)
-        # one tensor without moduli, and one for each
+        # one tensor without moduli, and one tensor per modulus
         self._parts = [None, *self.moduli]
         self.moving = {GHOST_FACETS}
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
-        # nodes around a facet, by its direction: lattice position past its lower cell's first
+        # nodes around a facet by its direction, relative to the first node of its lower cell
         gdim, p = space.grid.geometry.dim, basis.degree
         self._shapes = [tuple(p + 1 + (d == e) for e in range(gdim)) for d in range(gdim)]
         macro = [list(np.ndindex(*shape)) for shape in self._shapes]
         self._macro = np.array(macro, np.int32)
-        # where b is as seen from a, as one number
+        # position of node b relative to node a, as one number
         strides = (2 * p + 3) ** np.arange(gdim)[::-1]
         apart = self._macro[:, None, :, :] - self._macro[:, :, None, :] + p + 1
         self._slot = (apart @ strides).astype(np.int32)
@@ -195,23 +200,23 @@ class FacetBlock:
         self._values: Array | None = None
 
     def renew(self) -> None:
-        """Forget which facets were integrated over."""
+        """Forget the facets of the integration."""
         self._attached = False
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were."""
+        """Forget values that belong to the old lines of the grid."""
         basis = self._space.basis
         assert isinstance(basis, LatticeBasis)
         self._kinds = [_kinds(line, basis.degree) for line in basis.lattice.lines]
         self._tensors, self._penalties, self._attached = {}, {}, False
 
     def attach(self, entities: dict[int, Ints], basis: LatticeBasis) -> None:
-        """Integrate over these ghost facets, unless nothing has changed.
+        """Set the ghost facets of the integration, unless they are set already.
 
         Args:
-            entities: Under GHOST_FACETS rows (cell, local facet, cell, local facet)
-                flattened, the first cell being "+".
-            basis: Basis of the space, with the overlap whose nodes are meant.
+            entities: Under the key GHOST_FACETS, rows (cell, local facet, cell, local facet),
+                flattened. The first cell is "+".
+            basis: Basis of the space with its overlap; its numbering of nodes is used.
         """
         if self._attached and basis is self._basis:
             return
@@ -258,7 +263,10 @@ class FacetBlock:
         self.rows = np.repeat(touched.astype(np.int32), np.diff(self._begin))
 
     def _first_parts(self, facets: Ints) -> slice | npt.NDArray[np.bool_]:
-        """Which facets stand for all: of a coarse facet's parts the one at its lower corner."""
+        """Facets to integrate: for a coarser lattice, the part at each coarse facet's lower corner.
+
+        Returns whether to take each facet, or a slice of all facets.
+        """
         basis = self._basis
         if basis.coarsen == 1:
             return slice(None)
@@ -269,7 +277,7 @@ class FacetBlock:
         return np.all((low % basis.coarsen == 0) | across, axis=1)
 
     def matrix(self) -> Array:
-        """This rank's share of the matrix, as blocks between `rows` and `columns`."""
+        """This rank's share of the matrix, one block per entry of `rows` and `columns`."""
         values = np.concatenate([np.empty(0), *(np.ravel(c.value) for c in self.constants)])
         if self._values is None or not np.array_equal(values, self._values):
             self._tensors, self._penalties = {}, {}
@@ -296,7 +304,7 @@ class FacetBlock:
         return (out[:, :, None] * np.eye(c) if single else out).reshape(-1, c, c)
 
     def _tensor(self, place: FacetPlace) -> Array:
-        """Tensors of a facet without moduli and by each of them, shape (1 + moduli, m, m, n)."""
+        """Tensors of a facet: without moduli, and per modulus, shape (1 + moduli, m, m, n)."""
         base = self._tensor_of(place)
         slopes = [self._tensor_of(place, one) for one in self.moduli]
         most, c = max(t.shape[2] for t in (base, *slopes)), self._space.components

@@ -1,4 +1,4 @@
-"""Sums over the points' stencils, straight into the vector and the matrix of the unknowns."""
+"""Sums over the points' stencils, directly into nodal forces and into the matrix."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _add_vector(begin, end, groups, node_start, nodes, value_start, N, dN, flux,
 
 @numba.njit(cache=True, error_model="numpy")
 def _add_vector_2(begin, end, groups, node_start, nodes, value_start, N, dN, flux, column, out):
-    """`_add_vector` of a vector in the plane, with the flux in registers."""
+    """`_add_vector` of a vector in 2D, with the flux in registers."""
     for g in range(begin, end):
         first = node_start[g]
         m = node_start[g + 1] - first
@@ -68,7 +68,7 @@ def _add_vector_2(begin, end, groups, node_start, nodes, value_start, N, dN, flu
 
 @numba.njit(cache=True, error_model="numpy")
 def _add_vector_3(begin, end, groups, node_start, nodes, value_start, N, dN, flux, column, out):
-    """`_add_vector` of a vector in space, with the flux in registers."""
+    """`_add_vector` of a vector in 3D, with the flux in registers."""
     for g in range(begin, end):
         first = node_start[g]
         m = node_start[g + 1] - first
@@ -91,11 +91,9 @@ def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out:
 
     Args:
         s: Stencils.
-        begin: The first of the groups.
-        end: The group behind the last.
-        flux: f and q of every component one after the other, times the point's
-            volume, in the order of the stencils, shape
-            (points of the groups, at least column + components * (1 + gdim)).
+        begin, end: First group, and the group behind the last one.
+        flux: f and q times the point's volume, component by component, in the order of the
+            stencils, shape (points of the groups, at least column + components * (1 + gdim)).
         column: First column of the field in the flux.
         out: Nodal forces (N), shape (nodes, components).
     """
@@ -106,7 +104,7 @@ def add_vector(s: Stencils, begin: int, end: int, flux: Array, column: int, out:
 
 @functools.cache
 def _coupling_kernel(rows_nc: int, rows_ns: int, rows_value: bool, nc: int, ns: int, value: bool):
-    """The loop between two fields, each with its components and slots; see `stiffness_kernel`."""
+    """The loop between two fields with their components and slots; see `stiffness_kernel`."""
     rows_offset, offset = int(rows_value), int(value)
 
     @numba.njit(cache=True, fastmath={"contract", "reassoc"})
@@ -169,14 +167,14 @@ def _coupling_kernel(rows_nc: int, rows_ns: int, rows_value: bool, nc: int, ns: 
 
 @dataclass(frozen=True)
 class Slope:
-    """What a tangent at the points holds between a row field and a column field.
+    """Tangent at the points between a row field and a column field.
 
     Attributes:
         values: The tangent times the point's volume, in the order of the stencils, shape
-            (points of the groups, components and slots of the row field times those of the
-            column field).
-        row_value, value: Whether the row's and the column field's values have slots, or their
-            gradients only.
+            (points of the groups, m n), with m and n the numbers of components times slots of the
+            row field and of the column field.
+        row_value, value: Whether the row field and the column field have slots for values; if
+            not, only gradients have slots.
     """
 
     values: Array
@@ -189,12 +187,12 @@ class Entries:
     """A matrix under assembly between a row field and a column field.
 
     Attributes:
-        rows, columns: The fields' unknowns.
-        pattern: Where the matrix has entries.
-        data: The matrix's entries.
-        prescribed: Values of the column field's prescribed components, (nodes, components).
-        lift: Written: the columns of prescribed components, times their values, (nodes,
-            components) of the row field.
+        rows, columns: Unknowns of the row field and of the column field.
+        pattern: Pattern of the matrix.
+        data: Entries of the matrix.
+        prescribed: Values of the column field's prescribed components, shape (nodes, components).
+        lift: Columns of prescribed components times their values are added to this array, shape
+            (nodes, components) of the row field.
     """
 
     rows: FieldUnknowns
@@ -211,10 +209,9 @@ def add_stiffness(
     """Add Σ_p φ_a · T_p · φ_b over the points of some groups to the matrix.
 
     Args:
-        a, b: Stencils of the row and the column field, in common groups.
-        begin: The first of the groups.
-        end: The group behind the last.
-        tangent: T.
+        a, b: Stencils of the row field and of the column field, in common groups.
+        begin, end: First group, and the group behind the last one.
+        tangent: The tangents T.
         to: The matrix between the two fields.
     """
     gdim = a.dN.shape[1]
@@ -240,7 +237,7 @@ def add_stiffness(
 @numba.njit(cache=True, error_model="numpy")
 def _add_blocks(rows, columns, blocks, row_of, column_of, indptr, indices, data, prescribed, lift):
     nc = blocks.shape[1]
-    # where the last search in a row ended: the next column is mostly the next one there
+    # position behind the last column found in a row: the next column is mostly there
     last, after = np.full(nc, -1, np.int64), np.zeros(nc, np.int64)
     for e in range(rows.size):
         for i in range(nc):
@@ -274,7 +271,12 @@ def _add_blocks(rows, columns, blocks, row_of, column_of, indptr, indices, data,
 
 
 def add_blocks(blocks: Blocks, to: Entries) -> None:
-    """Add blocks to a matrix."""
+    """Add blocks to a matrix.
+
+    Args:
+        blocks: The blocks.
+        to: The matrix between the two fields of the blocks.
+    """
     _add_blocks(
         blocks.rows, blocks.columns, blocks.values, to.rows.row_of, to.columns.row_of,
         to.pattern.indptr, to.pattern.indices, to.data, to.prescribed, to.lift,
@@ -296,8 +298,8 @@ def add_product(blocks: Blocks, u: Sequence[Array], out: Sequence[Array]) -> Non
 
     Args:
         blocks: Part of a matrix.
-        u: Nodal values, (nodes, components) for each field.
-        out: Nodal forces, likewise.
+        u: Nodal values of each field, shape (nodes, components).
+        out: The product is added to these nodal forces of each field, shape (nodes, components).
     """
     _multiply_blocks(
         blocks.rows, blocks.columns, blocks.values, u[blocks.column_field], out[blocks.row_field]
@@ -305,10 +307,19 @@ def add_product(blocks: Blocks, u: Sequence[Array], out: Sequence[Array]) -> Non
 
 
 class Matrix:
-    """A PETSc matrix and the local entries that are summed into it.
+    """A PETSc matrix, and the local entries that are summed into it.
 
-    In serial PETSc works in these very entries; in parallel they are handed over
-    and the rows of ghosts are added up at their owners.
+    On one rank PETSc works on the array of local entries. On several ranks, `finish` sends the
+    entries of ghost rows to their owners, which add them.
+
+    Args:
+        pattern: Pattern of the local entries.
+        unknowns: Numbering of the unknowns.
+
+    Attributes:
+        pattern: The argument.
+        data: Local entries, shape (entries,).
+        petsc: The PETSc matrix.
     """
 
     def __init__(self, pattern: Pattern, unknowns: Unknowns):
@@ -331,7 +342,7 @@ class Matrix:
     def finish(self) -> None:
         """Tell PETSc that the entries changed. Collective."""
         if self.pattern.still.size:
-            # of the others' size, so that smoothers do not see them
+            # diagonal entries of the same size as the others, so that smoothers ignore them
             self.data[self.pattern.still] = max(self.data.max(), -self.data.min()) or 1.0
         if self._rows is None:
             self.petsc.assemble()

@@ -1,4 +1,4 @@
-"""The tangent of a field on itself: sums over the points' stencils, row by row of nodes."""
+"""The tangent of a field by itself: sums over the points' stencils, node by node."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["stiffness_kernel"]
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def _add_one(ns, offset, m, at, N, dN, t_at, places):
-    """Add Σ_r φ_br t_r to the vector of four at the place of each node b, with t in registers."""
+    """Add Σ_r φ_br t_r to the vector of four numbers of each node b, with t in registers."""
     t = load(t_at)
     t1 = load(t_at + 32) if ns > 1 else t
     t2 = load(t_at + 64) if ns > 2 else t
@@ -34,7 +34,7 @@ def _add_one(ns, offset, m, at, N, dN, t_at, places):
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def _add_three(ns, offset, m, at, N, dN, t_at, places):
-    """`_add_one` of three vectors of four each."""
+    """`_add_one` for three vectors of four numbers each."""
     t, u, w = load(t_at), load(t_at + 32), load(t_at + 64)
     step = t_at + 96 if ns > 1 else t_at
     t1, u1, w1 = load(step), load(step + 32), load(step + 64)
@@ -62,11 +62,12 @@ def _add_three(ns, offset, m, at, N, dN, t_at, places):
 
 @functools.cache
 def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
-    """The loop of a field on itself: nc components, ns slots (gradients, or values too) each.
+    """The loop for a field by itself, with nc components and ns slots per component.
 
-    The points of a node come one after the other, so that its rows are summed where they are at
-    hand and go into the matrix once. Of a point and a node a there is t_r,ik = Σ_s φ_as T_is,kr,
-    and for each node b Σ_r φ_br t_r, all pairs ik of components side by side in registers.
+    Slots are gradients, or values and gradients. The loop goes through the nodes. For each node it
+    goes through the node's points, so that the node's rows are summed in the cache and added to the
+    matrix once. For a point and a node a it computes t_r,ik = Σ_s φ_as T_is,kr. For each node b it
+    adds Σ_r φ_br t_r. All pairs ik of components are side by side in registers.
     """
     offset = 0 if gradient_only else 1
     width = nc * ns
@@ -80,7 +81,7 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
         if node_start[begin] == node_start[end]:
             return
         n = groups[end] - groups[begin]
-        # T with the pairs of components innermost; to fill by hand compiles faster than `np.zeros`
+        # T with the pairs of components innermost; a loop compiles faster than `np.zeros`
         turned = np.empty((n, ns * ns, 4 * wide))
         for p in range(n):
             for rs in range(ns * ns):
@@ -126,14 +127,14 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                     of_point = turned_at + 32 * wide * ns * ns * (position - groups[begin])
                     for r in range(ns):
                         for v in range(wide):
-                            here = of_point + 32 * (r * wide + v)
+                            slot_at = of_point + 32 * (r * wide + v)
                             if offset:
-                                row = times(N[own], load(here))
+                                row = times(N[own], load(slot_at))
                             else:
-                                row = times(dN[own, 0], load(here))
+                                row = times(dN[own, 0], load(slot_at))
                             for s in range(1, ns):
                                 row = axpy(
-                                    dN[own, s - offset], load(here + 32 * s * ns * wide), row
+                                    dN[own, s - offset], load(slot_at + 32 * s * ns * wide), row
                                 )
                             store(t_at + 32 * (r * wide + v), row)
                     if wide == 1:
@@ -151,7 +152,7 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                                         phi = N[at + b]
                                     total = axpy(phi, load(t_at + 32 * (r * wide + v)), total)
                                 store(to, total)
-            # columns are alike for all components of a node
+            # all components of a node have the same columns
             for at in range(indptr[known], indptr[known + 1]):
                 place[indices[at]] = at - indptr[known]
             for c in range(count):
@@ -175,7 +176,7 @@ def stiffness_kernel(nc: int, ns: int, gradient_only: bool):
                             data[indptr[row] + place[row_of[other, k]]] += rows[c, i * nc + k]
                         else:
                             lift[node, i] += rows[c, i * nc + k] * prescribed[other, k]
-        # an address keeps nothing alive: without this Numba frees both before the loop
+        # an address does not keep an array alive: without this line Numba frees both early
         t[0, 0] = turned[0, 0, 0]
 
     return kernel

@@ -28,19 +28,19 @@ class PointUpdates:
     """Fields that a converged step sets to UFL expressions of state and increment. Collective.
 
     Args:
-        updates: Field name → expression.
+        updates: Expressions by name of the field.
         regions: Terms of the problem.
         spaces: Spaces of the increments.
         points: Material points.
-        tags: Tags of the points that are meant, or None for all.
+        tags: Tags of the points to set, or None for all points.
         carried: Whether the form carries the fields, see `dolfinmpm.carried`.
 
     Attributes:
         carried: The argument.
 
     Raises:
-        FieldShapeError: An expression has another shape than its field.
-        FormError: An expression cannot be evaluated at the points, or has the stress of a law
+        FieldShapeError: The shapes of an expression and of its field differ.
+        FormError: An expression cannot be evaluated at the points, or contains the stress of a law
             that is not in the form.
     """
 
@@ -61,8 +61,8 @@ class PointUpdates:
             shape = points[name].shape[1:]
             if expression.ufl_shape != shape:
                 raise FieldShapeError(
-                    f"field '{name}' has shape {shape} at a point, the expression that updates it "
-                    f"{expression.ufl_shape}"
+                    f"field '{name}' has shape {shape} at a point, but the expression that updates "
+                    f"it has shape {expression.ufl_shape}"
                 )
             mapped = self._slots.map(expand_derivatives(expression))
             parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
@@ -71,12 +71,17 @@ class PointUpdates:
         for operator in self._slots.operators:
             if operator not in known:
                 raise FormError(
-                    f"the updates name the stress of '{operator}', which is not in the form; give "
-                    "mpm.stress the same law, strain, fbar and tag as mpm.momentum"
+                    f"the updates contain the stress of '{operator}', which is not in the form; "
+                    "give mpm.stress the same law, strain, fbar and tag as mpm.momentum"
                 )
 
     def run(self, evaluation: Evaluation, new: dict[str, Array]) -> None:
-        """Write the fields' new values into new arrays."""
+        """Write the fields' new values into new arrays.
+
+        Args:
+            evaluation: Evaluation of the point terms, at the step's increments.
+            new: New arrays of fields by name; extended.
+        """
         if not self._programs:
             return
         points = self._points

@@ -1,9 +1,9 @@
 """B-splines with open knots in one direction, and their numbering on a rectangular grid.
 
-A line of n cells carries n + p functions of degree p; cell c sees c ... c + p. The
-first and last knots are repeated, so that the first and last functions alone
-differ from zero at the ends and essential conditions there are exact (Piegl &
-Tiller 1997, The NURBS Book, §2).
+A line of n cells carries n + p functions of degree p. The functions c ... c + p are not zero in
+cell c. The first and the last knot are repeated. Only the first and the last function then differ
+from zero at the ends, and essential conditions at the ends are exact (Piegl & Tiller 1997, The
+NURBS Book, §2).
 """
 
 from __future__ import annotations
@@ -41,7 +41,15 @@ def _knot(line, degree, i):
 
 @numba.njit(cache=True, error_model="numpy")
 def spline_weights(line, cell, degree, x, S, dS):
-    """The degree + 1 functions of a cell and their slopes (1/m) at x, by Cox and de Boor."""
+    """Values and slopes (1/m) at x of the degree + 1 functions of a cell (Cox & de Boor).
+
+    Args:
+        line: Coordinates of the grid lines (m).
+        cell: Number of the cell.
+        degree: Degree of the functions.
+        x: Position (m).
+        S, dS: Written: values (-) and slopes (1/m), degree + 1 numbers each.
+    """
     span = cell + degree
     for i in range(degree + 1):
         S[i] = 1.0 if i == 0 else 0.0
@@ -69,18 +77,18 @@ def spline_weights(line, cell, degree, x, S, dS):
 
 @numba.njit(cache=True, error_model="numpy")
 def uniform_weights(degree, xi, per_length):
-    """The degree + 1 functions and their slopes (1/m) at the share xi of a cell of a uniform line.
+    """Values and slopes (1/m) of the degree + 1 functions in a cell of a uniform line.
 
-    Where no knot is repeated: away from the ends of a line, from degree 2 on. Numbers, not
-    arrays, so that compiled loops keep them in registers.
+    From degree 2 on, the formulas hold only away from the ends of the line, where no knot is
+    repeated. The function returns numbers and no arrays: compiled loops keep numbers in registers.
 
     Args:
         degree: 1, 2 or 3.
-        xi: Share of the cell, from 0 to 1.
+        xi: Local coordinate in the cell, from 0 to 1.
         per_length: One over the cell's size (1/m).
 
     Returns:
-        Four values and four slopes, of which the last are 0 for lower degrees.
+        Four values and four slopes. Entries behind degree + 1 are 0.
     """
     rest, k = 1.0 - xi, per_length
     if degree == 1:
@@ -100,18 +108,18 @@ def uniform_weights(degree, xi, per_length):
 
 @numba.njit(cache=True, error_model="numpy")
 def uniform_averages(degree, left, right, per_length):
-    """Averages of `uniform_weights` from one share of a cell to another, for degree 2 or 3.
+    """Averages of `uniform_weights` over a part of a cell, for degree 2 or 3.
 
-    The average of a cubic over m ± r is f(m) + r²/6 f''(m): a difference of primitives would
-    lose the digits of small domains.
+    The average of a cubic over m ± r is f(m) + r²/6 f''(m). A difference of primitives would lose
+    digits in small domains.
 
     Args:
         degree: 2 or 3.
-        left, right: Shares of the cell, from 0 to 1.
+        left, right: Ends of the part in local coordinates of the cell, from 0 to 1.
         per_length: One over the cell's size (1/m).
 
     Returns:
-        Four values and four slopes, of which the last are 0 for degree 2.
+        Four values and four slopes. The fourth ones are 0 for degree 2.
     """
     xi, r, k = 0.5 * (left + right), (right - left) ** 2 / 24.0, per_length
     a, b, c, d, da, db, dc, dd = uniform_weights(degree, xi, k)
@@ -126,7 +134,10 @@ def uniform_averages(degree, left, right, per_length):
 
 @numba.njit(cache=True, error_model="numpy")
 def weights_at(line, uniform, cell, degree, x, S, dS):
-    """The degree + 1 functions of a cell and their slopes (1/m) at x."""
+    """Values and slopes (1/m) of the degree + 1 functions of a cell at x; see `spline_weights`.
+
+    On a uniform line away from its ends the faster `uniform_weights` are taken.
+    """
     if uniform and cell >= degree - 1 and cell <= line.size - 1 - degree:
         k = 1.0 / (line[cell + 1] - line[cell])
         found = uniform_weights(degree, (x - line[cell]) * k, k)
@@ -138,10 +149,19 @@ def weights_at(line, uniform, cell, degree, x, S, dS):
 
 @numba.njit(cache=True, error_model="numpy")
 def averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS, part, slope):
-    """Averages over a domain of the count + degree functions that it meets, and of their slopes.
+    """Averages of functions and slopes (1/m) over a point's domain, in one direction.
 
-    The domain is cut at the cells' edges. Two Gauss points a piece integrate cubic
-    polynomials exactly. `part` and `slope` are room for degree + 1 numbers.
+    The domain is cut at the edges of the cells. Two Gauss points per piece integrate cubic
+    polynomials exactly.
+
+    Args:
+        line: Coordinates of the grid lines (m).
+        uniform: Whether all cells have the same size.
+        first, count: First cell that the domain overlaps, and number of overlapped cells.
+        degree: Degree of the functions.
+        x, half: Position and half-length of the domain (m).
+        S, dS: Written: averages of the count + degree functions (-) and of their slopes (1/m).
+        part, slope: Scratch arrays, degree + 1 numbers each.
     """
     for i in range(count + degree):
         S[i] = 0.0
@@ -161,21 +181,22 @@ def averaged_spline_weights(line, uniform, first, count, degree, x, half, S, dS,
 
 
 def greville(line: Array, degree: int) -> Array:
-    """Greville points (m) of the functions: the means of their inner knots."""
+    """Greville points (m) of the functions: means of the inner knots, shape (cells + degree,)."""
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     return np.array([knots[i + 1 : i + degree + 1].mean() for i in range(line.size - 1 + degree)])
 
 
 def integrals(line: Array, degree: int) -> Array:
-    """Integrals (m) of the functions over the whole line: support over degree + 1."""
+    """Integrals (m) of the functions over the line: length of the support over degree + 1."""
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     return (knots[degree + 1 :] - knots[: -degree - 1]) / (degree + 1)
 
 
 def middles(line: Array, degree: int) -> Array:
-    """Centroids (m) of the functions over the whole line: means of their knots.
+    """Centroids (m) of the functions over the line: means of all knots of each function.
 
-    The first moment of B-splines as densities (Curry & Schoenberg 1966, doi 10.1007/BF02788653).
+    The formula is the first moment of a B-spline as a density (Curry & Schoenberg 1966, doi
+    10.1007/BF02788653).
     """
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     windows = np.lib.stride_tricks.sliding_window_view(knots, degree + 2)
@@ -183,10 +204,10 @@ def middles(line: Array, degree: int) -> Array:
 
 
 def _moments(line: Array, degree: int, function: int, origin: float) -> Array:
-    """Coefficients that one function has in 1, (x − origin), ..., (x − origin)^degree.
+    """Coefficients of one function in the expansions of 1, (x − origin), ..., (x − origin)^degree.
 
-    By blossoming: the coefficient in a monomial is the mean of the products of as
-    many of the function's inner knots (Ramshaw 1989).
+    The coefficient for power k is the mean of all products of k inner knots of the function
+    (blossoming, Ramshaw 1989).
     """
     knots = np.concatenate([[line[0]] * degree, line, [line[-1]] * degree])
     inner = knots[function + 1 : function + degree + 1] - origin
@@ -200,10 +221,17 @@ def _moments(line: Array, degree: int, function: int, origin: float) -> Array:
 
 
 def extension_weights(line: Array, degree: int, cell: int, function: int) -> Array:
-    """Coefficient of a function that continues the polynomial of a cell, by the cell's own.
+    """Weights that extend the polynomial of a cell to a function outside the cell.
 
-    Reproduces polynomials of the degree for any knots; with equal cells it is
-    Höllig's Π_{μ≠i} (j − l − μ)/(i − l − μ).
+    The coefficient of the outer function is a weighted sum of the coefficients of the cell's own
+    functions. The weights reproduce polynomials of the degree for any knots. With equal cells they
+    are Höllig's Π_{μ≠i} (j − l − μ)/(i − l − μ).
+
+    Args:
+        line: Coordinates of the grid lines (m).
+        degree: Degree of the functions.
+        cell: Number of the cell.
+        function: Number of the outer function.
 
     Returns:
         Weights of the functions cell ... cell + degree, shape (degree + 1,).
@@ -217,7 +245,7 @@ def extension_weights(line: Array, degree: int, cell: int, function: int) -> Arr
 def functions_of(
     comm: MPI.Intracomm, cells: npt.NDArray[np.int32], shape: tuple[int, ...], degree: int
 ) -> tuple[IndexMap, npt.NDArray[np.int32]]:
-    """Number the functions that have their middles in each rank's own cells. Collective.
+    """Number the functions that are anchored in each rank's own cells. Collective.
 
     Args:
         comm: Communicator.
@@ -226,11 +254,11 @@ def functions_of(
         degree: Degree of the functions.
 
     Returns:
-        Index map without ghosts, and the lattice position of its functions, shape (functions,
+        Index map without ghosts, and the lattice positions of its functions, shape (functions,
         gdim).
     """
     last, pieces = np.array(shape) - 1, []
-    # a function is anchored at cell i − ⌊p/2⌋, those at the ends at the first and last cell
+    # function i is anchored at cell i − ⌊p/2⌋, clipped to the first and the last cell
     for shift in np.ndindex(*(degree + 1,) * len(shape)):
         function = cells + np.array(shift)
         anchor = np.clip(function - degree // 2, 0, last)

@@ -1,7 +1,6 @@
-"""Linear functions on single cells: values, gradients and the way back to reference coordinates.
+"""Linear functions on single cells: values, gradients, and reference coordinates of positions.
 
-Vertices are numbered as DOLFINx numbers them: on boxes the first coordinate runs
-fastest.
+Vertices are numbered as in DOLFINx: on boxes the first coordinate runs fastest.
 """
 
 from __future__ import annotations
@@ -14,7 +13,13 @@ SIMPLEX, BOX = 0, 1
 
 @numba.njit(cache=True, error_model="numpy")
 def reference_functions(kind, xi, N, dN):
-    """Linear functions and their reference gradients at xi; writes N (m,) and dN (m, d)."""
+    """Linear functions and their reference gradients at xi.
+
+    Args:
+        kind: SIMPLEX or BOX.
+        xi: Reference coordinates, shape (d,).
+        N, dN: Written: values, shape (m,), and reference gradients, shape (m, d).
+    """
     d = xi.size
     if kind == SIMPLEX:
         N[0] = 1.0
@@ -39,7 +44,7 @@ def reference_functions(kind, xi, N, dN):
 
 @numba.njit(cache=True, error_model="numpy")
 def invert(J, K):
-    """Inverse K of a 1x1, 2x2 or 3x3 matrix J; returns det J."""
+    """Write the inverse of a 1x1, 2x2 or 3x3 matrix J to K, and return det J."""
     d = J.shape[0]
     if d == 1:
         det = J[0, 0]
@@ -62,7 +67,7 @@ def invert(J, K):
 
 @numba.njit(cache=True, error_model="numpy")
 def _map(kind, X, xi, N, dN, J, K):
-    """The functions at xi, and Jacobian J and its inverse K of the cell with vertices X there."""
+    """Write the functions N, dN at xi, the Jacobian J of the cell with vertices X, and K = J⁻¹."""
     reference_functions(kind, xi, N, dN)
     d = xi.size
     for i in range(d):
@@ -77,8 +82,18 @@ def _map(kind, X, xi, N, dN, J, K):
 def pull_back(kind, X, x, xi, N, dN, J, K):
     """Reference coordinates of x in the cell with vertices X, by Newton's method.
 
-    Affine cells take one iteration. Leaves N at xi, and in J the Jacobian and in
-    K its inverse. Returns whether the iteration converged.
+    Affine cells take one iteration.
+
+    Args:
+        kind: SIMPLEX or BOX.
+        X: Vertices of the cell (m), shape (m, d).
+        x: Position (m), shape (d,).
+        xi: Written: reference coordinates, shape (d,).
+        N, dN: Written: functions and reference gradients at xi, shapes (m,) and (m, d).
+        J, K: Written: Jacobian at xi and its inverse, shape (d, d).
+
+    Returns:
+        Whether the iteration converged.
     """
     d = x.size
     for j in range(d):
@@ -89,12 +104,12 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
         for j in range(d):
             step = 0.0
             for i in range(d):
-                # relative to the first vertex: far from the origin rounding would be too coarse
+                # relative to the first vertex: far from the origin rounding errors are too large
                 miss = x[i] - X[0, i]
                 for a in range(1, N.size):
                     miss -= N[a] * (X[a, i] - X[0, i])
                 step += K[j, i] * miss
-            J[j, j] = step  # J is built anew before it is used again
+            J[j, j] = step  # room for the step: _map writes J again before its next use
             largest = max(largest, abs(step))
         if not largest < 1e3:
             return False
@@ -108,7 +123,7 @@ def pull_back(kind, X, x, xi, N, dN, J, K):
 
 @numba.njit(cache=True, error_model="numpy")
 def outside_by(kind, xi):
-    """How far xi lies outside the reference cell; negative or zero inside."""
+    """Distance by which xi lies outside the reference cell; negative or zero inside."""
     far = -1.0
     total = 0.0
     for j in range(xi.size):
@@ -123,7 +138,17 @@ def outside_by(kind, xi):
 
 @numba.njit(cache=True, error_model="numpy")
 def contained(kind, vertices, coordinates, cells, x, tolerance, result):
-    """Whether each point x[p] lies in cells[p] (-1: in none); writes result (points,)."""
+    """Find whether each point lies in its cell.
+
+    Args:
+        kind: SIMPLEX or BOX.
+        vertices: Vertices of the cells, shape (cells, m).
+        coordinates: Coordinates of the vertices (m), shape (vertices, d).
+        cells: Cell of each point, -1 for none, shape (points,).
+        x: Positions (m), shape (points, d).
+        tolerance: Distance outside the reference cell that still counts as inside.
+        result: Written: the answers, shape (points,).
+    """
     m, d = vertices.shape[1], x.shape[1]
     X, N, dN = np.empty((m, d)), np.empty(m), np.empty((m, d))
     J, K, xi = np.empty((d, d)), np.empty((d, d)), np.empty(d)
@@ -134,7 +159,7 @@ def contained(kind, vertices, coordinates, cells, x, tolerance, result):
                 for i in range(d):
                     X[a, i] = coordinates[vertices[cells[p], a], i]
             if pull_back(kind, X, x[p], xi, N, dN, J, K):
-                # positions themselves are rounded, the more so the further from the origin
+                # positions are rounded too; the rounding error grows with distance from the origin
                 rounding = 0.0
                 for i in range(d):
                     for j in range(d):

@@ -43,7 +43,7 @@ _NOT_GIVEN: Any = object()
 
 @dataclass(frozen=True)
 class Condition:
-    """One component of a field prescribed at some nodes.
+    """One component of a field, prescribed at some nodes.
 
     Attributes:
         space: Space of the field.
@@ -80,7 +80,10 @@ class Condition:
         return np.asarray(value, float)
 
     def now(self) -> Condition:
-        """The condition at the nodes where its place is now; itself if these stay. Collective."""
+        """The condition at the nodes that its place holds now. Collective.
+
+        The condition itself is returned where the nodes stay the same.
+        """
         if self.place is None:
             return self
         place, space = self.place, self.space
@@ -92,7 +95,7 @@ class Condition:
 
 
 def _sides(gdim: int) -> dict[str, tuple[int, int]]:
-    """Side → (axis, 0 for its lower or 1 for its upper end); bottom, top are on the last axis."""
+    """Axis and end (0: lower, 1: upper) of each side; bottom and top are on the last axis."""
     last = gdim - 1
     sides = {"left": (0, 0), "right": (0, 1), "bottom": (last, 0), "top": (last, 1)}
     if gdim == 3:
@@ -103,8 +106,12 @@ def _sides(gdim: int) -> dict[str, tuple[int, int]]:
 def side_of(where: str, gdim: int) -> tuple[str, int, int]:
     """Name, axis and end (0: lower, 1: upper) of a side of the grid.
 
+    Args:
+        where: Name of the side; see `prescribed`.
+        gdim: Dimension of space.
+
     Raises:
-        ParameterError: There is no such side.
+        ParameterError: The grid has no side with this name.
     """
     name = _side(where, gdim)
     return (name, *_sides(gdim)[name])
@@ -118,26 +125,28 @@ def _side(where: str, gdim: int) -> str:
 
 
 def node_coordinates(space: Space) -> npt.NDArray[np.float64]:
-    """Positions of the nodes that conditions number (m), shape (nodes, gdim)."""
+    """Positions of the nodes (m), in the numbering of conditions, shape (nodes, gdim)."""
     return space.basis.node_coordinates()[:, : space.grid.geometry.dim]
 
 
 def _check_space(space: Any) -> None:
     if not isinstance(space, Space):
         raise ParameterError(
-            f"space = {shown(space)} must be a dolfinmpm.Space; an increment is held by the space "
-            "that it is of"
+            f"space = {shown(space)} must be a dolfinmpm.Space; give the space of the increment, "
+            "and not the increment"
         )
 
 
 def _chosen(space: Space, where: Callable) -> npt.NDArray[np.int32]:
-    """Nodes at which a function of positions holds."""
+    """Nodes at which a function of positions is true."""
     chosen = choose("the function of places", where, node_coordinates(space))
     return np.flatnonzero(chosen).astype(np.int32)
 
 
-def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[np.int32], str]:
-    """Nodes at a place, and its name; `none` says whether there may be no node. Collective."""
+def _nodes(
+    space: Space, where: Where, may_be_empty: bool = False
+) -> tuple[npt.NDArray[np.int32], str]:
+    """Nodes at a place, and the name of the place. Collective."""
     x = node_coordinates(space)
     comm, gdim = space.grid.comm, space.grid.geometry.dim
     if not callable(where):
@@ -151,17 +160,17 @@ def _nodes(space: Space, where: Where, none: bool = False) -> tuple[npt.NDArray[
     low = np.min(comm.allgather(x[nodes].min(axis=0, initial=math.inf)), axis=0)
     high = np.max(comm.allgather(x[nodes].max(axis=0, initial=-math.inf)), axis=0)
     name = getattr(where, "__name__", "<lambda>")
-    if none and name == "<lambda>":
+    if may_be_empty and name == "<lambda>":
         return nodes, "a place that follows"
-    if not none and not np.isfinite(low).all():
+    if not may_be_empty and not np.isfinite(low).all():
         corners = x.min(axis=0, initial=math.inf), x.max(axis=0, initial=-math.inf)
         low = np.min(comm.allgather(corners[0]), axis=0)
         high = np.max(comm.allgather(corners[1]), axis=0)
         raise ParameterError(
-            f"no node of the grid lies where '{name}' says; they lie from {low} to {high} m: check "
+            f"'{name}' chooses no node of the grid; the nodes lie from {low} to {high} m: check "
             "the coordinates, and compare them with np.isclose"
         )
-    # a function without a name of its own is told by where it holds
+    # a function without a name is described by the positions of its nodes
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
@@ -175,7 +184,7 @@ def prescribed(
     value: Given = _NOT_GIVEN,
     follows: bool = False,
 ) -> list[Condition]:
-    """Prescribe one component's increment in every step, or its value. Collective.
+    """Prescribe the increment of one component in every step, or its value. Collective.
 
     Without an increment and a value the component is held at zero.
 
@@ -217,7 +226,7 @@ def prescribed(
     if follows and not (callable(where) and constant):
         raise ParameterError(
             "follows=True goes with a function of positions as where, and with a number or a "
-            f"constant as {kind}: how many nodes there are may change"
+            f"constant as {kind}: the number of nodes may change from step to step"
         )
     nodes, name = _nodes(space, where, follows)
     what = f"the {'increment' if kind == 'zero' else kind} prescribed at '{name}'"
@@ -230,16 +239,16 @@ def prescribed(
 def moving(
     space: Space, where: Where, component: int, *, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
-    """Prescribe the velocity of one component in time, for steps in time. Collective.
+    """Prescribe the velocity of one component, for steps in time. Collective.
 
     Args:
         space: Space of the displacement.
         where: See `prescribed`.
         component: Component of the displacement.
-        velocity: Velocity (m/s): a number, or a function of the time (s) that returns one.
+        velocity: Velocity (m/s): a number, or a function of the time (s) that returns a number.
 
     Raises:
-        ParameterError: See `prescribed`; or the velocity is no number.
+        ParameterError: The velocity is no number; or see `prescribed`.
     """
     given = velocity if callable(velocity) else number("velocity", velocity, unit="m/s")
 
@@ -256,8 +265,8 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     if isinstance(value, fem.Constant):
         if value.ufl_shape != ():
             raise ParameterError(
-                f"{what} is a constant of shape {value.ufl_shape} and must be a scalar one; give "
-                "each component a condition of its own"
+                f"{what} is a constant of shape {value.ufl_shape} and must be a scalar constant; "
+                "give each component its own condition"
             )
         return value
     # UFL expressions are callable too
@@ -273,7 +282,7 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     elif np.ndim(value) == 0:
         return np.asarray(number(what, value))
     else:
-        given = call_together(comm, lambda: _one_a_node(what, value, nodes.size))
+        given = call_together(comm, lambda: _one_per_node(what, value, nodes.size))
     error = None
     if not np.isfinite(given).all():
         k = int(np.flatnonzero(~np.isfinite(given))[0])
@@ -283,7 +292,7 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     return given
 
 
-def _one_a_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
+def _one_per_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     try:
         given = np.asarray(value, float)
     except (TypeError, ValueError):
@@ -291,17 +300,21 @@ def _one_a_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     if given.shape != (size,):
         raise ParameterError(
             f"{what} is {shown(value)} and must be one number, or one for each of {size} nodes on "
-            "this rank; give each component a condition of its own"
+            "this rank; give each component its own condition"
         )
     return given
 
 
 @together
 def fixed(space: Space, *where: Where) -> list[Condition]:
-    """Hold all components. Collective; see `prescribed` for `where`.
+    """Set the increments of all components to zero at some places. Collective.
+
+    Args:
+        space: Space of the field.
+        where: Places; see `prescribed`.
 
     Raises:
-        ParameterError: A place is not what it may be.
+        ParameterError: The space or a place is not valid; see `prescribed`.
     """
     _check_space(space)
     _check_places("fixed", where)
@@ -315,7 +328,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
 
 @together
 def rollers(space: Space, *sides: str) -> list[Condition]:
-    """Hold the component across each side and leave those along it free. Collective.
+    """Constrain the displacement normal to each side, and leave it free along the side. Collective.
 
     Args:
         space: Space of the displacement.
@@ -329,7 +342,7 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
     gdim = space.grid.geometry.dim
     if space.increment.ufl_shape != (gdim,):
         raise ParameterError(
-            f"rollers hold the component of a displacement across a side; the field has shape "
+            f"rollers constrain the displacement normal to a side; the field has shape "
             f"{space.increment.ufl_shape}, not {(gdim,)}: use mpm.prescribed"
         )
     _check_places("rollers", sides)
@@ -337,7 +350,7 @@ def rollers(space: Space, *sides: str) -> list[Condition]:
     for side in sides:
         if callable(side):
             raise ParameterError(
-                "rollers take names of sides, whose axis they hold; at a function of positions "
+                "rollers take names of sides, which have a normal; at a function of positions "
                 "use mpm.prescribed(space, function, component)"
             )
         name = _side(side, gdim)

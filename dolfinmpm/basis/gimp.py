@@ -1,9 +1,9 @@
 """Generalised interpolation: linear functions averaged over the points' domains, in one direction.
 
-(Bardenhagen & Kober 2004, doi 10.3970/cmes.2004.005.477.) The average over a
-domain is the sum over the cells that it overlaps of the linear function at the
-middle of the overlap, weighted with the overlap's share of the domain. A point
-without a domain is the standard material point method.
+The method is by Bardenhagen & Kober (2004, doi 10.3970/cmes.2004.005.477). The average over a
+domain is a sum over the overlapped cells. Each summand is the linear function at the middle of the
+overlap, times the overlap's share of the domain. A point without a domain gives the standard
+material point method.
 """
 
 from __future__ import annotations
@@ -13,13 +13,20 @@ import numba
 
 @numba.njit(cache=True, error_model="numpy")
 def domain_weights(line, first, count, x, half, S, dS):
-    """Average of the linear functions over a domain and its gradient, in one direction."""
+    """Averages of the linear functions and of their slopes over a domain, in one direction.
+
+    Args:
+        line: Coordinates of the grid lines (m).
+        first, count: First cell that the domain overlaps, and number of overlapped cells.
+        x, half: Position and half-length of the domain (m); 0 for a point without a domain.
+        S, dS: Written: averages (-) and slopes (1/m), count + 1 numbers each.
+    """
     for i in range(count + 1):
         S[i] = 0.0
         dS[i] = 0.0
     left = max(x - half, line[first])
     right = min(x + half, line[first + count])
-    # divisions are most of what this takes
+    # divisions take most of the time here: divide once
     whole = 1.0 / (right - left) if half > 0.0 else 1.0
     for c in range(count):
         lower, upper = line[first + c], line[first + c + 1]
@@ -36,16 +43,15 @@ def domain_weights(line, first, count, x, half, S, dS):
 
 @numba.njit(cache=True, error_model="numpy")
 def uniform_domain_weights(left, right, per_length):
-    """`domain_weights` of three functions, for a domain over two cells of a uniform line at most.
+    """`domain_weights` of three functions, for a domain in at most two cells of a uniform line.
 
     Args:
-        left, right: Ends of the domain, in cells from the lower end of the first, whose
-            upper end is 1.
+        left, right: Ends of the domain, measured in cells from the lower end of the first cell.
         per_length: One over the cells' size (1/m).
 
     Returns:
-        Three values and three slopes; the third function's are 0 where the domain ends in
-        the first cell.
+        Three values and three slopes. Where the domain ends in the first cell, the third value
+        and the third slope are 0.
     """
     k = per_length
     a, b = min(right, 1.0) - left, max(right - 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""What essential conditions hold: rigid motions that stay free, and conditions without nodes."""
+"""Checks of essential conditions: rigid motions that stay free, and conditions without nodes."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def idle(
     spaces: Sequence[Space],
     active: Sequence[npt.NDArray[np.int32]],
 ) -> list[str]:
-    """Places at which no condition holds an active node, on any rank. Collective.
+    """Places whose conditions constrain no active node on any rank. Collective.
 
     Args:
-        conditions: The conditions.
+        conditions: The conditions. Conditions with `follows=True` are not looked at.
         spaces: Spaces of the fields.
-        active: For each space its active nodes, as the conditions number them.
+        active: Active nodes of each space, in the numbering of the conditions.
 
     Returns:
-        Names of the places, each once, but for those that follow something.
+        Names of the places, each name once.
     """
     conditions = [condition for condition in conditions if condition.place is None]
     if not conditions:
@@ -49,15 +49,15 @@ def warn_idle(
     spaces: Sequence[Space],
     active: Sequence[npt.NDArray[np.int32]],
 ) -> None:
-    """Warn on rank 0 of conditions that hold nothing; see `idle`. Collective."""
+    """Warn on rank 0 of conditions that constrain no active node; see `idle`. Collective."""
     names = idle(conditions, spaces, active)
     if names:
         places = ", ".join(f"'{name}'" for name in names)
         warn(
             spaces[0].grid.comm,
-            f"the conditions at {places} hold no node that the body moves: it does not reach there "
-            "now, and they do nothing until it does. Names of sides mean those of the grid; give a "
-            "function of positions to hold the body elsewhere",
+            f"the conditions at {places} hold no node that the body moves: the body does not reach "
+            "these places now. The conditions do nothing until the body reaches them. Names of "
+            "sides mean sides of the grid; give a function of positions to hold the body elsewhere",
             IdleConditionWarning,
         )
 
@@ -68,14 +68,16 @@ def free_motions(
     active: npt.NDArray[np.int32],
     axisymmetric: bool = False,
 ) -> list[str]:
-    """Rigid motions that no condition holds, in words. Collective.
+    """Rigid motions that no condition constrains, in words. Collective.
 
     Args:
         conditions: The conditions.
         space: Space of the displacement.
         active: Its active nodes.
-        axisymmetric: Whether the body is one of revolution, which along its axis alone moves
-            rigidly.
+        axisymmetric: Whether the body is axisymmetric. Its only rigid motion is along the axis.
+
+    Returns:
+        Descriptions such as "along x" and "1 with a turn"; empty if all motions are constrained.
     """
     x, gdim, comm = node_coordinates(space), space.grid.geometry.dim, space.grid.comm
     moved = np.zeros(len(x), bool)
@@ -104,7 +106,7 @@ def free_motions(
     free = vectors[:, values <= 1e-12 * max(values.max(), 1.0)].T
     if not len(free):
         return []
-    # axes along which a free motion can go without another
+    # axes along which the body can move alone, without another motion
     along = [f"along {'xyz'[i]}" for i in range(gdim) if abs(np.linalg.norm(free[:, i]) - 1) < 1e-9]
     turning = len(free) - len(along)
     return along + ([f"{turning} with a turn"] if turning else [])

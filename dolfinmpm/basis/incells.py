@@ -1,4 +1,4 @@
-"""Values of a lattice's functions at positions, each seen from one given cell."""
+"""Values of a lattice's functions at positions, each evaluated in one given cell."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["values_in_cells"]
 
 @functools.cache
 def _fill(linear: bool):
-    """The loop, of linear functions without what splines need."""
+    """The compiled loop; the loop for linear functions is compiled without the splines' code."""
 
     @numba.njit(cache=True, error_model="numpy")
     def kernel(x, cell, lines, start, origin, node_table, shape, degree, uniform, nodes, N):
@@ -54,15 +54,16 @@ def _fill(linear: bool):
 def values_in_cells(
     basis: LatticeBasis, x: npt.NDArray[np.float64], cell: npt.NDArray[np.integer]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]] | None:
-    """Nodes and values of the functions, not averaged, as they are in some cells.
+    """Nodes and values of the functions, not averaged, in given cells.
 
     Args:
         basis: The basis.
         x: Positions (m), shape (n, gdim).
-        cell: Positions of the cells in the halo's tables, likewise.
+        cell: Positions of the cells in the halo's tables, shape (n, gdim).
 
     Returns:
-        Two arrays of shape (n, functions of a cell), or None if a node is not known here.
+        Nodes and values (-), both of shape (n, functions per cell), or None if this rank does not
+        know one of the nodes.
     """
     halo, lines = basis.halo, basis.lattice.lines
     start = np.cumsum([0, *(line.size for line in lines)])

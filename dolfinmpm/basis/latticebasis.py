@@ -1,7 +1,7 @@
 """Bases on rectangular grids: products of functions of one direction each.
 
-Linear functions and B-splines, and the averages of both over the points' domains
-(GIMP is that of linear functions), differ in the functions of one direction only.
+The bases are linear functions, B-splines, and averages of both over the points' domains. GIMP is
+the average of linear functions. The bases differ only in the functions of one direction.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ __all__ = ["LatticeBasis", "first_parts"]
 
 @numba.njit(cache=True, error_model="numpy")
 def _overlaps(x, half, lines, line_start, uniform, origin, low, count):
-    """First overlapped cell, counted from the origin, and number of them a direction."""
+    """Write the first overlapped cell, counted from the origin, and the number of overlapped cells.
+
+    Both are written per point and direction.
+    """
     for p in range(x.shape[0]):
         for d in range(x.shape[1]):
             line = lines[line_start[d] : line_start[d + 1]]
@@ -47,13 +50,15 @@ def _overlaps(x, half, lines, line_start, uniform, origin, low, count):
 
 @numba.njit(cache=True, error_model="numpy")
 def _reach(x, half, averaged, lines, line_start, uniform):
-    """Most layers of cells that domains reach beyond those of their points, and cells across.
+    """Largest reach of the points' domains beyond their own cells, and largest span in cells.
 
     Args:
-        averaged: Whether points have domains; the cell below one without may be its own.
+        averaged: Whether points have domains. A point without a domain on a grid line may be
+            seen from the cell below.
 
     Returns:
-        Layers, cells that a domain spans at most, and the point whose it is.
+        Layers of cells, largest number of cells that a domain spans, and the point with this
+        domain.
     """
     layers, most, worst = 0, 1, 0
     for d in range(x.shape[1]):
@@ -62,7 +67,7 @@ def _reach(x, half, averaged, lines, line_start, uniform):
         scale = n / (line[n] - line[0])
         for p in range(x.shape[0]):
             at, number = overlapped(line, uniform, x[p, d], half[p, d] if averaged else 0.0)
-            # as `Lattice.cells_at` finds it
+            # same result as `Lattice.cells_at`
             own = int(np.floor((x[p, d] - line[0]) * scale)) if uniform else -1
             own = min(max(own, 0), n - 1) if uniform else cell_of(line, False, x[p, d])
             layers = max(layers, own - at, at + number - 1 - own)
@@ -80,13 +85,13 @@ def _keys(low, count, table_shape, key):
         for d in range(low.shape[1]):
             k = k * table_shape[d] + low[p, d]
             c = c * 64 + count[p, d]
-        # 18 bits are room for 63 cells a direction in 3D
+        # 18 bits have room for 63 cells per direction in 3D
         key[p] = k * 262144 + c
 
 
 @functools.cache
 def _fill(linear: bool, axisymmetric: bool):
-    """The loop that makes stencils, of linear functions without what splines need."""
+    """The loop that makes stencils; for linear functions it is compiled without splines' code."""
 
     @numba.njit(cache=True, error_model="numpy")
     def kernel(
@@ -169,9 +174,14 @@ def _fill(linear: bool, axisymmetric: bool):
 
 
 def first_parts(ijk: npt.NDArray[np.int32], by: int) -> npt.NDArray[np.int32]:
-    """Coarse cells, given by positions, of which some cells are the lowest parts, shape (n, gdim).
+    """Coarse cells whose lowest part is among some cells, so that one rank owns each coarse cell.
 
-    So a coarse cell that several ranks have parts of is one rank's own.
+    Args:
+        ijk: Lattice positions of cells of the grid, shape (n, gdim).
+        by: Number of cells of the grid per coarse cell and direction.
+
+    Returns:
+        Lattice positions of the coarse cells, shape (m, gdim).
     """
     return ijk[np.all(ijk % by == 0, axis=1)] // by
 
@@ -179,7 +189,7 @@ def first_parts(ijk: npt.NDArray[np.int32], by: int) -> npt.NDArray[np.int32]:
 class LatticeBasis:
     """Products of linear functions or B-splines, or of their averages over domains.
 
-    What is said of nodes holds for B-splines too: a node is then a function.
+    For B-splines the word "node" means a function.
 
     Args:
         grid: Background grid.
@@ -187,16 +197,17 @@ class LatticeBasis:
         degree: Degree of the functions: 1, 2 or 3.
         averaged: Whether functions are averaged over the points' domains.
         node_map: Index map of the nodes.
-        node_ijk: Lattice position of its nodes, shape (nodes, gdim).
-        coarsen: How many of the grid's lines there are to one of the lattice's, which is then
-            `Lattice.coarsened`. Cells are those of the lattice.
+        node_ijk: Lattice positions of the nodes, shape (nodes, gdim).
+        coarsen: Number of cells of the grid per cell of the lattice and direction. Above 1 the
+            lattice is the grid's `Lattice.coarsened`. "Cells" are cells of the lattice.
 
     Attributes:
-        nodes, cells: Numberings of the nodes and cells that are known here.
-        partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
-        grid_nodes, grid_cells: The nodes that `nodes` has without a partition, and the cells that
-            those of DOLFINx's mesh are, or are part of, as they are numbered here; None where
+        nodes, cells: Numberings of the nodes and cells that this rank knows.
+        partition: Which rank computes a cell; None if the owner in DOLFINx's mesh computes it.
+        grid_nodes: Numbers in `nodes` of the nodes of the basis without a partition; None where
             the numbers are the same.
+        grid_cells: For each cell of DOLFINx's mesh, the number in `cells` of the cell that
+            contains it; None where the numbers are the same.
         continuity: Highest derivative that is continuous across facets.
     """
 
@@ -226,13 +237,13 @@ class LatticeBasis:
 
     @property
     def _least_layers(self) -> int:
-        # beside a coarse cell points see others, and which cells are active is asked for
+        # points near the edge of a coarse cell see its neighbours, whose activity must be known
         return int(self.averaged or self.degree > 1 or self.coarsen > 1)
 
     def own_cells(self) -> npt.NDArray[np.int32]:
         """Lattice positions of the grid's cells whose points this rank computes, shape (n, gdim).
 
-        Of the grid's own lattice, and not of a coarser one.
+        The positions are in the lattice of the grid, and not in a coarser one.
         """
         if self.partition is not None:
             return self.partition.cells(self.grid.comm.rank)
@@ -269,20 +280,20 @@ class LatticeBasis:
             self.grid_nodes = self.halo.node_table[tuple((self._node_ijk - origin).T)]
 
     def grown(self, layers: int, partition: Partition | None = None) -> LatticeBasis:
-        """The basis that knows what is within so many layers of this rank's own cells. Collective.
+        """The basis that knows all nodes and cells within some layers of own cells. Collective.
 
-        It has numberings of its own. Without a partition the owned nodes and cells, and the ghosts
-        of DOLFINx, are the same in them. Asked again, it is the same one.
+        The basis has its own numberings. Without a partition, owned nodes and cells and the ghosts
+        of DOLFINx keep their numbers. The same arguments return the same object.
 
         Args:
-            layers: Layers of cells.
-            partition: Which rank computes a cell; None for the one that has it in DOLFINx's mesh.
+            layers: Layers of cells around this rank's own cells.
+            partition: Which rank computes a cell; None if the owner in DOLFINx's mesh computes it.
         """
         if self.grid.comm.size == 1:
             return self
         if partition is self.partition and layers <= self.halo.layers:
             return self
-        # bases of a partition that is no more are not asked for again
+        # nobody asks again for the basis of an old partition
         for old in [k for k in self._grown if k[0] is not None and k[0] is not partition]:
             del self._grown[old]
         key = partition, max(layers, self._least_layers)
@@ -294,24 +305,27 @@ class LatticeBasis:
         return self._grown[key]
 
     def regrid(self, lattice: Lattice) -> None:
-        """Take a lattice of the grid of as many lines in place of the own one.
+        """Replace the lattice by a lattice of the grid with the same number of lines.
 
-        Numberings stay; what was computed from places does not.
+        Numberings stay. Values that were computed from coordinates are dropped.
+
+        Args:
+            lattice: The new lattice of the grid, not coarsened.
         """
         lattice = lattice.coarsened(self.coarsen)
         self.lattice = lattice
         self._lines = np.concatenate(lattice.lines)
         self._node_x = self._corners = None
-        # copies with more overlap are made anew
+        # copies with more overlap must be built again
         self._grown = {}
 
     def node_coordinates(self) -> npt.NDArray[np.float64]:
-        """Positions of the nodes, the Greville points of splines (m), shape (nodes, 3)."""
+        """Positions (m) of the nodes, or Greville points of the splines, shape (nodes, 3)."""
         if self._node_x is None:
             x = np.zeros((self.nodes.size, 3))
             for d, line in enumerate(self.lattice.lines):
                 x[:, d] = greville(line, self.degree)[self.halo.node_ijk[:, d]]
-            # every step in time asks for them
+            # all steps in time share one array
             x.flags.writeable = False
             self._node_x = x
         return self._node_x
@@ -326,7 +340,10 @@ class LatticeBasis:
         return self._corners
 
     def _spans(self, where: Placement, origin):
-        """Half-lengths that count, and first overlapped cell and number of them a direction."""
+        """Half-lengths (zero unless averaged), first overlapped cell and number of cells.
+
+        All three have shape (points, gdim).
+        """
         x = where.x
         half = where.half if self.averaged else np.zeros_like(x)
         low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
@@ -335,7 +352,7 @@ class LatticeBasis:
         return half, low, count
 
     def spans(self, x, half) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """The first cell that each domain overlaps, in the halo's tables, and number of them.
+        """First cell that each domain overlaps, in the halo's tables, and number of cells.
 
         Args:
             x, half: Positions and half-lengths (m), shape (points, gdim).
@@ -349,11 +366,14 @@ class LatticeBasis:
         return low, count
 
     def _on_lines(self, x, low) -> npt.NDArray[np.bool_]:
-        """Whether points without domains are on the lower grid lines of their cells, a direction.
+        """Whether points without domains lie on the lower grid lines of their cells.
 
         Args:
             x: Positions (m), shape (points, gdim).
-            low: Lattice position of their cells, likewise.
+            low: Lattice positions of their cells, shape (points, gdim).
+
+        Returns:
+            One answer per point and direction, shape (points, gdim).
         """
         on = np.zeros(x.shape, bool)
         if not self.averaged:
@@ -362,17 +382,18 @@ class LatticeBasis:
                 on[:, d] = (i > 0) & (x[:, d] - line[i] < SNAP * (line[i + 1] - line[i]))
         return on
 
-    def _beside_others(self, x, low) -> npt.NDArray[np.int32]:
-        """Cells of points on grid lines: one that others are in, if any is beside. Collective.
+    def _in_filled_cells(self, x, low) -> npt.NDArray[np.int32]:
+        """Cells of the points; a point on a grid line takes a cell with other points. Collective.
 
-        A function that begins at the line is 0 there and must make no node active, nor its first
-        cell; and the slope of a linear one is that towards a node without mass. Seen from a cell
-        of the body such a point has its gradient, and sees nodes that others see. One that is
-        alone is in the upper cell.
+        A function that begins at the line is 0 at the line. It must make neither its node nor its
+        cell active. The slope of such a linear function also belongs to a node without mass. From
+        a cell that has other points, the point gets the body's gradient and nodes of other points.
+        A point without such a neighbour stays in the upper cell.
 
         Args:
             x: Positions (m), shape (points, gdim).
-            low: Positions of their cells in the halo's tables, the upper ones on grid lines.
+            low: Positions of their cells in the halo's tables, shape (points, gdim). Points on
+                grid lines have the upper cells.
         """
         on = self._on_lines(x, low + self.halo.origin)
         some = on.any(axis=1)
@@ -393,17 +414,17 @@ class LatticeBasis:
         return low
 
     def reach(self, where: Placement) -> tuple[int, int]:
-        """How far the points' domains reach beyond their own cells, and across. Collective.
+        """Reach of the points' domains beyond their own cells, and their span. Collective.
 
         Args:
             where: The points.
 
         Returns:
-            Layers of cells around a point's own cell that its domain reaches, and cells that
-            it spans in one direction, at most, over all ranks.
+            Most layers of cells around a point's own cell that its domain reaches, and most cells
+            that a domain spans in one direction, over all ranks.
 
         Raises:
-            PointsOutsideGridError: A domain spans more cells than stencils have room for.
+            PointsOutsideGridError: A domain spans more than 60 cells, the room in stencils.
         """
         layers, most, p = _reach(
             where.x, where.half, self.averaged, self._lines, self._line_start, self.lattice.uniform
@@ -413,7 +434,7 @@ class LatticeBasis:
             error = PointsOutsideGridError(
                 f"the domain of the point at {where.x[p]} m spans {most} cells, at most "
                 f"60 are possible; its half-lengths are {where.half[p]} m: use a coarser grid, "
-                "domains='volume' where the body flows, or basis='linear'"
+                "domains='volume' if the body flows, or basis='linear'"
             )
         raise_together(self.grid.comm, error)
         both = np.array([layers, most], np.int64)
@@ -421,35 +442,36 @@ class LatticeBasis:
         return int(both[0]), int(both[1])
 
     def stencils(self, where: Placement) -> Stencils:
-        """Stencils of the points; the overlap must hold all nodes that they see. Collective.
+        """Stencils of the points. Collective.
 
         Args:
             where: The points.
 
         Raises:
-            PointsOutsideGridError: A domain reaches beyond the overlap; see `grown`.
+            PointsOutsideGridError: A domain reaches beyond the cells and nodes that this rank
+                knows; see `grown`.
         """
         half, low, count = self._spans(where, self.halo.origin)
         table = self.halo.cell_table.shape
         known = bool(np.all(low >= 0) and np.all(low + count <= table))
         if not self.averaged and self.grid.comm.allreduce(known, op=MPI.LAND):
-            low = self._beside_others(where.x, low)
+            low = self._in_filled_cells(where.x, low)
         result = self.stencils_in(where.x, half, low, count, where.axisymmetric) if known else None
         if result is None:
             raise PointsOutsideGridError(
-                f"domains reach beyond the {self.halo.layers} layers of cells that are known "
-                "around this rank's own; take grown(layers)"
+                f"domains reach beyond the {self.halo.layers} layers of cells that this rank "
+                "knows around its own cells; take grown(layers)"
             )
         return result
 
     def stencils_in(self, x, half, low, count, axisymmetric: bool = False) -> Stencils | None:
-        """Stencils where the overlapped cells are given; None if a node is not known here.
+        """Stencils for given overlapped cells; None if this rank does not know one of the nodes.
 
         Args:
             x, half: Positions and half-lengths (m), shape (points, gdim).
-            low: Position of the first overlapped cell in the halo's tables, likewise.
-            count: Number of overlapped cells, likewise.
-            axisymmetric: Whether domains are those of a body of revolution.
+            low: Positions of the first overlapped cells in the halo's tables, shape (points, gdim).
+            count: Numbers of overlapped cells, shape (points, gdim).
+            axisymmetric: Whether the domains belong to an axisymmetric body.
         """
         halo, gdim = self.halo, x.shape[1]
         cell_shape = np.array(halo.cell_table.shape, np.int64)

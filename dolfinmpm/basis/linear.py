@@ -1,4 +1,4 @@
-"""Linear basis on any DOLFINx mesh of straight-sided cells."""
+"""Linear basis on any DOLFINx mesh with straight-sided cells."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["LinearBasis", "kind_of"]
 
 
 def kind_of(grid: Mesh) -> int:
-    """SIMPLEX or BOX, as the kernels of `cells` take it."""
+    """Kind of the grid's cells for the kernels of `cells`: SIMPLEX or BOX."""
     simplices = (CellType.triangle, CellType.tetrahedron)
     return SIMPLEX if grid.topology.cell_type in simplices else BOX
 
@@ -51,14 +51,14 @@ def _fill(kind, vertices, coordinates, dofs, x, cells, order, groups, nodes, N, 
 
 
 class LinearBasis:
-    """Linear functions of the cell that a point is in.
+    """Linear functions: a point sees the nodes of its own cell.
 
     Args:
         grid: Background grid of intervals, triangles, quadrilaterals, tetrahedra
             or hexahedra.
         node_map: Index map of the grid's linear Lagrange space.
-        dofs: Its nodes by cell, shape (cells, nodes of a cell).
-        node_x: Their positions (m), shape (nodes, 3).
+        dofs: Nodes of each cell, shape (cells, nodes per cell).
+        node_x: Positions of the nodes (m), shape (nodes, 3).
     """
 
     degree = 1
@@ -84,17 +84,17 @@ class LinearBasis:
         return self._node_x
 
     def grown(self, layers: int, partition: Partition | None = None) -> LinearBasis:
-        """The basis itself: a point sees the nodes of its own cell only, which DOLFINx has."""
+        """The basis itself: a point sees only nodes of its own cell, and DOLFINx has these."""
         assert partition is None
         return self
 
     def knowing(self, indices, owners, x) -> LinearBasis:
-        """The basis that knows more nodes of other ranks. Collective.
+        """A copy of the basis that knows more nodes of other ranks. Collective.
 
         Args:
-            indices: Their global indices, all new here, shape (n,).
-            owners: Ranks that own them, shape (n,).
-            x: Their positions (m), shape (n, 3).
+            indices: Global indices of the nodes, all new on this rank, shape (n,).
+            owners: Ranks that own the nodes, shape (n,).
+            x: Positions of the nodes (m), shape (n, 3).
         """
         old, comm = self.nodes.index_map, self.grid.comm
         ghosts, of = np.append(old.ghosts, indices), np.append(old.owners, owners)
@@ -104,7 +104,7 @@ class LinearBasis:
         return wider
 
     def reach(self, where: Placement) -> tuple[int, int]:
-        """0 and 1: a point overlaps its own cell only; see `LatticeBasis.reach`."""
+        """0 and 1: a point overlaps only its own cell; see `LatticeBasis.reach`."""
         return 0, 1
 
     def stencils(self, where: Placement) -> Stencils:

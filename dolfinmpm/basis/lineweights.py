@@ -1,4 +1,4 @@
-"""Functions of one direction of a rectangular grid at a point, and over its domain."""
+"""Functions of one direction of a rectangular grid, at a point or averaged over its domain."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from dolfinmpm.basis.gimp import domain_weights
 
 __all__ = ["SNAP", "line_shares", "line_weights", "overlapped", "ring_slopes", "snapped"]
 
-# What is below this share of a cell is rounding: an overlap of a domain with a cell, or the
-# distance of a point without one from where a function begins. It must make nothing active.
+# Lengths below this share of a cell are rounding errors. Examples are the overlap of a domain with
+# a cell, and the distance of a point without a domain from a grid line. Rounding errors must not
+# make cells or nodes active.
 SNAP = 1e-10
 
 
@@ -23,7 +24,7 @@ def cell_of(line, uniform, x):
     if uniform:
         cell = int(np.floor((x - line[0]) / (line[n] - line[0]) * n))
     else:
-        # by halves; np.searchsorted would take three times as long to compile
+        # bisection; np.searchsorted takes three times as long to compile
         cell, end = -1, n + 1
         while end - cell > 1:
             middle = (cell + end) // 2
@@ -36,9 +37,14 @@ def cell_of(line, uniform, x):
 
 @numba.njit(cache=True, error_model="numpy")
 def overlapped(line, uniform, x, half):
-    """First cell that a domain overlaps, and number of them, in one direction.
+    """First cell that a domain overlaps, and number of overlapped cells, in one direction.
 
-    A point without a domain is in one cell, on a grid line in the upper one.
+    A point without a domain is in one cell. On a grid line it is in the upper cell.
+
+    Args:
+        line: Coordinates of the grid lines (m).
+        uniform: Whether all cells have the same size.
+        x, half: Position and half-length of the domain (m); 0 for a point without a domain.
     """
     first = cell_of(line, uniform, x - half)
     last = first
@@ -57,7 +63,7 @@ def overlapped(line, uniform, x, half):
 
 @numba.njit(cache=True, inline="always")
 def snapped(line, first, x, half):
-    """A point without a domain that only rounding keeps off the edge of its cell is on it."""
+    """Move a point without a domain onto the edge of its cell if only rounding separates them."""
     if half == 0.0:
         if x - line[first] < SNAP * (line[first + 1] - line[first]):
             x = line[first]
@@ -68,18 +74,19 @@ def snapped(line, first, x, half):
 
 @numba.njit(cache=True, error_model="numpy")
 def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slope):
-    """The count + degree functions that a point sees in one direction, and their slopes (1/m).
+    """Values and slopes (1/m) of the functions that a point sees in one direction.
 
-    The one place where weights come from: stencils and explicit steps both ask here.
+    Stencils and explicit steps both take their weights from this function.
 
     Args:
         line: Coordinates of the lattice in this direction (m).
-        uniform: Whether its cells are of one size.
+        uniform: Whether all cells have the same size.
         degree: Degree of the functions.
-        first, count: The cells that the point's domain overlaps, see `overlapped`.
-        x, half: Position and half-length (m); a half-length of 0 is a point without a domain.
-        S, dS: Written.
-        part, slope: Room for degree + 1 numbers each.
+        first, count: First cell that the point's domain overlaps, and number of overlapped cells;
+            see `overlapped`.
+        x, half: Position and half-length (m); the half-length is 0 for a point without a domain.
+        S, dS: Written: values (-) and slopes (1/m), count + degree numbers each.
+        part, slope: Scratch arrays, degree + 1 numbers each.
     """
     x = snapped(line, first, x, half)
     if degree == 1:
@@ -92,15 +99,15 @@ def line_weights(line, uniform, degree, first, count, x, half, S, dS, part, slop
 
 @numba.njit(cache=True, error_model="numpy")
 def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
-    """Averages of the slopes along the radius over a domain that is a ring, r dN/dr by mean r.
+    """Averages of the radial slopes over an axisymmetric domain: mean of r dN/dr over mean r.
 
-    Beside S/r around the ring they are what is left of an integral of (r N)', so that an even
-    pressure is in balance for all functions, wherever their slopes vary within domains.
+    The hoop term has S/r. The averages are the remaining part of the integral of (r N)'. A uniform
+    pressure is then in balance for all functions, even if slopes vary within a domain.
 
     Args:
         line, uniform, degree, first, count, x, half, part, slope: See `line_weights`; the
             half-length is positive.
-        dS: Written (1/m), count + degree.
+        dS: Written: averages of the slopes (1/m), count + degree numbers.
     """
     for i in range(count + degree):
         dS[i] = 0.0
@@ -124,20 +131,22 @@ def ring_slopes(line, uniform, degree, first, count, x, half, dS, part, slope):
 
 @numba.njit(cache=True, error_model="numpy")
 def line_shares(line, uniform, degree, first, count, x, half, dS, shares, room, part, slope):
-    """Splines one degree lower that a point sees in one direction, or its shares in cells.
+    """Weights of a point for averages over cells: splines of one degree less, in one direction.
 
-    They are what means at the points are taken over, see `dolfinmpm.cut.cellmeans`.
+    For linear functions the weights are the shares of the point's domain in the cells. See
+    `dolfinmpm.cut.cellmeans` for the averages.
 
     Args:
         line, uniform, degree, first, count, x, half: See `line_weights`.
-        dS: Slopes of the functions (1/m), count + degree.
-        shares: Written, count + degree - 1.
-        room, part, slope: Room for as many numbers, and for degree numbers each.
+        dS: Slopes of the functions (1/m), count + degree numbers.
+        shares: Written: weights (-), count + degree - 1 numbers.
+        room: Scratch array, count + degree - 1 numbers.
+        part, slope: Scratch arrays, degree numbers each.
     """
     if degree > 1:
         line_weights(line, uniform, degree - 1, first, count, x, half, shares, room, part, slope)
         return
-    # slopes of linear functions are differences of shares
+    # the slope of a linear function is a difference of the shares of two cells
     carried = 0.0
     for c in range(count):
         carried -= dS[c]

@@ -1,4 +1,4 @@
-"""Function spaces of the step's increments: a DOLFINx space, and the basis that points see."""
+"""Function spaces of the step's increments: a DOLFINx space, and the basis at the points."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _DEGREES = {"linear": 1, "gimp": 1, "bspline2": 2, "bspline3": 3}
 
 @dataclass(frozen=True)
 class _BasisOnGrid:
-    """A basis, and the scalar Lagrange space of its degree."""
+    """A basis, and the scalar Lagrange space of the same degree."""
 
     basis: Basis
     lagrange: fem.FunctionSpace
@@ -48,7 +48,7 @@ class _BasisOnGrid:
 
 @once_per_grid
 def _basis_of(grid: Mesh, name: str, averaged: bool, coarsen: int) -> _BasisOnGrid:
-    """The basis of that name on the grid, one for all fields that use it. Collective."""
+    """The basis with this name on the grid, shared by all fields that use it. Collective."""
     degree = _DEGREES[name]
     scalar = fem.functionspace(grid, ("Lagrange", degree))
     if name != "linear":
@@ -69,15 +69,19 @@ def _check_multiples(lattice: Lattice, coarsen: int) -> None:
     if any(n % coarsen for n in lattice.shape):
         cells = " × ".join(map(str, lattice.shape))
         raise UnsupportedGridError(
-            f"coarsen = {coarsen} joins {coarsen} cells to one in each direction, and the grid has "
-            f"{cells} of them: make it with multiples of {coarsen}"
+            f"coarsen = {coarsen} joins {coarsen} cells per direction to one, and the grid has "
+            f"{cells} cells: make the grid with multiples of {coarsen}"
         )
 
 
 def lattice_basis(grid: Mesh, degree: int, averaged: bool, coarsen: int) -> LatticeBasis:
-    """A basis on a lattice, or on every so many lines of it, with a numbering of its own.
+    """A basis on the grid's lattice, or on a coarsened one, with its own numbering. Collective.
 
-    Collective.
+    Args:
+        grid: Background grid, rectangular.
+        degree: Degree of the functions.
+        averaged: Whether functions are averaged over the points' domains.
+        coarsen: Number of cells of the grid per cell of the basis and direction.
     """
     fine = lattice_of(grid)
     assert fine is not None
@@ -91,15 +95,16 @@ def lattice_basis(grid: Mesh, degree: int, averaged: bool, coarsen: int) -> Latt
 def splines_at(
     basis: LatticeBasis, x: npt.NDArray[np.float64], cells: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
-    """The functions of a cell at each position, which may be on the cell's edge.
+    """Values of the functions of a given cell at each position.
 
     Args:
-        basis: Splines, or linear functions of a coarser lattice, whose cell then is meant.
-        x: Positions (m), shape (n, gdim).
-        cells: Their local cells, shape (n,).
+        basis: Splines, or linear functions of a coarser lattice. For a coarser lattice the cell is
+            the coarse cell that contains the given cell.
+        x: Positions (m), shape (n, gdim). A position may be on the edge of its cell.
+        cells: Local cells of the positions, shape (n,).
 
     Returns:
-        Nodes and values, both of shape (n, splines of a cell).
+        Nodes and values (-), both of shape (n, functions per cell).
     """
     low = np.ascontiguousarray(basis.lattice.cell_ijk[cells] - basis.halo.origin, np.int32)
     s = basis.stencils_in(x, np.zeros_like(x), low, np.ones_like(low))
@@ -112,19 +117,18 @@ def splines_at(
 
 
 def extraction(space: Space, basis: Basis) -> sparse.csr_matrix | None:
-    """Values of splines at the nodes of the Lagrange space: u_Lagrange = E u_spline.
+    """Extraction matrix E of the basis: u_Lagrange = E u_basis at the nodes of the Lagrange space.
 
-    A spline is a polynomial of the space's degree in every cell, so that nothing
-    is lost and UFL terms over cells and facets act on splines through E. So are functions of
-    coarser cells in each part of one.
+    In every cell of the grid, a spline is a polynomial of the space's degree, and E is exact. The
+    same holds for functions of coarser cells. UFL terms over cells and facets act through E.
 
     Args:
         space: The space.
-        basis: Its basis, with any overlap.
+        basis: The basis of the space, with any number of layers of overlap.
 
     Returns:
-        E, shape (Lagrange nodes, spline nodes) in local numberings, or None where
-        both are the same.
+        E, shape (Lagrange nodes, nodes of the basis) in local numberings, or None where
+        the nodes are the same.
     """
     if not isinstance(basis, LatticeBasis):
         return None
@@ -147,7 +151,7 @@ def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
     V = space.function_space
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[:, : space.grid.geometry.dim])
     cells = V.dofmap.list
-    # any cell that a node is in will do, for splines are continuous
+    # splines are continuous: any cell that contains the node gives the same values
     cell_of = np.zeros(len(x), np.int32)
     cell_of[cells.ravel()] = np.repeat(np.arange(len(cells), dtype=np.int32), cells.shape[1])
     nodes, N = splines_at(basis, x, cell_of)
@@ -157,10 +161,10 @@ def _extract(space: Space, basis: LatticeBasis) -> sparse.csr_matrix:
 
 def _check_grid(grid: Any) -> None:
     if not isinstance(grid, Mesh):
-        stabilisation = "give the mesh, such as dolfinx.mesh.create_rectangle makes"
+        advice = "give the mesh, such as dolfinx.mesh.create_rectangle makes"
         if isinstance(grid, tuple) or hasattr(grid, "mesh") or hasattr(grid, "grid"):
-            stabilisation = "give the mesh of it"
-        raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {stabilisation}")
+            advice = "give the mesh of it"
+        raise ParameterError(f"grid = {shown(grid)} must be a dolfinx.mesh.Mesh: {advice}")
     if grid.geometry.x.dtype != np.float64:
         raise UnsupportedGridError(
             f"the grid's coordinates are {grid.geometry.x.dtype} and must be float64; create the "
@@ -169,7 +173,7 @@ def _check_grid(grid: Any) -> None:
 
 
 def _shape(shape: Any, gdim: int) -> tuple[int, ...]:
-    """The shape of a field's value, of a vector in space by default."""
+    """The shape of a field's value; by default the field is a vector in space."""
     if shape is None:
         return (gdim,)
     if not isinstance(shape, (tuple, list)):
@@ -191,39 +195,40 @@ class Space:
         shape: Shape of the field's value; a vector of the dimension of space by
             default, () for a scalar such as a pore pressure.
         averaged: Whether B-splines are averaged over the points' domains, as GIMP
-            averages linear functions: domains tile the body, so that the stiffness
-            of a body under constant stress is integrated exactly wherever points lie.
-            False evaluates B-splines at the points alone (Steffen, Kirby & Berzins
+            averages linear functions. Domains tile the body. The stiffness of a body under
+            constant stress is then integrated exactly, wherever the points lie.
+            False evaluates B-splines at the points (Steffen, Kirby & Berzins
             2008, doi 10.1002/nme.2360).
-        configuration: "updated" takes stencils and gradients where the points are at the
-            start of every step; "total" where they were at first: no point crosses a cell,
-            as long as the body stays one (Coombs, Petit & Ghaffari Motlagh 2020, doi
-            10.1016/j.cma.2019.112622).
-        coarsen: How many cells of the grid a direction are one cell of this field: 2 gives it the
-            functions of a grid of twice the size, which are exact sums of finer ones, so that a
-            pressure and a displacement on nested grids are a stable pair. Ghost facets, fill
-            fractions and roots are those of the coarse cells. On rectangular grids, graded too.
-        domains: How the points' domains grow if the basis averages: "stretch" by diag U with
-            U = √(FᵀF), so that they go on to tile a body that is stretched; "volume" by
-            J^(1/d), or "fixed", for flow, in which F grows without bound and has no more to do
-            with the space that a point takes.
-        tag: Tags of the points that the field is of, one or several; None means all. A field of
-            tags lives where its points are and nowhere else, with active cells, ghost facets and
-            ties of its own. Displacements of fields whose tags share the points among them each
-            move their own points: bodies with velocities of their own on one grid.
+        configuration: "updated" or "total". "updated" takes stencils and gradients at the
+            positions of the points at the start of every step. "total" takes them at the first
+            positions of the points, so that no point crosses a cell as long as the body does not
+            separate (Coombs, Petit & Ghaffari Motlagh 2020, doi 10.1016/j.cma.2019.112622).
+        coarsen: Number of cells of the grid per cell of this field and direction. With 2, the
+            field has the functions of a grid with cells of twice the size. The coarse functions
+            are exact sums of finer ones. A pressure and a displacement on such nested grids are a
+            stable pair. Ghost facets, fill fractions and roots are those of the coarse cells.
+            Needs a rectangular grid, graded or not.
+        domains: Growth of the points' domains if the basis averages. "stretch" stretches them by
+            diag U with U = √(FᵀF), so that they go on to tile a stretched body. "volume"
+            stretches them by J^(1/d). "fixed" keeps them. The last two are for flow: there F
+            grows without bound and no longer tells the shape of a point's volume.
+        tag: Tags of the points of the field, one or several; None means all points. A field with
+            tags exists only where its points are. It has its own active cells, ghost facets and
+            constraints. Several displacement fields that divide the points by tags each move
+            their own points: bodies with separate velocities on one grid.
 
     Attributes:
         increment: The step's increment, a function for UFL.
         test: The test function.
-        function_space: The DOLFINx space that both live in: Lagrange functions of
+        function_space: The DOLFINx space of increment and test function: Lagrange functions of
             the basis's degree.
-        coarsen: See there.
-        tags: Tags of its points, or None for all.
+        coarsen: Number of cells of the grid per cell of this field and direction.
+        tags: Tags of the points of the field, or None for all points.
 
     Raises:
-        ParameterError: The grid, the basis, the shape or a tag is not what it may be.
-        UnsupportedGridError: The basis cannot be built on this grid, or its numbers of cells are
-            no multiples of `coarsen`.
+        ParameterError: The grid, the basis, the shape or a tag is not valid.
+        UnsupportedGridError: The basis cannot be built on this grid, or the grid's numbers of
+            cells are no multiples of `coarsen`.
 
     >>> from dolfinx.mesh import CellType, create_unit_square
     >>> from mpi4py import MPI
@@ -253,7 +258,9 @@ class Space:
         self.domains = choice("domains", domains, ("stretch", "volume", "fixed"))
         self.configuration = choice("configuration", configuration, ("updated", "total"))
         if basis == "gimp" and not averaged:
-            raise ParameterError('basis="gimp" averages; basis="linear" is that without averages')
+            raise ParameterError(
+                'basis="gimp" averages over domains; use basis="linear" for averaged=False'
+            )
         if geometry_degree(grid) != 1 or grid.topology.dim != grid.geometry.dim:
             raise UnsupportedGridError(
                 f"basis={basis!r} needs straight-sided cells of the dimension of space, got degree "

@@ -1,8 +1,8 @@
 """Stencils: for each material point a row of nodes, values N and gradients of N.
 
-Points that see the same nodes form a group. The nodes are kept once a group, in
-increasing order, and the points of a group follow each other, so that a group's
-stiffness can be summed before it is scattered.
+Points that see the same nodes form a group. Nodes are stored once per group, in increasing order.
+The points of a group follow each other. The stiffness of a group can therefore be summed before it
+is scattered.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the material points are as a basis sees them: now, or at first.
+    """Positions and domains of the material points, present or first ones, for a basis.
 
     Attributes:
         x: Positions (m), shape (n, gdim).
-        half: Half-lengths of their domains (m), likewise.
+        half: Half-lengths of the points' domains (m), shape (n, gdim).
         volume: Volumes (m^gdim), shape (n,).
         cell: Local cells, shape (n,).
-        axisymmetric: Whether they are those of a body of revolution; averages of gradients are
-            those around the axis.
+        axisymmetric: Whether the body is axisymmetric. Averages of gradients are then averages
+            over a domain that goes around the axis.
     """
 
     x: npt.NDArray[np.float64]
@@ -47,14 +47,14 @@ class Placement:
     axisymmetric: bool = False
 
     def of(self, rows: npt.NDArray[np.integer]) -> Placement:
-        """Some of the points."""
+        """The placement of the points of some rows."""
         return Placement(
             self.x[rows], self.half[rows], self.volume[rows], self.cell[rows], self.axisymmetric
         )
 
 
 def together(placements: Sequence[Placement]) -> Placement:
-    """Several sets of points as one, in their order; one alone is itself."""
+    """Several sets of points joined in their order; one set alone is returned as it is."""
     if len(placements) == 1:
         return placements[0]
     x, half, volume, cell = (
@@ -101,13 +101,13 @@ class Stencils:
 
 
 def group_starts(keys: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
-    """First position of every run of equal keys, and the number of keys behind them."""
+    """First position of every run of equal keys, then the number of keys, shape (runs + 1,)."""
     starts = np.flatnonzero(np.diff(keys, prepend=-1)) if keys.size else np.empty(0, np.int64)
     return np.append(starts, keys.size).astype(np.int32)
 
 
 def running_sum(counts: npt.NDArray[np.integer], dtype: npt.DTypeLike) -> npt.NDArray:
-    """0 and the sums of the first 1, 2, ... counts."""
+    """0, then the sums of the first 1, 2, ... counts, shape (counts + 1,)."""
     total = np.zeros(counts.size + 1, dtype)
     np.cumsum(counts, out=total[1:])
     return total
@@ -115,15 +115,15 @@ def running_sum(counts: npt.NDArray[np.integer], dtype: npt.DTypeLike) -> npt.ND
 
 @numba.njit(cache=True, error_model="numpy")
 def add_weighted(order, groups, start, targets, weight_start, weights, values, out):
-    """Add Σ_p w_pa m_p over the points to every node, or to every cell, a.
+    """Add Σ_p w_pa m_p, a sum over the points, to every node or every cell a.
 
     Args:
-        order, groups: Those of the stencils.
+        order, groups: `order` and `groups` of the stencils.
         start, targets: `node_start` and `nodes` of the stencils, or `cell_start` and `cells`.
         weight_start: First entry of every group in `weights`, shape (groups + 1,).
-        weights: w, for each of a group's points one row of the group's targets.
+        weights: w: for each point of a group, one row with a weight per target of the group.
         values: m at the points, shape (points,).
-        out: Sums at the targets, shape (nodes,) or (cells,).
+        out: The sums are added to this array, shape (nodes,) or (cells,).
     """
     for g in range(groups.size - 1):
         number = start[g + 1] - start[g]
@@ -157,7 +157,7 @@ def _gather(order, groups, node_start, nodes, value_start, N, dN, u, value, grad
 
 @numba.njit(cache=True, error_model="numpy")
 def _gather_2(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
-    """`_gather` of a vector in the plane, with sums in registers."""
+    """`_gather` of a vector in 2D, with sums in registers."""
     for g in range(groups.size - 1):
         first = node_start[g]
         m = node_start[g + 1] - first
@@ -179,7 +179,7 @@ def _gather_2(order, groups, node_start, nodes, value_start, N, dN, u, value, gr
 
 @numba.njit(cache=True, error_model="numpy")
 def _gather_3(order, groups, node_start, nodes, value_start, N, dN, u, value, gradient):
-    """`_gather` of a vector in space, with sums in registers."""
+    """`_gather` of a vector in 3D, with sums in registers."""
     for g in range(groups.size - 1):
         first = node_start[g]
         m = node_start[g + 1] - first
@@ -203,7 +203,7 @@ def _gather_3(order, groups, node_start, nodes, value_start, N, dN, u, value, gr
 
 
 def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArray) -> None:
-    """Evaluate nodal values and their gradients at the points.
+    """Evaluate a nodal field and its gradient at the points.
 
     Args:
         s: Stencils.
@@ -217,14 +217,14 @@ def gather(s: Stencils, u: npt.NDArray, value: npt.NDArray, gradient: npt.NDArra
 
 
 def _pieces(start, number):
-    """Indices start[i], start[i] + 1, ... of all pieces of number[i] entries."""
+    """Indices of all pieces; piece i has the number[i] indices from start[i] on."""
     ends = np.cumsum(number)
     total = int(ends[-1]) if ends.size else 0
     return np.arange(total) + np.repeat(start - (ends - number), number)
 
 
 def _regrouped(s: Stencils, order, groups) -> Stencils:
-    """The stencils of the points of `order`, in groups within each of which nodes are the same."""
+    """The stencils of the points of `order`, in new groups whose points see the same nodes."""
     position = np.empty(int(s.order.max(initial=-1)) + 1, np.int64)
     position[s.order] = np.arange(s.order.size)
     old = position[order]
@@ -252,7 +252,7 @@ def selected(s: Stencils, chosen: npt.NDArray[np.bool_]) -> Stencils:
 
     Args:
         s: Stencils.
-        chosen: Which points, shape (points,).
+        chosen: Whether each point is chosen, shape (points,).
     """
     if chosen.all():
         return s
@@ -262,11 +262,13 @@ def selected(s: Stencils, chosen: npt.NDArray[np.bool_]) -> Stencils:
 
 
 def spread(s: Stencils, rows: npt.NDArray[np.integer], count: int) -> Stencils:
-    """Stencils of some points as those of all: the others see nothing, in a group without nodes.
+    """Extend stencils of some points to all points.
+
+    The other points form a group without nodes.
 
     Args:
         s: Stencils of the points of `rows`.
-        rows: Which points they are, shape (n,).
+        rows: Numbers of the points of `s` among all points, shape (n,).
         count: Number of all points.
     """
     rest = np.ones(count, bool)
@@ -283,10 +285,10 @@ def spread(s: Stencils, rows: npt.NDArray[np.integer], count: int) -> Stencils:
 
 
 def joined(stencils: Sequence[Stencils]) -> list[Stencils]:
-    """Stencils of the same points in several bases, in groups that are common to all.
+    """Stencils of the same points in several bases, regrouped into common groups.
 
     Args:
-        stencils: One for each basis; those that are one object stay one.
+        stencils: Stencils of each basis. Two bases that share one object share the result.
     """
     first = stencils[0]
     if all(
@@ -322,11 +324,11 @@ def _push_forward(order, groups, node_start, value_start, dN, inverse, out):
 
 
 def pushed_forward(s: Stencils, F: npt.NDArray[np.float64]) -> Stencils:
-    """Stencils at first positions with gradients by the present ones: ∇N = F⁻ᵀ ∇₀N.
+    """Stencils with gradients by present positions from gradients by first ones: ∇N = F⁻ᵀ ∇₀N.
 
     Args:
-        s: Stencils, whose gradients are by first positions.
-        F: Deformation gradients of the points, shape (points, gdim, gdim).
+        s: Stencils with gradients ∇₀N by first positions (1/m).
+        F: Deformation gradients of the points (-), shape (points, gdim, gdim).
     """
     dN = np.empty_like(s.dN)
     inverse = np.linalg.inv(F)

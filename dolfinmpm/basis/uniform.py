@@ -1,7 +1,8 @@
-"""`line_weights` in the middle of a uniform lattice, for compiled loops.
+"""A fast `line_weights` for the middle of a uniform lattice, for compiled loops.
 
-Numbers in place of searches: no knot is repeated there, and a domain lies in two cells at most.
-Degree and kind are constants where the loops are compiled, so that nothing is asked at run time.
+In the middle no knot is repeated, and a domain lies in at most two cells. Closed formulas then
+replace searches. Degree and kind of the functions are constants when the loops are compiled, so
+that no branch is left at run time.
 """
 
 from __future__ import annotations
@@ -16,31 +17,34 @@ __all__ = ["middle_count", "middle_weights"]
 
 
 def middle_count(degree: int, averaged: bool) -> int:
-    """How many functions `middle_weights` writes: one more for domains, which may end in a second
-    cell."""
+    """Number of functions that `middle_weights` writes.
+
+    Averaged functions have one more, because a domain may reach into a second cell.
+    """
     return degree + 1 + int(averaged)
 
 
 @numba.njit(cache=True, error_model="numpy", forceinline=True)
 def middle_weights(degree, averaged, x, half, start, per_length, last, S, dS):
-    """Functions that a point sees in one direction, and their slopes (1/m).
+    """Values and slopes (1/m) of the functions that a point sees in one direction.
 
     Args:
         degree, averaged: Degree of the functions, and whether they are averaged over domains.
         x, half: Position and half-length (m).
         start, per_length, last: First coordinate of the line (m), one over its cells' size (1/m),
             and number of its last cell.
-        S, dS: Written, `middle_count` of each.
+        S, dS: Written: values (-) and slopes (1/m), `middle_count` numbers each.
 
     Returns:
-        Whether the point is in the middle and its domain in two cells at most, without which what
-        is written is of no use: `line_weights` then knows; and its first cell.
+        known: Whether the point is in the middle and its domain in at most two cells. If not, the
+            written numbers are wrong: call `line_weights`.
+        first: The first cell of the point.
     """
     at = (x - start) * per_length
     if not averaged:
         i = int(at)
         if degree > 1:
-            # splines that begin at the grid line that the point is on are 0, see `line_weights`
+            # splines that begin at the point's own grid line are 0 there, see `line_weights`
             if i + 1 - at < SNAP:
                 i += 1
             if at - i < SNAP:

@@ -1,6 +1,6 @@
 """Fields that the points carry from step to step for a term of a weak form.
 
-To build a form changes no body: the problem that is made of the form adds the fields.
+Building a form does not change the points. The problem that is made from the form adds the fields.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ __all__ = [
     "carried_in",
 ]
 
-# Fields that a step sets as it moves the points
+# Fields that a step sets when it moves the points
 _MOVED = ("x", "x0", "V", "V0", "F", "l", "l0")
-# Metadata of a measure: fields that its terms carry without containing them
+# Key in the metadata of a measure: fields that its terms carry but do not contain
 CARRIED = "carried"
 
 
 class CarriedField(PointField):
-    """What an expression was at the end of the last step, at the points.
+    """Value of an expression at the points, at the end of the last step.
 
     Attributes:
         update: The expression.
-        of: The increment that it is the value of, which is then none but the field itself, or None.
-        level: Share of a step at whose end forces balance, and increments are those of, where the
-            expression gives what is at the end of the step; 1 but for a generalised-α method.
-        bounds: Limits between which the values must be, themselves excluded, or None.
+        of: The unknown of the problem, if the expression is this unknown and nothing else; or
+            None. The unknown is then a field itself and no increment.
+        level: Share of the step at which forces balance, for which the expression was written.
+            The unknowns in the expression belong to this level, and its value belongs to the end
+            of the step. 1 except for generalised-α methods.
+        bounds: Limits of the values, which must lie strictly between them, or None.
     """
 
     update: Expr
@@ -52,10 +54,11 @@ class CarriedField(PointField):
 
 
 class CellOffset(PointField):
-    """Where a point is in its cell of a field, shape (gdim + 1,), set as a step begins.
+    """Offset of a point in its cell of a field (m), shape (gdim + 1,), set when a step begins.
 
-    From the centre of mass of the cell's points to the point (m); and the size of what counts as
-    one cell (m), see `dolfinmpm.cut.celloffsets`.
+    The first gdim numbers are the vector from the centre of mass of the cell's points to the
+    point. The last number is the size of the cell, or of several cells that count as one; see
+    `dolfinmpm.cut.celloffsets`.
 
     Args:
         points: Material points.
@@ -68,7 +71,9 @@ class CellOffset(PointField):
 
 
 class StartAcceleration(PointField):
-    """What of a step's accelerations does not depend on its increment (m/s²), set as it begins.
+    """Part of a step's accelerations that does not depend on the step's increment (m/s²).
+
+    It is set when a step begins.
 
     Args:
         points: Material points.
@@ -81,13 +86,14 @@ class StartAcceleration(PointField):
 def acceleration(points: MaterialPoints, u: Any) -> Expr:
     """Acceleration of the body at the material points, for UFL (m/s²), shape (gdim,).
 
-    That of the nodes at the level where a step's forces balance, interpolated, so that the
-    inertial forces of the problem are Σ m a·v. It depends on the increment, which a tangent knows:
-    `points.inertia` u + a₀ by the rule of `Newmark` or `GeneralisedAlpha`, which set both.
+    The acceleration is interpolated from the nodes, at the level at which a step's forces balance.
+    The inertial forces of the problem are then Σ m a·v. The acceleration is `points.inertia` u +
+    a₀, so that tangents contain its dependence on the increment u. `Newmark` and
+    `GeneralisedAlpha` set `points.inertia` and a₀ by their rules.
 
     Args:
         points: Material points.
-        u: Increment of the displacement, that of the problem's first field.
+        u: Increment of the displacement, the first field of the problem.
 
     Raises:
         ParameterError: u is no increment of a displacement of these points.
@@ -100,38 +106,40 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
 def carried(
     points: MaterialPoints, name: str, expression: Any, unit: str = "", first: Any = 0.0
 ) -> CarriedField:
-    """What an expression was at the end of the last step, at the material points, for UFL.
+    """Value of an expression at the material points at the end of the last step, for UFL.
 
-    For terms with rates: `(p - mpm.carried(points, "pressure", p, "Pa")) / points.dt`. A
-    problem made of a form that contains it adds the field to the points, unless they have one of
-    that name and shape, and each converged step sets it.
+    Terms with rates need it: `(p - mpm.carried(points, "pressure", p, "Pa")) / points.dt`. A
+    problem that is made from a form with this value adds a field to the points. A field with the
+    same name and shape that exists already is taken. Each converged step sets the field.
 
     Args:
         points: Material points.
-        name: Name of the field; set `points[name]` for what was before the first step.
+        name: Name of the field. Values of `points[name]` can be set before the first step.
         expression: UFL expression of state and increments, of any shape.
-        unit: Its unit.
+        unit: Unit of the expression.
         first: Value before the first step, see `MaterialPoints.add_field`.
 
     Raises:
-        ParameterError: The name cannot be one of a field, or the expression is none of UFL.
+        ParameterError: The name is no identifier, or is the name of a field that steps set; the
+            expression is no UFL expression, or contains a test or trial function; or the unit is
+            no string.
     """
     check_points(points)
     if not isinstance(name, str) or not name.isidentifier():
         raise ParameterError(f"name = {shown(name)} must be an identifier: it names a field")
     if not isinstance(expression, Expr):
         raise ParameterError(
-            f"what '{name}' carries must be an expression of UFL, got {shown(expression)}"
+            f"the expression of '{name}' must be a UFL expression, got {shown(expression)}"
         )
     if name in _MOVED:
         raise ParameterError(
-            f"name = '{name}' is a field that all points have, and steps set it otherwise; give "
+            f"name = '{name}' is a field of all points that steps set in another way; give "
             "another name"
         )
     if extract_arguments(expression):
         raise ParameterError(
-            f"what '{name}' carries has a test or trial function, and must have a value: give the "
-            "increment, Space.increment"
+            f"the expression of '{name}' has a test or trial function, and must have a value: give "
+            "the increment, Space.increment"
         )
     if not isinstance(unit, str):
         raise ParameterError(f"unit = {shown(unit)} of '{name}' must be a word, such as 'Pa'")
@@ -149,10 +157,10 @@ def _within(expressions: Iterable[Expr]) -> Iterator[PointField]:
 
 
 def carried_in(form: ufl.Form) -> list[PointField]:
-    """Fields that a form's terms carry, or that change as a step begins, each once.
+    """Fields that a form's terms carry, or that change when a step begins, each field once.
 
     Raises:
-        FormError: Two expressions are carried under one name.
+        FormError: Two different expressions are carried under one name.
     """
     found: dict[str, PointField] = {}
     waiting: list[PointField] = []

@@ -1,8 +1,9 @@
-"""What a law in a form needs of the points: declared with the form, bound with the problem.
+"""Declarations: data that a law in a form needs at the points.
 
-To build a form changes no body. Its measures carry the number of a declaration in
-their metadata, which survive UFL's transformations, and so do a law's coefficients; a
-problem collects the declarations of its own form and binds these only.
+A declaration is made with the form and bound with the problem. Building a form does not change the
+points. The measures of a law's terms carry the number of its declaration in their metadata, which
+survives UFL's transformations. A law's coefficients carry the declaration too. A problem collects
+the declarations of its own form, and binds only these.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ __all__ = [
     "declared",
     "in_words",
     "rows_within",
+    "subdomain",
 ]
 
 
 def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:
-    """Which points of this rank carry one of the tags, in rising order; None means all."""
+    """Points of this rank with one of the tags, in increasing order, shape (n,); None means all."""
     if tags is None:
         return np.arange(len(points), dtype=np.int32)
     return np.flatnonzero(np.isin(points["tag"], tags)).astype(np.int32)
@@ -45,32 +47,33 @@ def rows_within(points: MaterialPoints, tags: Tags) -> npt.NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Declaration:
-    """A law in a form: which points it is for, and what it keeps at them.
+    """A law in a form: its points, and its data at the points. "Its points" have its tags.
 
     Attributes:
         points: The material points.
         law: The law.
-        u: The increment that it is a function of.
-        strain: Its measure of strain.
-        fbar: Whether its points share changes of volume over cells, or "centres" if each counts
-            in the cell of its centre.
-        tags: Tags of the points that it is for; None means all.
-        given: Its parameters in UFL by name, where UFL computes its stress.
-        operator: What computes its stress, a `PointOperator`; None if UFL alone does.
-        updates: Fields of its points that a converged step sets to UFL expressions.
-        mark: What a converged step writes to its points' field `moved_under`.
-        bind: Makes the points ready: refuses those that have moved under another measure of
-            strain, adds what the law keeps, and gives first values to points that have none.
-            Called again it does what is left to do; raises on all ranks together. Collective.
-        parameters: Gives its parameters once bound, shape (1, parameters), or (its points on
-            this rank, parameters) if any varies.
-        energy: Gives the elastic energy per initial volume at its points (J/m³), or None.
-        stiffness: Gives the largest stiffness along one axis at its points (Pa).
-        moduli: Gives the elastic P-wave and shear modulus at its points (Pa), shape (n, 2) or
-            (1, 2).
-        weaken: Divides the law's strength at its points by a factor, until it is called with None;
-            None of laws that have no strength. Collective.
-        terms: Integrands of the momentum terms that have been made of it.
+        u: The increment of the displacement, on which the stress depends.
+        strain: Name of the strain formulation.
+        fbar: Whether its points share volume changes over cells (F-bar). With "centres", each
+            point counts only in the cell of its centre.
+        tags: Tags of the points with this law; None means all points.
+        given: Parameters of the law in UFL by name, if UFL computes the stress.
+        operator: The `PointOperator` that computes the stress; None if UFL alone computes it.
+        updates: Fields of its points, and UFL expressions for their values after a converged step.
+        mark: Value for the field `moved_under` of its points after a converged step.
+        bind: Function that prepares the points. It refuses points that have moved under another
+            strain formulation, adds the law's fields, and gives first values to new points.
+            It may be called again. Raises on all ranks together. Collective.
+        parameters: Function that returns the parameters after binding, shape (1, parameters), or
+            (points on this rank, parameters) if a parameter varies.
+        energy: Function that returns the elastic energy per initial volume at its points (J/m³),
+            or None.
+        stiffness: Function that returns the largest stiffness along one axis at its points (Pa).
+        moduli: Function that returns the elastic P-wave modulus and shear modulus at its points
+            (Pa), shape (n, 2) or (1, 2).
+        weaken: Function that divides the law's strength at its points by a factor, until it is
+            called with None. None for laws without strength. Collective.
+        terms: Integrands of the momentum terms that were made from the declaration.
     """
 
     points: MaterialPoints
@@ -93,13 +96,16 @@ class Declaration:
 
     @property
     def rows(self) -> npt.NDArray[np.int32]:
-        """Its points on this rank."""
+        """Numbers of its points on this rank, shape (n,)."""
         return rows_within(self.points, self.tags)
 
     def largest(self, name: str) -> float:
-        """Largest value of a parameter over its points on all ranks; 0 if it has none. Collective.
+        """Largest value of a parameter over its points on all ranks. Collective.
 
-        The declaration must be bound.
+        The value is 0 if the law has no such parameter. The declaration must be bound.
+
+        Args:
+            name: Name of the parameter.
         """
         if name not in self.law.values:
             return 0.0
@@ -112,27 +118,32 @@ class Declaration:
 
 
 class LawConstant(fem.Constant):
-    """A law's parameter in a form, the same at all points: a new number compiles nothing.
+    """A law's parameter in a form, the same at all points. New values compile nothing.
 
     Attributes:
-        declaration: Where it comes from; None until that exists.
+        declaration: Declaration of the law; None until the declaration exists.
     """
 
     declaration: Declaration | None = None
 
 
 class LawField(PointField):
-    """A law's parameter in a form where it varies from point to point.
+    """A law's parameter in a form that varies from point to point.
 
     Attributes:
-        declaration: Where it comes from; None until that exists.
+        declaration: Declaration of the law; None until the declaration exists.
     """
 
     declaration: Declaration | None = None
 
 
+def subdomain(tags: Tags) -> Any:
+    """Tags as the subdomain of a measure of points; "everywhere" for all points."""
+    return "everywhere" if tags is None else tags if len(tags) > 1 else tags[0]
+
+
 def in_words(tags: Tags) -> str:
-    """Tags as messages show them."""
+    """Tags as text for messages."""
     if tags is None:
         return "tag=None, all points"
     return f"tag={tags[0] if len(tags) == 1 else tags}"
@@ -142,11 +153,11 @@ def declared(form: ufl.Form, points: MaterialPoints) -> list[Declaration]:
     """Declarations of the laws in a form, each once. Collective.
 
     Args:
-        form: Weak form, as the user made it.
+        form: Weak form, as the user wrote it.
         points: Material points that the problem moves.
 
     Raises:
-        FormError: Two laws, or two momentum terms, stand on the same points.
+        FormError: Two laws, or two momentum terms, are for the same points.
     """
     found: list[Declaration] = []
     others: list[Declaration] = []
@@ -154,7 +165,7 @@ def declared(form: ufl.Form, points: MaterialPoints) -> list[Declaration]:
     for integral in form.integrals():
         number = integral.metadata().get("law") if integral.metadata() else None
         if number is not None and integral.metadata().get("points") == points.number:
-            # UFL makes an integral of every tag; it is a second term that has the tag again
+            # UFL makes one integral per tag: a repeated tag means a second term
             where = integral.subdomain_id()
             if number not in seen or where in seen[number]:
                 found.append(points.declarations[number])
@@ -178,12 +189,12 @@ def check_separate(declarations: Sequence[Declaration], in_use: Iterable[int]) -
     """Refuse two laws on the same points.
 
     Args:
-        declarations: Those of one form, in which a law's is repeated for every further
-            momentum term that it has there.
-        in_use: Tags that points carry.
+        declarations: Declarations of one form. A law with several momentum terms in the form has
+            its declaration once per term.
+        in_use: Tags of the points.
 
     Raises:
-        FormError: Two of them are for points of one tag; the message names both.
+        FormError: Two declarations are for points of one tag; the message names both.
     """
     everywhere = set(in_use)
     for k, one in enumerate(declarations):
@@ -195,6 +206,6 @@ def check_separate(declarations: Sequence[Declaration], in_use: Iterable[int]) -
                     f"two terms of the form have a law on the same points: {one}, and {other}"
                     + (f" (points of tag {sorted(shared)} are in both)" if shared else "")
                     + ". A point has one stress: tag the points with mpm.fill(..., tag=...) or "
-                    'points["tag"], and give each law its own, mpm.momentum(law, points, u, v, '
-                    "tag=...); terms with mpm.stress take law, strain, fbar and tag of its momentum"
+                    'points["tag"], and give each law its own tag, mpm.momentum(law, points, u, v, '
+                    "tag=...); mpm.stress takes the same law, strain, fbar and tag as mpm.momentum"
                 )

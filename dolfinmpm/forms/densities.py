@@ -1,4 +1,4 @@
-"""The energy density that a term of a weak form is the derivative of."""
+"""Energy densities of terms of a weak form that are derivatives of an energy."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _SLOPES = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 
 def density_of(term: Expr, space: Space) -> Expr | None:
-    """The strain energy whose derivative a term is, per volume of its measure.
+    """Strain energy density of a term that is a derivative of an energy (J per unit of measure).
 
-    That of `ufl.derivative(energy * dX, u, v)`, as it stands in a form before UFL expands it, less
-    what does not depend on the gradient of u, such as the potential of a load. It is 0 where the
-    term has nothing to do with the gradient of the test function.
+    The density is found in `ufl.derivative(energy * dX, u, v)` before UFL expands the derivative.
+    Parts of the energy without the gradient of u, such as the potential of a load, are left out.
+    The density is 0 for a term without the gradient of the test function.
 
     Args:
         term: The term.
         space: Space of the increment u and the test function v.
 
     Returns:
-        The density, or None where the term is no such derivative.
+        The density, or None if the term is no derivative of an energy.
     """
     if isinstance(term, Sum):
         total: Expr = zero()
@@ -65,7 +65,7 @@ def density_of(term: Expr, space: Space) -> Expr | None:
 
 
 def _scaled(term: Expr, space: Space) -> Expr | None:
-    """That of a product of a derivative and a factor that does not depend on the increment."""
+    """Density of a derivative times a factor that does not depend on the increment."""
     first, second = term.ufl_operands
     for part, factor in ((first, second), (second, first)):
         of_test = any(a == space.test for a in extract_arguments(part))
@@ -79,13 +79,13 @@ def _scaled(term: Expr, space: Space) -> Expr | None:
 
 
 def _other(term: Expr, space: Space) -> Expr | None:
-    """0 of a term that is no stress, or None of one that is no derivative."""
+    """0 for a term without the test function's gradient, else None: its energy is not known."""
     tests = [a for a in extract_arguments(term) if a == space.test]
     return None if tests and _has_slope(term, tests) else zero()
 
 
 def _has_slope(expression: Expr, of: Sequence[Any]) -> bool:
-    """Whether an expression contains the gradient of one of some functions."""
+    """Whether an expression contains a gradient of one of the functions."""
     return any(
         isinstance(node, _SLOPES)
         and any(c in of for c in (*extract_coefficients(node), *extract_arguments(node)))

@@ -1,4 +1,4 @@
-"""What a weak form must have, and must not, before it is split and compiled."""
+"""Checks of a weak form before it is split and compiled."""
 
 from __future__ import annotations
 
@@ -25,12 +25,15 @@ __all__ = ["check_fields", "check_form", "check_levels", "check_signs"]
 
 
 def check_form(form: Any) -> None:
-    """Look for what is wrong with a weak form before it is split and compiled.
+    """Check a weak form before it is split and compiled.
+
+    Args:
+        form: The weak form, as the user wrote it.
 
     Raises:
-        FormError: It is no form, has no terms, has a footing twice, has a trial function or an
-            unrestricted term on inner facets, adds what acts on the body, or subtracts what
-            resists it.
+        FormError: The form is no UFL form; has no terms; has a footing twice; has a trial function;
+            has an unrestricted term on inner facets; adds a load; or subtracts a term that resists
+            the motion.
     """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {_not_a_form(form)}")
@@ -39,8 +42,8 @@ def check_form(form: Any) -> None:
     arguments = [a for integral in form.integrals() for a in extract_arguments(integral)]
     if any(a.number() > 0 for a in arguments):
         raise FormError(
-            "the weak form contains a TrialFunction; write Space.increment in its place beside "
-            "Space.test, the solver derives the tangent itself"
+            "the weak form contains a TrialFunction; write Space.increment in its place, and "
+            "Space.test as test function: the solver derives the tangent itself"
         )
     check_signs(form)
     for integral in form.integrals():
@@ -49,33 +52,44 @@ def check_form(form: Any) -> None:
 
 
 def check_levels(kept: Sequence[PointField], share: float, problem: str) -> None:
-    """Raise FormError unless carried fields are of the level of a step where forces balance.
+    """Compare the level of carried fields with the level at which a problem balances forces.
 
     Args:
         kept: Fields that a form carries.
-        share: Share of the step up to there.
-        problem: What balances them.
+        share: Share of the step at which the problem balances forces.
+        problem: Name of the problem.
+
+    Raises:
+        FormError: The levels differ.
     """
     for field in kept:
         if isinstance(field, CarriedField) and abs(field.level - share) > 1e-12:
             raise FormError(
                 f"the form carries '{field.name}' by a rule for forces that balance at "
-                f"{field.level:.6g} of a step, and with {problem} they do at {share:.6g}: for "
+                f"{field.level:.6g} of a step, but {problem} balances forces at {share:.6g}: for "
                 f"GeneralisedAlpha give mpm.poromechanics the same rho_inf, {1 / share - 1:.6g} "
-                "here, and for any other problem none; a form of your own sets the `level` of its "
+                "here, and for any other problem none; your own form sets the `level` of its "
                 "fields, see mpm.carried, or takes rho_inf=0"
             )
 
 
 def check_fields(form: ufl.Form, spaces: Sequence[Space]) -> None:
-    """Raise FormError unless the form, whose terms are all in order, determines every field."""
+    """Check that the form determines every field.
+
+    Args:
+        form: Weak form whose terms have been checked.
+        spaces: Spaces of the increments that the problem solves for.
+
+    Raises:
+        FormError: No term depends on the increments, or no term has the test function of a field.
+    """
     increments = [space.increment for space in spaces]
     coefficients = [c for integral in form.integrals() for c in extract_coefficients(integral)]
     if not any(isinstance(c, PointOperator) or any(c is u for u in increments)
                for c in coefficients):  # fmt: skip
         raise FormError(
-            "no term of the weak form depends on what is solved for; add internal forces, such as "
-            "mpm.momentum(law, points, u, v)"
+            "no term of the weak form depends on the increments that are solved for; add internal "
+            "forces, such as mpm.momentum(law, points, u, v)"
         )
     arguments = [a for integral in form.integrals() for a in extract_arguments(integral)]
     for k, space in enumerate(spaces):
@@ -88,9 +102,9 @@ def check_fields(form: ufl.Form, spaces: Sequence[Space]) -> None:
 
 def _not_a_form(form: Any) -> str:
     if isinstance(form, ufl.equation.Equation):
-        return "an equation; give its left side, whose zero is sought"
+        return "an equation; give the residual, left side minus right side"
     if isinstance(form, fem.Form):
-        return "a compiled dolfinx.fem.Form; give the UFL form that it was made from"
+        return "a compiled dolfinx.fem.Form; give the UFL form"
     if isinstance(form, Space):
         return "a Space; the arguments are form, increment, points, bcs"
     if isinstance(form, Expr):
@@ -99,11 +113,17 @@ def _not_a_form(form: Any) -> str:
 
 
 def check_signs(form: ufl.Form) -> None:
-    """Raise FormError if a load was added, or a penalty or a condition subtracted.
+    """Refuse loads that are added, and penalties and conditions that are subtracted.
 
-    Their forms carry what they were made as, see `dolfinmpm.body.acting`; a sign that
-    was put before it since is a factor of it. Terms that were rewritten in between, as
-    by `ufl.replace`, cannot be told and pass.
+    The metadata of such terms contain their original integrand, see `dolfinmpm.body.acting`. A
+    sign in the form is then a factor of this integrand. Rewritten terms, for example by
+    `ufl.replace`, are not checked.
+
+    Args:
+        form: Weak form, as the user wrote it.
+
+    Raises:
+        FormError: A term has the wrong sign, or is in the form twice but may be there only once.
     """
     seen: set[str] = set()
     for integral in form.integrals():
@@ -117,17 +137,17 @@ def check_signs(form: ufl.Form) -> None:
         if sign is None or (sign > 0) == acting.added:
             continue
         raise FormError(
-            f"{acting.name} is subtracted from the weak form; it resists the motion as internal "
-            "forces do and is added: write F += ..."
+            f"{acting.name} is subtracted from the weak form; it resists the motion like internal "
+            "forces and is added: write F += ..."
             if acting.added else
-            f"{acting.name} is added to the weak form; what acts on the body is subtracted "
-            "from its internal forces: write F -= ..., and give a load that acts the other way "
+            f"{acting.name} is added to the weak form; loads on the body are subtracted "
+            "from its internal forces: write F -= ..., and give a load in the opposite direction "
             "a negative value"
         )  # fmt: skip
 
 
 def _factor(term: Expr, part: Expr) -> float | None:
-    """Sign of the numbers that multiply a part of a product, or None if it is no product of it."""
+    """Sign of the numbers in a product with the given part, or None if it is no such product."""
     if term is part or term == part:
         return 1.0
     if isinstance(term, Division):
@@ -141,7 +161,7 @@ def _factor(term: Expr, part: Expr) -> float | None:
 
 
 def _times(sign: float | None, factor: Expr) -> float | None:
-    # constants and fields are the user's loads, whose values have signs of their own
+    # constants and fields are the user's loads: the sign of their values is not the form's sign
     if sign is None or not isinstance(factor, ScalarValue):
         return sign
     return sign * math.copysign(1.0, float(factor))
@@ -157,6 +177,6 @@ def _check_restricted(integral: Any) -> None:
         term = str(integral.integrand())
         raise FormError(
             f"the term '{term if len(term) <= 200 else term[:197] + '...'}' on inner facets has "
-            "something that differs between the two sides of a facet, or is restricted twice "
+            "a part that differs between the two sides of a facet, or is restricted twice "
             f"({text.rstrip('.')}): write v('+'), ufl.jump(v) or ufl.avg(v) for v"
         ) from None

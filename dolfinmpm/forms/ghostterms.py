@@ -1,4 +1,4 @@
-"""What a term says of the ghost penalty of a field that no law gives a modulus."""
+"""Ghost penalty factors of fields without a law's modulus, from the metadata of terms."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ import ufl
 
 __all__ = ["PENALTY", "penalty_of"]
 
-# Metadata of a measure: γ of a field's ghost penalty in literal scaling, by its increment
+# Key in the metadata of a measure: increments of fields, and their γ in literal scaling
 PENALTY = "ghost_penalty"
 
 
 def penalty_of(form: ufl.Form, increment: Any) -> Any:
-    """γ for UFL of a field's ghost penalty, if a term of the form has one, or None."""
+    """γ for UFL of a field's ghost penalty, or None if no term of the form gives it.
+
+    Args:
+        form: Weak form.
+        increment: Increment of the field.
+    """
     for integral in form.integrals():
         for known, gamma in ((integral.metadata() or {}).get(PENALTY) or {}).items():
             if known is increment:

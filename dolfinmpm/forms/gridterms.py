@@ -1,4 +1,4 @@
-"""Terms over cells and facets of the grid, by test field, and their derivatives."""
+"""Terms over cells and facets of the grid, sorted by test field, and their derivatives."""
 
 import functools
 from collections.abc import Sequence
@@ -7,10 +7,7 @@ from typing import Any
 import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.map_integrands import map_integrand_dags
-from ufl.classes import (
-    Coefficient,
-    Zero,
-)
+from ufl.classes import Coefficient, Zero
 from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm.basis.space import Space
@@ -20,8 +17,8 @@ from dolfinmpm.forms.termqueries import depends_on, summands
 __all__ = ["GridTerms"]
 
 
-class _AtRest(MultiFunction):
-    """An expression where all increments are zero."""
+class _WithoutIncrements(MultiFunction):
+    """Replaces all increments in an expression by zero."""
 
     def __init__(self, increments: Sequence[Any]):
         super().__init__()
@@ -33,7 +30,7 @@ class _AtRest(MultiFunction):
         return Zero(o.ufl_shape) if any(o is u for u in self._increments) else o
 
     def restricted(self, o, inner):
-        # UFL keeps zeros of either side
+        # UFL does not drop restricted zeros itself
         return inner if isinstance(inner, Zero) else self.reuse_if_untouched(o, inner)
 
 
@@ -41,8 +38,12 @@ class GridTerms:
     """Terms over cells and facets of the grid, for DOLFINx's assemblers.
 
     Attributes:
-        external: Part that does not depend on the increments, one form a field, or None.
-        internal: Part that does, likewise.
+        external: Terms that do not depend on the increments: one form per field, or None.
+        internal: Terms that depend on the increments: one form per field, or None.
+
+    Args:
+        integrals: Integrals over cells and facets of the grid.
+        spaces: Spaces of the increments.
     """
 
     def __init__(self, integrals, spaces: Sequence[Space]):
@@ -61,13 +62,13 @@ class GridTerms:
         self.external = self._by_field(parts[False])
         self.internal = self._by_field(parts[True])
         if self.linear:
-            # the Jacobian does not know what is there without increments, as c is in (u + c)·v
-            rest = _AtRest(increments)
+            # linear terms are computed by their Jacobian, which lacks constants: c in (u + c)·v
+            at_zero = _WithoutIncrements(increments)
             for k, one in enumerate(self.internal):
-                constant = None if one is None else _without_zeros(map_integrand_dags(rest, one))
+                constant = None if one is None else _without_zeros(map_integrand_dags(at_zero, one))
                 if constant is not None:
-                    here = self.external[k]
-                    self.external[k] = constant if here is None else here + constant
+                    external = self.external[k]
+                    self.external[k] = constant if external is None else external + constant
 
     def __bool__(self) -> bool:
         return any(form is not None for form in (*self.external, *self.internal))
@@ -86,7 +87,7 @@ class GridTerms:
 
     @functools.cached_property
     def jacobian(self) -> list[list[ufl.Form | None]]:
-        """Derivative of the internal part, [test field][trial field], or None."""
+        """Derivatives of the internal forms, [test field][trial field], or None."""
         jacobian: list[list[ufl.Form | None]] = []
         for one in self.internal:
             row: list[ufl.Form | None] = []
@@ -101,7 +102,7 @@ class GridTerms:
 
     @functools.cached_property
     def linear(self) -> bool:
-        """Whether the derivative does not depend on the increments."""
+        """Whether the derivatives do not depend on the increments."""
         increments = [space.increment for space in self._spaces]
         return not any(
             isinstance(c, Coefficient) and any(c is u for u in increments)
@@ -113,7 +114,7 @@ class GridTerms:
 
 
 def _without_zeros(form: ufl.Form) -> ufl.Form | None:
-    """The form less the integrals of zero that UFL keeps; None if nothing is left."""
+    """The form without integrals of zero, which UFL keeps; None if nothing is left."""
     kept = []
     for integral in expand_derivatives(form).integrals():
         terms = [t for t in summands(integral.integrand()) if ufl.algorithms.extract_arguments(t)]

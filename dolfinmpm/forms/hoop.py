@@ -1,4 +1,4 @@
-"""Gradients of vectors at axisymmetric points: in UFL they lack the hoop term."""
+"""Check for the hoop term at axisymmetric points, which UFL's gradients of vectors lack."""
 
 from __future__ import annotations
 
@@ -18,8 +18,12 @@ def check_hoops(form: ufl.Form, points: MaterialPoints) -> None:
     """Refuse a form whose terms over points lack a hoop term; see `check_hoop`.
 
     Args:
-        form: Weak form, as the user made it: UFL's lowering would hide what a gradient is part of.
+        form: Weak form, as the user wrote it. After UFL's lowering, the use of a gradient is no
+            longer visible.
         points: Material points.
+
+    Raises:
+        FormError: A term lacks the hoop term; the message says what to write.
     """
     for integral in form.integrals():
         if integral.integral_type() == "custom":
@@ -29,7 +33,7 @@ def check_hoops(form: ufl.Form, points: MaterialPoints) -> None:
 def check_hoop(points: MaterialPoints, expression: Expr) -> None:
     """Refuse gradients of vectors that lack the hoop term of axisymmetric points.
 
-    Single components, as in `ufl.grad(u)[0, 1]`, and slopes along a vector, as in
+    Single components such as `ufl.grad(u)[0, 1]`, and directional derivatives such as
     `ufl.dot(ufl.grad(u), a)`, have no hoop term and pass.
 
     Args:
@@ -37,7 +41,7 @@ def check_hoop(points: MaterialPoints, expression: Expr) -> None:
         expression: The expression before UFL's derivatives are expanded.
 
     Raises:
-        FormError: There is one; the message names what to write.
+        FormError: A gradient lacks the hoop term; the message says what to write.
     """
     if not points.axisymmetric:
         return
@@ -47,7 +51,7 @@ def check_hoop(points: MaterialPoints, expression: Expr) -> None:
                 raise FormError(
                     f"'{brief(operand)}' lacks the hoop term u_r/r at axisymmetric points "
                     "(axisymmetric=True): write mpm.gradient(points, u), of shape (3, 3), in the "
-                    "place of ufl.grad(u) and ufl.nabla_grad(u).T, and its trace in that of "
+                    "place of ufl.grad(u) and ufl.nabla_grad(u).T, and its trace in the place of "
                     "ufl.div(u)"
                 )
 
@@ -57,12 +61,12 @@ def _of_vector(node: Expr) -> bool:
     if not isinstance(node, (Grad, Div, NablaGrad, NablaDiv)):
         return False
     (inner,) = node.ufl_operands
-    # u[i].dx(i) is the gradient of a component that is open
+    # u[i].dx(i) is the gradient of a component with a free index
     return len(inner.ufl_shape) + len(inner.ufl_free_indices) > 0
 
 
 def _is_part(node: Expr | None, slope: Expr) -> bool:
-    """Whether a node takes of a gradient only what the hoop term is no part of."""
+    """Whether a node takes only parts of a gradient that do not contain the hoop term."""
     if isinstance(slope, (Div, NablaDiv)):
         return False
     if isinstance(node, Indexed):

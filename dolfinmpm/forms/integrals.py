@@ -1,4 +1,4 @@
-"""What a weak form is integrated over: points, markers of boundaries, cells and facets."""
+"""Sort the integrals of a weak form: over points, markers of boundaries, cells and facets."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,29 +22,43 @@ SpatialDerivative = (Grad, Div, Curl, NablaGrad, NablaDiv)
 
 
 def check_derivatives(form: Any) -> None:
-    """Raise FormError unless it is a form whose derivatives have a meaning at points."""
+    """Check that a form differentiates only functions that have gradients at the points.
+
+    Raises:
+        FormError: The form is no UFL form, or it has the gradient of a field of the points or of
+            a law.
+    """
     if not isinstance(form, ufl.Form):
         raise FormError(f"the weak form must be a UFL form, got {type(form).__name__}")
     for integral in form.integrals():
         for node in unique_pre_traversal(integral.integrand()):
             if isinstance(node, SpatialDerivative):
-                # UFL takes a field of the points for constant and would drop the term
+                # UFL treats a field of the points as constant and would drop the term
                 inside = extract_coefficients(node)
                 for c in inside:
                     if isinstance(c, (PointField, PointOperator)):
                         raise FormError(
-                            f"'{brief(node)}' differentiates '{c}', which has values at the "
-                            "points only and no gradient"
+                            f"'{brief(node)}' differentiates '{c}', which has values only at the "
+                            "points, and no gradient"
                         )
 
 
 def by_measure(
     form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints, of_markers: Mapping[int, Any]
 ) -> tuple[list[Any], dict[int, list[Any]], list[Any]]:
-    """Integrals over the points, over the markers of each boundary, and over the grid.
+    """Sort integrals: over the points, over the markers of each boundary, and over the grid.
+
+    Args:
+        form: Weak form.
+        spaces: Spaces of the increments.
+        points: Material points that the problem moves.
+        of_markers: Boundaries by the number of their markers.
+
+    Returns:
+        Integrals over the points, over markers by their number, and over the grid.
 
     Raises:
-        FormError: One is over other points, or has metadata of its own.
+        FormError: An integral is over other points, or its measure of points has other metadata.
     """
     at_points: list[Any] = []
     at_markers: dict[int, list[Any]] = {number: [] for number in of_markers}
@@ -53,8 +67,8 @@ def by_measure(
         if integral.integral_type() == "custom":
             if "points" not in integral.metadata():
                 raise FormError(
-                    f"the term '{brief(integral.integrand())}' gives a measure of points metadata "
-                    "of its own; points take no quadrature degree"
+                    f"the term '{brief(integral.integrand())}' changes the metadata of a measure "
+                    "of points; points take no quadrature degree"
                 )
             number = integral.metadata()["points"]
             if number in at_markers:
@@ -81,7 +95,9 @@ def by_measure(
 def _check_ordinary(integral, spaces: Sequence[Space]) -> None:
     term, kind = integral.integrand(), integral.integral_type()
     if kind not in ("cell", "exterior_facet", "interior_facet"):
-        raise FormError(f"'{brief(term)}' is integrated over '{kind}'; use dx, ds, dS or a points'")
+        raise FormError(
+            f"'{brief(term)}' is integrated over '{kind}'; use dx, ds, dS or a measure of points"
+        )
     if integral.ufl_domain() != spaces[0].grid.ufl_domain():
         raise FormError(f"'{brief(term)}' is integrated over another mesh than the grid")
     for a in ufl.algorithms.extract_arguments(term):

@@ -1,4 +1,4 @@
-"""Operators: terms of a weak form whose value and tangent do not come from UFL."""
+"""Operators: tensors in a weak form whose value and tangent come from a law, and not from UFL."""
 
 from __future__ import annotations
 
@@ -23,51 +23,52 @@ Rows = npt.NDArray[np.int32]
 
 
 class PointwiseLaw(Protocol):
-    """What an operator calls: a function of its operand and state at every point."""
+    """Interface of a law: a function of operand and state at every point."""
 
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
-        """Value, and the tangent if an array is given, at some points.
+        """Compute the value, and the tangent if an array is given, at some points.
 
-        Must not change the state: the solver calls it as often as it likes.
+        The call must not change the state, because the solver calls it any number of times.
 
         Args:
-            operand: shape (n, size of the operand).
-            value: Written, shape (n, size of the value).
-            tangent: Written, shape (n, size of the value, size of the operand).
-            rows: Which points of this rank they are, all within the operator's tags,
-                shape (n,).
+            operand: Values of the operand, shape (n, size of the operand).
+            value: Written: the value, shape (n, size of the value).
+            tangent: Written: the derivative of the value by the operand, shape (n, size of the
+                value, size of the operand); or None.
+            rows: Numbers of the points on this rank, all with the operator's tags, shape (n,).
 
         Returns:
-            The first of the n points where it failed, counted from 0, or -1.
+            The first of the n points at which the law failed, counted from 0, or -1.
         """
 
     def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
-        """Fields of some points at the end of a converged step, by name.
+        """New values of the law's fields at the end of a converged step.
 
         Args:
-            operand: shape (n, size of the operand).
-            rows: Which points of this rank they are, shape (n,).
+            operand: Values of the operand, shape (n, size of the operand).
+            rows: Numbers of the points on this rank, shape (n,).
 
         Returns:
-            Values for these points, each of shape (n, ...).
+            Values at these points by name of the field, each of shape (n, ...).
         """
 
 
 @runtime_checkable
 class AveragingLaw(Protocol):
-    """A `PointwiseLaw` that also needs a mean over the cells of a scalar made of its operand.
+    """A `PointwiseLaw` that also needs cell means of a scalar function of its operand.
 
-    Its operand must be made of one increment: its gradient, with a hoop term at axisymmetric
-    points.
+    The operand must depend on one increment only: it is the gradient of the increment, with a hoop
+    term at axisymmetric points.
     """
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
-        """Take the means for new increments. Collective.
+        """Compute the means for new increments. Collective.
 
         Args:
             operand: Operand at all points of this rank, shape (points, size).
-            mean: Function from a scalar at the points, shape (points,), to its mean
-                over the cells that they overlap, likewise. Collective.
+            mean: Function that averages a scalar at the points, shape (points,), over the cells
+                that they overlap, and returns the means at the points, shape (points,).
+                Collective.
         """
 
     def measure_slope(self, operand: Array) -> Array:
@@ -81,26 +82,27 @@ class AveragingLaw(Protocol):
         rows: Rows,
         by_mean: Array | None = None,
     ) -> int:
-        """As `PointwiseLaw.evaluate`, with the means last prepared.
+        """Like `PointwiseLaw.evaluate`, with the means from the last call of `prepare`.
 
         Args:
-            operand, value, tangent, rows: See there; the tangent is that at constant mean.
-            by_mean: Written with the tangent: the derivative of the value by the point's
-                mean, shape (n, size of the value).
+            operand, value, tangent, rows: See `PointwiseLaw.evaluate`; the tangent is the
+                derivative at constant mean.
+            by_mean: Written together with the tangent: the derivative of the value by the mean at
+                the point, shape (n, size of the value).
         """
 
     def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
-        """Fields of some points at the end of a converged step; see `PointwiseLaw.commit`."""
+        """New values of the law's fields at the end of a step; see `PointwiseLaw.commit`."""
 
 
 @dataclass(frozen=True)
 class KeptTangents:
-    """What is kept of a law's answers at some points.
+    """Intermediate results of a law at some points, kept for later calls.
 
     Attributes:
-        values: The numbers, shape (n, `KeepingLaw.keeps`).
-        known: Whether they are those of this operand and state, to be read; else they are
-            to be written.
+        values: The intermediate results, shape (n, `KeepingLaw.keeps`).
+        known: True if the results belong to the present operand and state, and the law reads
+            them. False if the law must write them.
     """
 
     values: Array
@@ -108,21 +110,21 @@ class KeptTangents:
 
 
 def if_kept(kept: KeptTangents | None) -> dict[str, Any]:
-    """The argument `kept` of a call, without which laws that keep nothing are called."""
+    """Keyword `kept` for a call of a law; no keyword for laws that keep nothing."""
     return {} if kept is None else {"kept": kept}
 
 
 @runtime_checkable
 class KeepingLaw(Protocol):
-    """A `PointwiseLaw` that does most of its work once for the same increments.
+    """A `PointwiseLaw` whose intermediate results are kept, and serve several calls.
 
-    What its value is made of serves the tangent, and the end of the step, at the same
-    increments too. Who asks holds the numbers, and knows whether increments are the same.
+    At the same increments, the tangent and the end of the step need the same intermediate results
+    as the value. The caller stores these results, and knows whether increments have changed.
     """
 
     @property
     def keeps(self) -> int:
-        """How many numbers it keeps of a point; 0 if none after all."""
+        """How many numbers are kept per point; 0 if nothing is kept."""
 
     def evaluate(
         self,
@@ -133,17 +135,17 @@ class KeepingLaw(Protocol):
         *,
         kept: KeptTangents | None = None,
     ) -> int:
-        """As `PointwiseLaw.evaluate`, or `AveragingLaw.evaluate`.
+        """Like `PointwiseLaw.evaluate` or `AveragingLaw.evaluate`.
 
         Args:
-            operand, value, tangent, rows: See there.
-            kept: What is kept of these points, written or read; or None.
+            operand, value, tangent, rows: See `PointwiseLaw.evaluate`.
+            kept: Intermediate results at these points, written or read; or None.
         """
 
     def commit(
         self, operand: Array, rows: Rows, kept: KeptTangents | None = None
     ) -> dict[str, Array]:
-        """Fields of some points at the end of a converged step; see `PointwiseLaw.commit`."""
+        """New values of the law's fields at the end of a step; see `PointwiseLaw.commit`."""
 
 
 class PointOperator(ufl.Coefficient):
@@ -151,15 +153,15 @@ class PointOperator(ufl.Coefficient):
 
     Args:
         points: The material points.
-        law: What computes it.
-        operand: The UFL expression that the law is a function of.
-        shape: Shape of the value.
-        name: Its name in messages.
-        tags: Tags of the points at which the law is asked; it is zero at others. None
-            means all points.
+        law: Law that computes the tensor.
+        operand: UFL expression that is the argument of the law.
+        shape: Shape of the tensor.
+        name: Name in messages.
+        tags: Tags of the points at which the law is called. The tensor is zero at other points.
+            None means all points.
 
     Attributes:
-        declaration: What the law needs of the points; None if nothing.
+        declaration: Declaration of the law's data at the points; None if the law has no data.
     """
 
     def __init__(
@@ -172,7 +174,7 @@ class PointOperator(ufl.Coefficient):
         tags: tuple[int, ...] | None = None,
     ):
         cell = points.grid.topology.cell_name()
-        # of degree 1, for UFL would drop the gradient of a constant before it can be refused
+        # degree 1: UFL would drop the gradient of a constant before our check can refuse it
         element = basix.ufl.element("DG", cell, 1, shape=shape)
         super().__init__(ufl.FunctionSpace(points.grid.ufl_domain(), element))
         self.points = points
@@ -184,20 +186,20 @@ class PointOperator(ufl.Coefficient):
 
     @functools.cached_property
     def slope(self) -> PointOperator:
-        """Derivative of the value by the operand, an operator itself; see `_Slope`.
+        """Derivative of the value by the operand, as another operator; see `_Slope`.
 
         Raises:
-            FormError: The law takes means over cells, or this is a slope already.
+            FormError: The law takes means over cells, or this operator is a derivative already.
         """
         if isinstance(self.law, AveragingLaw):
             raise FormError(
                 f"'{self}' takes means over cells (fbar=True): its derivative at a point depends "
-                "on the increments at others, and ufl.derivative cannot see through it; use "
+                "on the increments at other points, and ufl.derivative cannot compute it; use "
                 "fbar=False or leave the derivative of the stress out"
             )
         if isinstance(self.law, _Slope):
             raise FormError(
-                f"a second derivative through the law of '{self}' is left to the solver; take "
+                f"only the solver takes the second derivative of the law of '{self}'; take "
                 "ufl.derivative of the stress once"
             )
         shape = (*self.ufl_shape, *self.operand.ufl_shape)
@@ -211,16 +213,16 @@ class PointOperator(ufl.Coefficient):
         return self.name
 
 
-# of central differences: the error of the step's square and that of rounding are alike then
+# Step of central differences: truncation error (step squared) and rounding error are similar
 _STEP = 2e-6
 
 
 class _Slope:
-    """The tangent of a law as a law of the same operand; it keeps no state of its own.
+    """The tangent of a law as another law of the same operand, without state.
 
-    Its own tangent, the second derivative of the law, is taken by central differences of the
-    law's tangent. Newton's method keeps its order by it where the law is smooth, at
-    the cost of two evaluations of the law for every component of the operand.
+    The tangent of this second law is the second derivative of the first law. It is computed by
+    central differences of the first law's tangent. Newton's method then keeps its order if the law
+    is smooth. The cost is two evaluations of the law per component of the operand.
     """
 
     def __init__(self, law: PointwiseLaw):
@@ -232,7 +234,7 @@ class _Slope:
         return self._law.evaluate(operand, value, out.reshape(len(operand), -1, size), rows)
 
     def evaluate(self, operand: Array, value: Array, tangent: Array | None, rows: Rows) -> int:
-        """The law's tangent and its derivative; see `PointwiseLaw`."""
+        """Compute the law's tangent and its derivative; see `PointwiseLaw`."""
         bad = self._at(operand, value, rows)
         if bad >= 0 or tangent is None:
             return bad
@@ -249,10 +251,10 @@ class _Slope:
         return -1
 
     def commit(self, operand: Array, rows: Rows) -> dict[str, Array]:
-        """Nothing: the law's own operator keeps its state."""
+        """No fields: the operator of the law itself keeps the state."""
         return {}
 
     def describe(self, operand: Array, row: int) -> str:
-        """What is known of a point at which there is no stress, in the law's own words."""
+        """The law's description of a point at which it found no stress, for messages."""
         describe = getattr(self._law, "describe", None)
         return "" if describe is None else describe(operand, row)

@@ -1,8 +1,8 @@
-"""Terms that material points integrate: fluxes, and their tangents through laws.
+"""Terms that material points integrate: fluxes, and their tangents with the tangents of laws.
 
-At the points, the integrand is a function of the increments' values and
-gradients there. Its derivatives by the test function's value and gradient are
-the flux; the flux's derivatives by the increment's are the tangent.
+At a point, the integrand is a function of the values and gradients of increments and test
+functions. The flux is the derivative of the integrand by the test function's value and gradient.
+The tangent is the derivative of the flux by the increment's value and gradient.
 """
 
 import functools
@@ -15,9 +15,7 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
-from ufl.classes import (
-    Zero,
-)
+from ufl.classes import Zero
 from ufl.constantvalue import zero
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
@@ -37,12 +35,14 @@ __all__ = ["PointTerms", "TangentBlock", "component", "derive"]
 
 @dataclass(frozen=True)
 class TangentBlock:
-    """Derivative of one field's flux by one field's increment, compiled.
+    """Compiled derivative of one field's flux (row) by one field's increment (column).
 
     Attributes:
-        program: Writes (components and slots of the row field, those of the column field).
-        row_value, value: Whether the row's and the column field's values have slots, before
-            those of their gradients, or gradients only.
+        program: Program that writes a matrix per point: one row per slot of the row field, one
+            column per slot of the column field. Slots of a component are its value, then its
+            gradient.
+        row_value, value: Whether the row field and the column field have slots for values; if
+            not, only gradients have slots.
     """
 
     program: Program
@@ -51,25 +51,25 @@ class TangentBlock:
 
 
 class PointTerms:
-    """Terms that some of the material points integrate; programs are compiled when asked for.
+    """Terms that some of the material points integrate. Programs are compiled at their first use.
 
-    The fluxes are multiplied by the points' volumes and have shape
-    (points, c, 1 + d): c stacked components of all fields, first what goes with
-    the test function's value, then what goes with its gradient.
+    The fluxes are multiplied by the points' volumes and have shape (points, c, 1 + d). c counts
+    the components of all fields. The first entry of the last axis multiplies the test function's
+    value, the other d entries multiply its gradient.
 
-    Without tags the terms of tagged measures are zero at points that do not have them.
+    Without tags, the terms of tagged measures are zero at points with other tags.
 
     Args:
         integrals: Integrals over these points.
         spaces: Spaces of the increments.
         points: Material points.
-        tags: Tags of the points, or None for all of them.
-        but: Whether the points are those that have none of the tags instead.
-        declarations: What the laws in the form keep at the points.
-        mixed: Whether terms and laws may be for some of these tags only.
+        tags: Tags of the points, or None for all points.
+        but: True to take the points that have none of the tags.
+        declarations: Declarations of the laws in the form.
+        mixed: Whether a term or a law may be for only some of the tags.
 
     Attributes:
-        slots: What the terms are made of: operators, functions and constants.
+        slots: Operators, functions and constants in the terms.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class PointTerms:
                 if not isinstance(own, Zero):
                     self._parts[depends_on(own, increments)].append(volume * slots.map(own))
         for declaration in declarations:
-            # what a law keeps is written even where only a slope of it stands in the form
+            # a law's fields are written even if the form contains only its derivative
             if declaration.operator is not None and self._has(declaration.tags):
                 slots.map(declaration.operator)
         self._fluxes = {varies: self._flux(terms) for varies, terms in self._parts.items()}
@@ -112,11 +112,11 @@ class PointTerms:
             if isinstance(operator.law, AveragingLaw) and self.field_of(k) is None:
                 raise FormError(
                     f"'{operator}' averages over cells and takes the gradient of one increment, "
-                    f"not '{brief(operator.operand)}'"
+                    f"but its operand is '{brief(operator.operand)}'"
                 )
 
     def _has(self, tags: Tags) -> bool:
-        """Whether a law for points of these tags is asked at these points; it is zero at others."""
+        """Whether a law for these tags is called at the points of the terms, or at some of them."""
         if tags is None or self._tags is None:
             return True
         if self._mixed:
@@ -124,38 +124,38 @@ class PointTerms:
         return not self._but and self._tags <= set(tags)
 
     def chosen(self, tags: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_] | None:
-        """Which points integrate the terms, or None if all do.
+        """Whether each point integrates the terms, shape (points,); None if all points do.
 
         Args:
-            tags: Tags of the points.
+            tags: Tag of each point, shape (points,).
         """
         if self._tags is None:
             return None
         return np.isin(tags, list(self._tags), invert=self._but)
 
     def integrates(self, tags: Tags) -> bool:
-        """Whether its points integrate terms for some tags."""
+        """Whether all points of the terms integrate a term for the given tags."""
         if tags is None:
             return True
         return not self._but and self._tags is not None and self._tags <= set(tags)
 
     def strains(self, k: int) -> bool:
-        """Whether a term has the gradient of the k-th field's test function."""
+        """Whether a term contains the gradient of the k-th field's test function."""
         fluxes = [flux[k] for flux in self._fluxes.values() if flux]
         return any(not isinstance(gradient, Zero) for _, gradient in fluxes)
 
     def ruled(self, laws: Sequence[Declaration]) -> bool:
-        """Whether its points, or some of them, have one of the form's laws."""
+        """Whether some points of the terms have one of the laws."""
         return any(self._has(law.tags) for law in laws)
 
     @property
     def tags(self) -> frozenset[int] | None:
-        """Tags of its points, or None for all, or for all but some."""
+        """Tags of the points; None for all points, and for all points without some tags."""
         return None if self._but else self._tags
 
     @property
     def operators(self) -> list[PointOperator]:
-        """Operators in the integrand."""
+        """Operators (laws) in the integrands."""
         return self.slots.operators
 
     @functools.cached_property
@@ -165,22 +165,22 @@ class PointTerms:
 
     @functools.cached_property
     def by_centres(self) -> bool:
-        """Whether the means count each point in the cell of its centre alone.
+        """Whether each point counts in the means only in the cell of its centre.
 
         Raises:
-            FormError: Some laws of these points do so and others do not.
+            FormError: Laws of these points differ in this.
         """
         laws = [o.law for o in self.operators if isinstance(o.law, AveragingLaw)]
         kinds = {bool(getattr(law, "by_centres", False)) for law in laws}
         if len(kinds) > 1:
             raise FormError(
                 'laws with fbar=True and with fbar="centres" meet at the same points; take one of '
-                "them for all"
+                "the two for all laws"
             )
         return kinds == {True}
 
     def _flux(self, terms: list[Expr]) -> list[list[Expr]]:
-        """For every field what goes with the test function's value and with its gradient."""
+        """For every field, derivatives by the test function's value and by its gradient."""
         if not terms:
             return []
         slots, total = self.slots, sum(terms[1:], start=terms[0])
@@ -199,21 +199,21 @@ class PointTerms:
 
     @functools.cached_property
     def external(self) -> Program | None:
-        """Flux that does not depend on the increments, or None. Collective at first."""
+        """Flux that does not depend on the increments, or None. The first use is collective."""
         return _flux_program(self._fluxes[False], self.slots) if self._fluxes[False] else None
 
     @functools.cached_property
     def internal(self) -> Program | None:
-        """Flux that does, or None. Collective at first."""
+        """Flux that depends on the increments, or None. The first use is collective."""
         return _flux_program(self._fluxes[True], self.slots) if self._fluxes[True] else None
 
     def _direct(self, k: int) -> int | None:
-        """The field whose gradient itself is the k-th operator's operand, or None."""
+        """The field whose gradient is the operand of the k-th operator, or None."""
         direct = [f for f, g in enumerate(self.slots.gradient) if self._operands[k] is g]
         return direct[0] if direct else None
 
     def field_of(self, k: int) -> int | None:
-        """The one field whose gradient, or value, the k-th operator's operand is made of."""
+        """The only field whose value or gradient is in the k-th operator's operand, or None."""
         direct = self._direct(k)
         if direct is not None:
             return direct
@@ -224,7 +224,7 @@ class PointTerms:
 
     @functools.cached_property
     def operands(self) -> list[Program | tuple]:
-        """For every operator the program of its operand, or the key of its data."""
+        """For every operator, the program of its operand; or the key of a gradient's data."""
         made: list[Program | tuple] = []
         for k, expression in enumerate(self._operands):
             field = self._direct(k)
@@ -237,20 +237,26 @@ class PointTerms:
 
     @property
     def sloped(self) -> bool:
-        """Whether anybody has asked for the tangent yet, as those who step explicitly never do."""
+        """Whether the tangent has been used; explicit steps never use it."""
         return "tangent" in self.__dict__
 
     @functools.cached_property
     def tangent(self) -> dict[tuple[int, int], TangentBlock]:
-        """Derivatives of the internal flux, by row and column field. Collective at first."""
+        """Derivatives of the internal flux by (row field, column field).
+
+        The first use is collective.
+        """
         fields = range(len(self._fluxes[True]))
         blocks = {(i, j): self._block(i, j) for i in fields for j in fields}
         return {pair: block for pair, block in blocks.items() if block is not None}
 
     @functools.cached_property
     def by_mean(self) -> dict[int, Program]:
-        """For every operator whose law averages over cells, the derivative of the internal
-        flux by that mean at the point, of the flux's shape. Collective at first."""
+        """Derivatives of the internal flux by the mean of each operator that averages over cells.
+
+        Keys are numbers of operators. The results have the shape of the flux. The first use is
+        collective.
+        """
         return {
             k: _flux_program(self._by_mean(k), self.slots)
             for k, operator in enumerate(self.operators)
@@ -259,9 +265,12 @@ class PointTerms:
 
     @functools.cached_property
     def mean_flux(self) -> dict[int, Program]:
-        """For operators whose law averages over cells, and whose operand is more than a gradient,
-        what nodes do to the mean: flux of the field of the operand, of the derivative
-        ("mean slope", k) of the averaged scalar by the operand. Collective at first."""
+        """Derivatives of averaged scalars by value and gradient of the field, by operator.
+
+        Only for operators whose law averages over cells and whose operand is not just a gradient.
+        The slot ("mean slope", k) is the derivative of the averaged scalar by the operand. The
+        results have the shape of the field's flux. The first use is collective.
+        """
         return {
             k: self._mean_flux(k)
             for k, operator in enumerate(self.operators)
@@ -292,7 +301,7 @@ class PointTerms:
         return [[through(flux) for flux in pair] for pair in self._fluxes[True]]
 
     def _through(self, flux: Expr, variable: Expr) -> Expr:
-        """Derivative of a flux by the value or the gradient of an increment, through laws too."""
+        """Derivative of a flux by an increment's value or gradient, with the tangents of laws."""
         slots = self.slots
         total = derive(flux, variable)
         for k, operator in enumerate(slots.operators):
@@ -350,10 +359,10 @@ def _flux_program(fluxes, slots: Slots, fields: Sequence[int] | None = None) -> 
 
 
 def derive(expression: Expr, variable: Expr) -> Expr:
-    """Derivative of an expression of slots by one of them."""
+    """Derivative of an expression of slots by one slot."""
     return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
 
 
 def component(expression: Expr, index: tuple[int, ...]) -> Expr:
-    """Component of a tensor, or a scalar itself."""
+    """Component of a tensor; a scalar is returned as it is."""
     return expression[index] if index else expression

@@ -1,8 +1,8 @@
-"""Pointwise programs: UFL expressions compiled through FFCx and called from Numba, once a point.
+"""Pointwise programs: UFL expressions, compiled by FFCx and called from Numba once per point.
 
-FFCx bakes quadrature points into the kernels of integrals, but an expression of
-constants has none: everything that varies from point to point enters the
-compiled function as a constant, and a loop hands each point its own values.
+FFCx compiles quadrature points into the kernels of integrals. An expression of constants has no
+quadrature points. All values that vary from point to point therefore enter the compiled function
+as constants. A loop calls the function with the values of each point.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ Array = npt.NDArray[np.float64]
 def call_tabulate(typingctx, function, out, constants):
     """Call `tabulate_tensor(A, w, c, coordinates, entity, permutation, ...)` at an address.
 
-    For compiled loops, with the addresses of A, to which it adds, and of the constants c.
+    For compiled loops. The arguments are the addresses of the function, of A and of the constants
+    c. The function adds to A.
     """
     signature = types.void(types.intp, types.intp, types.intp)
     number = kernel_arguments()
@@ -86,9 +87,9 @@ class Program:
 
     Attributes:
         function: Address of the compiled C function.
-        size: Number of values it writes at a point.
-        inputs: Keys of its inputs, in the order in which the function takes them.
-        keep: What must live as long as the address is used.
+        size: Number of values per point.
+        inputs: Keys of the inputs, in the order of the function's constants.
+        keep: Objects that must live as long as the address is used.
     """
 
     function: int
@@ -100,9 +101,9 @@ class Program:
         """Evaluate at n points.
 
         Args:
-            data: For every input a C-contiguous float64 array, of shape (n, ...) or,
-                for one value at all points, (1, ...).
-            out: Written, shape (n, size).
+            data: A C-contiguous float64 array for every key in `inputs`, shape (n, ...), or
+                shape (1, ...) for one value at all points.
+            out: Written: the values, shape (n, size).
         """
         addresses = np.empty(len(self.inputs), np.intp)
         strides = np.empty(len(self.inputs), np.intp)
@@ -123,8 +124,8 @@ def compile_program(
 
     Args:
         grid: Background grid.
-        expressions: What the function writes, one value after the other.
-        sources: For every constant in the expressions the key of its data.
+        expressions: Values that the function writes, in this order.
+        sources: Key of the data for every constant in the expressions.
 
     Raises:
         FormError: FFCx cannot compile an expression.
@@ -133,12 +134,12 @@ def compile_program(
 
 
 def compile_here(expressions: Sequence[Expr], sources: Mapping[ufl.Constant, Any]) -> Program:
-    """As `compile_program`, by this rank alone; others that compile the same wait for one.
+    """Like `compile_program`, on this rank alone. Ranks with the same expressions compile once.
 
     Args:
-        expressions: What the function writes.
-        sources: For every constant in the expressions the key of its data; the constants live on
-            an interval, so that grids of all kinds share what is compiled.
+        expressions: Values that the function writes, in this order.
+        sources: Key of the data for every constant in the expressions. The constants live on
+            an interval, so that grids of all kinds share compiled functions.
 
     Raises:
         FormError: FFCx cannot compile an expression.

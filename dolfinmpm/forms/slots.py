@@ -1,4 +1,4 @@
-"""Slots: constants that stand for all that varies from point to point in an expression."""
+"""Slots: constants in an expression that stand for values that vary from point to point."""
 
 from __future__ import annotations
 
@@ -22,19 +22,29 @@ from dolfinmpm.forms.operators import PointOperator
 
 __all__ = ["Slots"]
 
-# UFL sorts constants by the text of their number, and FFCx compiles anew what is sorted otherwise:
-# numbers of slots all have as many digits, and are the same for the same expression.
+# UFL sorts constants by their number as text, and FFCx compiles again if the order changes. All
+# numbers of slots therefore have the same number of digits. The same expression gets the same
+# numbers.
 _FIRST = 1_000_000_000
 
 
 @dataclass
 class Slots(MultiFunction):
-    """Replaces all that varies from point to point by constants, and keeps their sources.
+    """Replaces all values that vary from point to point by constants (slots).
 
-    The keys of the sources: ("value", k) and ("gradient", k) of field k's
-    increment; ("field", name); ("operator", k), ("operator tangent", k),
-    ("operator by mean", k) and ("mean slope", k); ("function", k) for the k-th of
-    `functions`; ("constant", k).
+    Attributes:
+        spaces: Spaces of the increments.
+        points: Material points.
+        sources: Key of the data of each slot. Keys are ("value", k) and ("gradient", k) for the
+            increment of field k; ("field", name); ("operator", k), ("operator tangent", k),
+            ("operator by mean", k) and ("mean slope", k) for operator k; ("function", k) for
+            entry k of `functions`; and ("constant", k) for entry k of `constants`.
+        functions: DOLFINx functions in the expressions, and whether their gradient is meant.
+        constants: DOLFINx constants in the expressions.
+        operators: Operators (laws) in the expressions.
+        value, gradient: Slots of each field's increment and its gradient, as UFL variables.
+        test_value, test_gradient: Slots of each field's test function and its gradient.
+        operator_value: Slots of the operators' values, as UFL variables.
     """
 
     spaces: Sequence[Space]
@@ -63,14 +73,26 @@ class Slots(MultiFunction):
         return ufl.Constant(self.domain, shape=shape, count=next(self._number))
 
     def slot(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
-        """The constant that stands for the data of that key."""
+        """The slot for the data with this key; it is made at the first use.
+
+        Args:
+            key: Key of the data.
+            shape: Shape of the data at a point.
+        """
         if key not in self._kept:
             self._kept[key] = self._constant(shape)
             self.sources[self._kept[key]] = key
         return self._kept[key]
 
     def map(self, expression: Expr) -> Expr:
-        """The expression with slots for all its data."""
+        """The expression with slots in place of data.
+
+        Args:
+            expression: UFL expression, derivatives expanded.
+
+        Raises:
+            FormError: A part of the expression has no value at material points.
+        """
         return map_expr_dag(self, remove_complex_nodes(apply_algebra_lowering(expression)))
 
     def _field_of(self, o) -> int | None:
@@ -89,11 +111,9 @@ class Slots(MultiFunction):
 
     def _check_points(self, o) -> None:
         if o.points is not self.points:
-            raise FormError(
-                f"'{o}' belongs to other material points than those of the measure it stands under"
-            )
+            raise FormError(f"'{o}' belongs to other material points than the measure of its term")
 
-    # handlers, named as UFL names its types
+    # handlers: UFL calls them by the names of its types
 
     def expr(self, o, *operands):
         return self.reuse_if_untouched(o, *operands)
@@ -109,7 +129,7 @@ class Slots(MultiFunction):
             return self._function(inner, True)
         raise FormError(
             f"'{o}' cannot be evaluated at material points: only increments, test functions and "
-            "DOLFINx functions have a gradient there, and only a first one"
+            "DOLFINx functions have a gradient there, and only a first gradient"
         )
 
     def argument(self, o):
@@ -136,8 +156,8 @@ class Slots(MultiFunction):
     def _function(self, o, gradient: bool):
         if hasattr(o, "_dolfinmpm_space"):
             raise FormError(
-                f"'{o}' is the increment of a space that the problem does not solve for; name its "
-                "increment when the problem is made"
+                f"'{o}' is the increment of a space that the problem does not solve for; give this "
+                "increment to the problem as an unknown"
             )
         if o.function_space.mesh is not self.points.grid:
             raise FormError(f"the function '{o}' lives on another mesh than the material points")
@@ -161,10 +181,10 @@ class Slots(MultiFunction):
     def geometric_quantity(self, o):
         raise FormError(
             f"'{o}' ({type(o).__name__}) has no value at material points; of the grid's geometry "
-            "only the spatial coordinate does"
+            "only the spatial coordinate has a value there"
         )
 
     def restricted(self, o):
-        raise FormError(f"'{o}' restricts to one side of a facet, under a measure of points")
+        raise FormError(f"'{o}' restricts to one side of a facet, but its measure is over points")
 
     facet_avg = cell_avg = restricted

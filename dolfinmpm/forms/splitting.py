@@ -1,4 +1,4 @@
-"""Split a weak form into what the points integrate and what DOLFINx integrates."""
+"""Split a weak form into terms that the points integrate and terms that DOLFINx integrates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,12 +32,13 @@ class BoundaryTerms:
 
     Attributes:
         boundary: The boundary.
-        regions: Terms of its markers, as of points.
-        declarations: What laws in the terms need of the markers.
-        conditions: What makes numbers at the markers before each step; see `dirichlet`.
+        regions: Terms that the markers integrate, in the way of points.
+        declarations: Declarations of the laws in the terms, with data at the markers.
+        conditions: Conditions that compute numbers at the markers before each step; see
+            `dirichlet`.
         increments: Increments of the fields in the terms.
-        stateful: Whether its terms need the state of the body at the markers.
-        tags: Tags of the points of the body, or None for all.
+        stateful: Whether the terms need the state of the body at the markers.
+        tags: Tags of the points of the body, or None for all points.
     """
 
     boundary: Boundary
@@ -49,7 +50,7 @@ class BoundaryTerms:
     tags: Tags
 
     def sees(self, u: Any) -> bool:
-        """Whether its markers are of the field of an increment, of those that have tags."""
+        """Whether the terms contain the field of an increment."""
         return any(u is one for one in self.increments)
 
 
@@ -58,11 +59,11 @@ class SplitForm:
     """A weak form, split.
 
     Attributes:
-        regions: Terms of the points, one entry for every part of the body with terms of
-            its own.
+        regions: Terms that points integrate. Parts of the body with different terms have one
+            entry each.
         grid: Terms over the grid.
-        declarations: What the laws in the form keep at the points.
-        carried: Fields that its terms carry from step to step, or renew as one begins.
+        declarations: Declarations of the laws in the form.
+        carried: Fields that terms carry from step to step, or that are set when a step begins.
         boundaries: Terms over boundaries that do not fit the grid.
         terms: Terms that are no quadrature of its points, see `dolfinmpm.assembly.term`.
         tagged: What of it is for points of some tags only.
@@ -86,7 +87,7 @@ def split(form: ufl.Form, spaces: Sequence[Space], points: MaterialPoints) -> Sp
         points: Material points whose measures the form may contain.
 
     Raises:
-        FormError: A term cannot be evaluated where it stands; the message names it.
+        FormError: A term cannot be evaluated on its measure; the message names the term.
     """
     check_derivatives(form)
     form, terms = _without_terms(form, points)
@@ -163,23 +164,23 @@ def _touching(terms, spaces: Sequence[Space]) -> dict[int, tuple[Boundary, Any]]
         for boundary, u in term.sides:
             if not any(u is space.increment for space in spaces):
                 raise FormError(
-                    f"{term!r} is of a field that the problem does not solve for; name its "
-                    "increment when the problem is made"
+                    f"{term!r} is for a field that the problem does not solve for; give its "
+                    "increment to the problem as an unknown"
                 )
             known = found.setdefault(boundary.markers.number, (boundary, u))
             if known[1] is not u:
                 raise FormError(
-                    f"{boundary} is moved by one field in one contact and by another in a second; "
-                    "give the same"
+                    f"{boundary} moves with one field in one contact, and with another field in a "
+                    "second contact; give both the same field"
                 )
     return found
 
 
 def _boundaries(form: ufl.Form, points: MaterialPoints) -> list[Boundary]:
-    """Boundaries of the points in a form, each once.
+    """Boundaries in a form, each once.
 
     Raises:
-        FormError: One is of other points.
+        FormError: A boundary belongs to other material points.
     """
     found: list[Boundary] = []
     for integral in form.integrals():
@@ -189,14 +190,14 @@ def _boundaries(form: ufl.Form, points: MaterialPoints) -> list[Boundary]:
         if boundary.points is not points:
             raise FormError(
                 f"the term '{brief(integral.integrand())}' is over a boundary of other material "
-                "points than those that the problem moves"
+                "points than the points that the problem moves"
             )
         found.append(boundary)
     return found
 
 
 def _conditions(integrals) -> list[Any]:
-    """Conditions that integrals are marked with, each once."""
+    """Conditions in the metadata of integrals, each once."""
     found: list[Any] = []
     for integral in integrals:
         condition = integral.metadata().get("condition")
@@ -206,7 +207,7 @@ def _conditions(integrals) -> list[Any]:
 
 
 def _tags_of_fields(increments) -> Tags:
-    """Tags of the points that some fields are of, or None if any is of all points."""
+    """Tags of the points of some fields, or None if one of the fields is for all points."""
     tags = [u._dolfinmpm_space.tags for u in increments]
     if not tags or None in tags:
         return None
@@ -214,13 +215,13 @@ def _tags_of_fields(increments) -> Tags:
 
 
 def _increments(form, number: int, spaces: Sequence[Space], touching=None) -> list[Any]:
-    """Increments of the fields in terms over markers, or that of a boundary that touches another.
+    """Increments of the fields in terms over markers, or of the field in a boundary's contact.
 
     Args:
         form: The form.
         number: Number of the markers.
         spaces: Spaces of the increments.
-        touching: The boundary and its increment, if it touches another.
+        touching: The boundary and its increment, if the boundary is in a contact.
     """
     if touching is not None:
         return [touching[1]]
@@ -261,7 +262,7 @@ def _without_terms(form: ufl.Form, points: MaterialPoints) -> tuple[ufl.Form, li
 
 
 def _check_tags(integrals) -> None:
-    """DOLFINx takes one tagging for each kind of integral."""
+    """Refuse two taggings for one kind of integral, because DOLFINx takes only one."""
     seen: dict[str, Any] = {}
     for integral in integrals:
         data, kind = integral.subdomain_data(), integral.integral_type()
@@ -277,20 +278,20 @@ def _check_tags(integrals) -> None:
 def _regions(
     integrals, spaces: Sequence[Space], points: MaterialPoints, declarations: list[Declaration]
 ) -> list[PointTerms]:
-    """The points' terms, for each set of tags that has terms and laws of its own. Collective."""
+    """The points' terms, one entry per set of tags with the same terms and laws. Collective."""
     where = [tags_of(i) for i in integrals]
     laws = sorted(
         {o.tags for i in integrals for o in operators_in(i.integrand()) if o.tags is not None}
     )
     mentioned = sorted({tag for tags in (*where, *laws) for tag in tags or ()})
-    # points of several laws in one cell share its mean: they must be seen together
+    # points with different laws in one cell share the mean over the cell: one region for all
     means = any(
         isinstance(o.law, AveragingLaw) for i in integrals for o in operators_in(i.integrand())
     )
     shape = (points.gdim,)
     bodies = [s.tags for s in spaces if s.tags is not None and s.increment.ufl_shape == shape]
     if means and bodies:
-        # but each body has its own, whatever else is in the cell
+        # but each body with its own displacement has its own means, also in shared cells
         return [
             PointTerms(
                 integrals, spaces, points, frozenset(tags), declarations=declarations, mixed=True
@@ -301,13 +302,13 @@ def _regions(
         return [PointTerms(integrals, spaces, points, declarations=declarations)]
     alike: dict[tuple, set[int]] = {}
     for tag in mentioned:
-        here = tuple(k for k, tags in enumerate(where) if tags is None or tag in tags)
-        alike.setdefault((here, tuple(tag in tags for tags in laws)), set()).add(tag)
+        terms = tuple(k for k, tags in enumerate(where) if tags is None or tag in tags)
+        alike.setdefault((terms, tuple(tag in tags for tags in laws)), set()).add(tag)
     regions = [
         PointTerms(
-            [integrals[k] for k in here], spaces, points, frozenset(tags), False, declarations
+            [integrals[k] for k in terms], spaces, points, frozenset(tags), False, declarations
         )
-        for (here, _), tags in alike.items()
+        for (terms, _), tags in alike.items()
     ]
     rest = [i for i, tags in zip(integrals, where) if tags is None]
     return [

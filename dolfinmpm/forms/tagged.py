@@ -1,4 +1,4 @@
-"""Tags in a form that no point has, and points that carry a load and have no law."""
+"""Checks for tags in a form that no point has, and for loaded points without a law."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ __all__ = ["Tagged", "tags_by_term"]
 
 @dataclass(frozen=True)
 class Tagged:
-    """What of a form is for points of some tags only.
+    """Terms, laws and fields of a form, and the tags of their points.
 
     Attributes:
         points: The material points.
-        integrals: Integrals over the points, as they were given.
-        others: Tags of further terms, with their names in messages.
-        declarations: The laws at the points.
+        integrals: Integrals over the points, as the user wrote them.
+        others: Names and tags of further terms; the names are for messages.
+        declarations: Declarations of the laws at the points.
         spaces: Spaces of the increments.
-        alone: Whether the form has no terms on the grid but ghost penalties.
+        alone: Whether the only terms on the grid are ghost penalties.
     """
 
     points: MaterialPoints
@@ -48,30 +48,31 @@ class Tagged:
         return [d.tags for d in self.declarations] + [s.tags for s in self.spaces]
 
     def check(self) -> None:
-        """Refuse tags that match nothing, and loads on points without a law. Collective.
+        """Refuse tags that match no point, and loads on points without a law. Collective.
 
         Raises:
-            FormError: There are such; the message names tags and term.
+            FormError: A tag matches no point, or loaded points have no law. The message names tags
+                and term.
         """
         terms = tags_by_term(self.integrals)
         named = [*((f"the term '{brief(term)}'", tags) for term, tags in terms), *self.others]
         if not any((*self._of_laws, *(tags for _, tags in named))):
             return
         in_use = tags_in_use(self.points)
-        # points of a law's or a Space's tags may come later
+        # points with the tags of a law or a Space may be added later
         waiting = {tag for tags in self._of_laws for tag in tags or ()}
         for name, tags in named:
             if tags is not None and not set(tags) & (in_use | waiting):
                 raise FormError(
                     f"{name} is for points with {in_words(tags)}, and no point has it: the points "
-                    f"have the tags {in_order(in_use)}. Give one of them; for points that come "
-                    "later give the form their law too, mpm.momentum(law, points, u, v, tag=...)"
+                    f"have the tags {in_order(in_use)}. Give one of these tags. If the points are "
+                    "added later, add their law too, mpm.momentum(law, points, u, v, tag=...)"
                 )
         if self.alone and self.declarations and not any(
             d.tags is None or set(d.tags) & in_use for d in self.declarations
         ):  # fmt: skip
             raise FormError(
-                f"no point has a law: those of the form are for {_all_of(self.declarations)}, and "
+                f"no point has a law: the laws are for {_all_of(self.declarations)}, and "
                 f"the points have the tags {in_order(in_use)}"
             )
         for tag in sorted(in_use):
@@ -81,7 +82,7 @@ class Tagged:
                     self._check_load(tag, space)
 
     def _check_load(self, tag: int, space: Space) -> None:
-        """Refuse points of a tag that a load moves and nothing resists. Collective if refused."""
+        """Refuse a load on points of a tag without a resisting term. Collective if refused."""
         increments, load = [one.increment for one in self.spaces], None
         for integral in self.integrals:
             if not _has(tags_of(integral), tag):
@@ -94,7 +95,7 @@ class Tagged:
                     if not laws or any(_has(law.tags, tag) for law in laws):
                         return
                 elif MARK not in integral.metadata():
-                    # faces of a `Surface` are of few points: others have none
+                    # loads of a `Surface` act on few points and are not checked
                     load = term
         if load is None:
             return
@@ -103,13 +104,13 @@ class Tagged:
         raise FormError(
             f"the {count} points of tag {tag} have the load '{brief(load)}', and no law or other "
             "term of the form resists their motion: give them a law, mpm.momentum(law, points, "
-            f"u, v, tag={tag}), or restrict the load to the others, points.dX(tag)"
+            f"u, v, tag={tag}), or restrict the load to other points, points.dX(tag)"
         )
 
 
 def tags_by_term(integrals: Iterable[Any]) -> Iterator[tuple[Expr, Tags]]:
     """Integrands, each once, with the tags of the points that integrate them."""
-    # UFL makes an integral of every tag
+    # UFL makes one integral per tag
     found: dict[Expr, list[Tags]] = {}
     for integral in integrals:
         found.setdefault(integral.integrand(), []).append(tags_of(integral))

@@ -1,4 +1,4 @@
-"""Small questions about terms of a form, which its parts all ask."""
+"""Small helpers for terms of a form."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -7,9 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms import extract_coefficients
-from ufl.classes import (
-    Sum,
-)
+from ufl.classes import Sum
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import Tags, as_tags, check_kind
@@ -27,7 +25,7 @@ __all__ = [
 
 
 def brief(expression: Expr) -> str:
-    """An expression as messages show it."""
+    """An expression as text for messages, at most 200 characters."""
     text = str(expression)
     return text if len(text) <= 200 else text[:197] + "..."
 
@@ -42,7 +40,7 @@ def summands(expression: Expr) -> Iterator[Expr]:
 
 
 def depends_on(expression: Expr, increments: Sequence[Any]) -> bool:
-    """Whether an expression depends on the increments."""
+    """Whether an expression depends on the increments, directly or by a law."""
     return any(
         isinstance(c, PointOperator) or any(c is u for u in increments)
         for c in extract_coefficients(expression)
@@ -75,12 +73,16 @@ def stiffness_per_area(form: ufl.Form) -> list[tuple[str, npt.NDArray[np.float64
 
 
 def operators_in(term: Expr) -> list[PointOperator]:
-    """The laws in a term."""
+    """The operators (laws) in a term."""
     return [c for c in extract_coefficients(term) if isinstance(c, PointOperator)]
 
 
 def tags_of(integral) -> Tags:
-    """Tags of the points that integrate a term; None means all."""
+    """Tags of the points that integrate a term; None means all points.
+
+    Raises:
+        FormError: The subdomain of the term's measure is no tag.
+    """
     where = integral.subdomain_id()
     try:
         return None if where == "everywhere" else as_tags(where)

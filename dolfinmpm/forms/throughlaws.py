@@ -1,4 +1,4 @@
-"""`ufl.derivative` through laws: the chain rule by the operators' own slopes."""
+"""`ufl.derivative` of terms with laws: the chain rule with the tangents of the operators."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["through_laws"]
 
 
 class _ThroughLaws(MultiFunction):
-    """Gives the derivatives of what holds an operator a further direction, the operator's own.
+    """Adds a direction for each operator to the derivatives of expressions with operators.
 
-    D[f(u, P)] v = ∂f/∂u v + ∂f/∂P (∂P/∂a : D[a] v), with a the operand of the operator P. To
-    UFL, P is one more coefficient whose direction is given.
+    D[f(u, P)] v = ∂f/∂u v + ∂f/∂P (∂P/∂a : D[a] v), where a is the operand of the operator P. For
+    UFL, P is one more coefficient with a given direction.
     """
 
-    # handlers, named as UFL names its types
+    # handlers: UFL calls them by the names of its types
 
     def expr(self, o, *operands):
         return self.reuse_if_untouched(o, *operands)
@@ -48,15 +48,18 @@ class _ThroughLaws(MultiFunction):
         )
 
     def apply(self, expression: Expr) -> Expr:
-        """The expression with such derivatives."""
+        """The expression with the additional directions."""
         return map_expr_dag(self, expression)
 
 
 def through_laws(form: ufl.Form) -> ufl.Form:
-    """The form with derivatives through its laws made explicit.
+    """The form with explicit derivatives of its laws.
+
+    Args:
+        form: Weak form, derivatives not expanded.
 
     Raises:
-        FormError: A law takes means over cells, or is differentiated twice.
+        FormError: A differentiated law takes means over cells, or a law is differentiated twice.
     """
     rule = _ThroughLaws()
     return map_integrands(rule.apply, form)

@@ -1,4 +1,4 @@
-"""Values of a DOLFINx function cell by cell, in which they can go from rank to rank."""
+"""Values of a DOLFINx function, cell by cell: a layout that can move from rank to rank."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 
 def _nodes(function: fem.Function) -> tuple[npt.NDArray[np.int32], Array, int]:
-    """Nodes of the owned cells, positions of all nodes here, and values per node."""
+    """Nodes of the owned cells, positions of all nodes on this rank, and values per node."""
     space = function.function_space
     grid = space.mesh
     try:
@@ -29,30 +29,32 @@ def _nodes(function: fem.Function) -> tuple[npt.NDArray[np.int32], Array, int]:
 
 
 def values_of_cells(function: fem.Function, array: Array) -> Array:
-    """Positions of the nodes of every owned cell, and the values there.
+    """Positions (m) of the nodes of every owned cell, and the values at the nodes.
 
     Args:
         function: A function of a space with values at nodes.
-        array: Its degrees of freedom on this rank.
+        array: Degrees of freedom of the function on this rank.
 
     Returns:
-        Shape (owned cells, nodes of a cell, gdim + values per node).
+        Positions and values, shape (owned cells, nodes per cell, gdim + values per node).
 
     Raises:
-        FormError: Its space has no values at nodes.
+        FormError: The space of the function has no values at nodes.
     """
     nodes, x, each = _nodes(function)
     return np.concatenate([x[nodes], array.reshape(-1, each)[nodes]], axis=2)
 
 
 def set_values(function: fem.Function, rows: Array) -> None:
-    """Set a function to what `values_of_cells` returned for one like it. Collective.
+    """Set a function to values that `values_of_cells` returned. Collective.
 
-    The nodes of a cell are told by their positions, for their order may be another.
+    The values may come from another rank, or from another run. The order of the nodes in a cell
+    can therefore differ. Nodes are matched by their positions.
 
     Args:
-        function: The function.
-        rows: Nodes and values of the owned cells, in the order of the cells.
+        function: The function; its space has the same element as the space of the values.
+        rows: Positions and values of the owned cells, see `values_of_cells`, in the order of the
+            cells of `function`.
     """
     nodes, x, each = _nodes(function)
     gdim = x.shape[1]

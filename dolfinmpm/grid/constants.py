@@ -1,7 +1,8 @@
-"""Constants that the library puts into forms itself.
+"""Constants in forms: the library's own constants, and constants that move something.
 
-A number in a form is compiled into it, so that every new one compiles anew. A constant is
-not; but it must not pass for a load of the user's, which steps scale and messages list.
+A number in a form is compiled into the form, and every new number compiles the form again. The
+library therefore takes constants. It marks its own constants, so that steps do not scale them as
+loads, and messages do not list them as loads.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ __all__ = ["begin_at_zero", "is_own", "own_constant", "reached", "take_reached"]
 
 
 def own_constant(grid: Mesh, value: npt.ArrayLike) -> fem.Constant:
-    """A constant that is no load.
+    """A constant of the library, which is no load.
 
     Args:
         grid: Background grid.
-        value: Its value, of any shape.
+        value: Value of the constant, of any shape.
     """
     constant = fem.Constant(grid, np.asarray(value, float))
     constant._dolfinmpm_own = True
@@ -32,39 +33,39 @@ def own_constant(grid: Mesh, value: npt.ArrayLike) -> fem.Constant:
 
 
 def begin_at_zero(what: str, constant: fem.Constant) -> None:
-    """Tell that what a constant of the user's moves has not moved yet, whatever the constant holds.
+    """Mark a user's constant as a displacement, and begin its motion at zero.
 
-    A load acts as it is given; a displacement that is not zero at first is a way still to go, which
-    the first step divides as it does those of later ones.
+    A load acts in full from the start. A displacement that is not zero at the start is still to be
+    travelled: the first step divides it into substeps, as later steps divide later increments.
 
     Args:
         what: Name of the argument.
-        constant: The constant.
+        constant: The constant, a displacement (m).
 
     Raises:
-        ParameterError: It has moved something else to what it holds.
+        ParameterError: The constant has moved something else already, by its present value.
     """
     before = reached(constant)
     if before is not None and np.any(before) and np.array_equal(before, constant.value):
         raise ParameterError(
-            f"{what} = {shown(constant.value)} is what steps have moved something else by already, "
-            "and would move this by it once more: give it a constant of its own, "
-            "dolfinx.fem.Constant(grid, 0.0) with as many components"
+            f"{what} = {shown(constant.value)} is a constant by which steps have moved something "
+            f"else already; {what} would move by the same displacement once more: give it its own "
+            "constant, dolfinx.fem.Constant(grid, 0.0), with the same number of components"
         )
     constant._dolfinmpm_reached = np.zeros_like(constant.value)
 
 
 def reached(item: Any) -> npt.NDArray[np.float64] | None:
-    """What a constant that moves something held in the last converged state; None of others."""
+    """Value of a moving constant in the last converged state (m); None for other constants."""
     return getattr(item, "_dolfinmpm_reached", None)
 
 
 def take_reached(item: Any) -> None:
-    """Take the value of a constant, if it moves something, for that of a converged state."""
+    """Keep the value of a constant as converged, if the constant moves something."""
     if reached(item) is not None:
         item._dolfinmpm_reached = np.array(item.value)
 
 
 def is_own(item: Any) -> bool:
-    """Whether a constant or a function of a form is the library's own."""
+    """Whether a constant or a function in a form belongs to the library."""
     return getattr(item, "_dolfinmpm_own", False)

@@ -1,4 +1,4 @@
-"""Numbers of what is made on a grid, in the order in which all ranks make it."""
+"""Serial numbers of objects on a grid, in the order in which all ranks make the objects."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ __all__ = ["next_on"]
 
 
 def next_on(grid: Mesh, kind: str) -> int:
-    """The number of what is being made on a grid, from 1; ranks compare by it what they give.
+    """The next serial number of a kind of object on a grid, from 1.
+
+    Ranks compare their arguments by this number.
 
     Args:
         grid: The grid.
-        kind: What is made.
+        kind: Kind of the object, such as "spaces".
     """
     made = grid.__dict__.setdefault("_dolfinmpm_made", {})
     made[kind] = made.get(kind, 0) + 1

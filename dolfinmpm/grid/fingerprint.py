@@ -1,4 +1,4 @@
-"""What tells one background grid, and one distribution of it over ranks, from another."""
+"""Fingerprints that tell background grids, and their distributions over ranks, apart."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from dolfinmpm.grid.lattice import once_per_grid
 
 __all__ = ["differs", "fingerprint", "owned_corners", "partition"]
 
-# Rounding of coordinates, which a generator may do otherwise on other ranks, is below this share
-# of the grid's size.
+# Bound of rounding errors of coordinates, as a share of the grid's size. A mesh generator may
+# round differently on other numbers of ranks.
 _ROUNDING = 1e-12
 _WAVES = 4
 
 
 def owned_corners(grid: Mesh) -> npt.NDArray[np.float64]:
-    """Corners of the cells that this rank owns (m), shape (cells, corners of a cell, gdim)."""
+    """Corners (m) of the cells that this rank owns, shape (cells, corners per cell, gdim)."""
     owned = grid.topology.index_map(grid.topology.dim).size_local
     x = np.asarray(grid.geometry.x, float)
     return x[geometry_dofmap(grid)[:owned], : grid.geometry.dim]
@@ -31,11 +31,12 @@ def owned_corners(grid: Mesh) -> npt.NDArray[np.float64]:
 
 @once_per_grid
 def fingerprint(grid: Mesh) -> dict[str, Any]:
-    """The grid in a few numbers that do not depend on how it is distributed. Collective.
+    """A few numbers that describe the grid, on any distribution over ranks. Collective.
 
-    Number and type of cells, dimension, corners of the box around it (m), and means over the
-    cells of some waves at their corners and midpoints: these change with any of the
-    coordinates and with what cells connect, and not with the order of cells or vertices.
+    The numbers are: number and type of cells, dimension, corners of the bounding box (m), and mean
+    values over the cells of some cosine waves at corners and midpoints. The mean values change with
+    every coordinate and with the connectivity of the cells. They do not change with the order of
+    cells or vertices.
     """
     comm, gdim = grid.comm, grid.geometry.dim
     corners = owned_corners(grid)
@@ -46,7 +47,7 @@ def fingerprint(grid: Mesh) -> dict[str, Any]:
     comm.Allreduce(flat.max(axis=0, initial=-math.inf), high, op=MPI.MAX)
     scaled = (corners - low) / (high - low).max()
     middles = scaled.mean(axis=1)
-    # lengths of waves without a common measure
+    # wave lengths with irrational ratios, so that no two coordinates can compensate each other
     waves = np.sqrt(np.arange(2.0, 2.0 + _WAVES * gdim)).reshape(_WAVES, gdim) * 2 * math.pi
     at_corners = [np.cos(scaled @ wave).mean(axis=1).sum() for wave in waves]
     sums = np.array(at_corners + [np.cos(middles @ wave).sum() for wave in waves])
@@ -63,7 +64,7 @@ def fingerprint(grid: Mesh) -> dict[str, Any]:
 
 
 def differs(one: dict[str, Any], other: dict[str, Any]) -> str | None:
-    """In what two fingerprints differ, in words: "1.0 in place of 2.0 ..."; None if they agree."""
+    """The difference of two fingerprints in words, such as "4 in place of 8 cells", or None."""
     for key, unit in (("cells", "cells"), ("type", "as type of cell"), ("dimension", "dimensions")):
         if one[key] != other[key]:
             return f"{one[key]} in place of {other[key]} {unit}"
@@ -78,7 +79,7 @@ def differs(one: dict[str, Any], other: dict[str, Any]) -> str | None:
 
 @once_per_grid
 def partition(grid: Mesh) -> list[str]:
-    """One hash a rank of its cells, bit for bit and in their order, ghosts included. Collective."""
+    """One hash per rank of its cells, with all bits, their order, and ghosts. Collective."""
     cell_map = grid.topology.index_map(grid.topology.dim)
     digest = hashlib.sha256(np.ascontiguousarray(owned_corners(grid)).tobytes())
     for values in (cell_map.local_range, cell_map.ghosts, cell_map.owners):

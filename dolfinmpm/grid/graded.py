@@ -1,8 +1,8 @@
 """Rectangular grids with a fine zone, which may move from step to step.
 
-The grid of a step has no memory: points carry all state. So its lines may be laid anew between
-steps, as long as there are as many of them: cells and nodes keep their numbers, and with them
-DOLFINx's spaces, the ranks' shares and compiled forms.
+The grid carries no state between steps: the points carry all state. The grid lines may therefore
+move between steps, if their number stays. Cells and nodes then keep their numbers, and DOLFINx's
+spaces, the distribution over ranks and compiled forms stay valid.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ __all__ = ["create_lattice", "lay_lines", "times_regridded", "zoned_line"]
 
 Array = npt.NDArray[np.float64]
 
-# What is kept on a grid that does not depend on where its lines are, by the function's name; the
-# size of cells is a function in forms, which gets other values
+# Functions whose values are kept on a grid when its lines move. Most of these values do not depend
+# on coordinates. The sizes of cells are functions in forms and get new values.
 _KEPT = ("_basis_of", "ghost_facets", "_constants_by_cell", "cell_size", "coarse_cell_size")
 # Largest ratio of neighbouring cells outside a zone
 _STEEPEST = 3.0
@@ -36,17 +36,20 @@ def zoned_line(
 ) -> Array:
     """Coordinates of grid lines in one direction, with equal cells in a zone.
 
-    Outside the zone each cell is larger, or smaller, than the one before by a ratio, from the
-    zone's on. Asked for another zone with the same numbers of cells it has as many lines.
+    Outside the zone the sizes of cells are geometric series that begin at the zone. Another zone
+    with the same numbers of cells gives the same number of lines.
 
     Args:
         low, high: First and last coordinate (m).
         zone: First and last coordinate of the zone (m).
         cells: Numbers of cells before, in and after the zone.
 
+    Returns:
+        Coordinates of the lines (m), increasing, shape (sum of cells + 1,).
+
     Raises:
-        ParameterError: The zone is not within the grid, there are cells on a side without room
-            for them or room without cells, or neighbouring cells would differ too much.
+        ParameterError: The zone is not within the grid; a side has cells without room, or room
+            without cells; or neighbouring cells would differ by more than 3 times.
     """
     number("low", low, unit="m"), number("high", high, unit="m")
     for what, given, n in (("zone", zone, 2), ("cells", cells, 3)):
@@ -58,7 +61,7 @@ def zoned_line(
     if not low <= a < b <= high or within < 1:
         raise ParameterError(
             f"zone = ({a:g}, {b:g}) m with {within} cells must lie within {low:g} ... {high:g} m "
-            "and have a cell"
+            "and have at least one cell"
         )
     h = (b - a) / within
     first = a - _graded(a - low, before, h)[::-1]
@@ -69,13 +72,13 @@ def zoned_line(
 
 
 def _graded(length: float, cells: int, h: float) -> Array:
-    """Ends of cells of a length together, the first of them next to one of size h."""
+    """Ends of cells (m) that fill a length, graded from a neighbour of size h."""
     if cells == 0 and length == 0:
         return np.empty(0)
     if cells == 0 or length <= 0:
         raise ParameterError(
-            f"{cells} cells beside the zone have {length:g} m; give cells where there is room, and "
-            "room where there are cells"
+            f"{cells} cells beside the zone have {length:g} m; give cells if there is room, and "
+            "room if there are cells"
         )
 
     def total(ratio: float) -> float:
@@ -86,7 +89,7 @@ def _graded(length: float, cells: int, h: float) -> Array:
         raise ParameterError(
             f"{cells} cells beside a zone with cells of {h:g} m cannot fill {length:g} m unless "
             f"neighbours differ by more than {_STEEPEST:g} times; give "
-            f"{'more' if length > total(upper) else 'fewer'} of them"
+            f"{'more' if length > total(upper) else 'fewer'} cells"
         )
     for _ in range(200):
         middle = 0.5 * (lower + upper)
@@ -101,10 +104,10 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
 
     Args:
         comm: Communicator.
-        lines: Coordinates of the lines in two or three directions (m), increasing.
+        lines: Increasing coordinates of the lines (m), one array per direction, in 2D or 3D.
 
     Raises:
-        ParameterError: The lines are not what they may be.
+        ParameterError: The lines are not two or three arrays of increasing coordinates.
     """
     check_kind("comm", comm, MPI.Comm, "give MPI.COMM_WORLD, and then the lines")
     made = _lines(lines)
@@ -122,28 +125,30 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
 
 
 def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
-    """Place the lines of a rectangular grid anew; see `regrid` for problems on it. Collective.
+    """Move the lines of a rectangular grid. Collective.
+
+    `regrid` also tells the problems on the grid.
 
     Args:
         grid: The grid.
-        lines: Coordinates of as many lines as it has (m).
+        lines: New coordinates of the lines (m), with the same number of lines per direction.
 
     Raises:
-        ParameterError: The lines are not what they may be.
-        UnsupportedGridError: The grid is not rectangular, or all its cells are of one size, which
-            forms on it have taken for a constant.
+        ParameterError: The lines are no increasing coordinates, or their number differs.
+        UnsupportedGridError: The grid is not rectangular, or all its cells had the same size.
+            Forms on such a grid contain the size as a constant.
     """
     lattice, made = require_lattice(grid, "laying lines anew"), _lines(lines)
     if [line.size for line in made] != [line.size for line in lattice.lines]:
         raise ParameterError(
-            f"lines have {[line.size for line in made]} coordinates, and the grid "
-            f"{[line.size for line in lattice.lines]} lines; give as many"
+            f"lines have {[line.size for line in made]} coordinates, and the grid has "
+            f"{[line.size for line in lattice.lines]} lines; give the same number"
         )
     h = cell_size(grid)
     if not isinstance(h, fem.Function):
         raise UnsupportedGridError(
-            "all cells of the grid are of one size, which forms on it take for a constant; make "
-            "it with a zone from the start, as by mpm.create_lattice"
+            "all cells of the grid have one size, and forms on the grid contain this size as a "
+            "constant; make the grid with a zone from the start, with mpm.create_lattice"
         )
     x = grid.geometry.x
     ijk = lattice.index(np.asarray(x[:, : len(made)], float))
@@ -164,7 +169,7 @@ def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
 
 
 def times_regridded(grid: Any) -> int:
-    """How often the lines of a grid have been laid anew."""
+    """How often the lines of a grid have moved."""
     return int(grid.__dict__.get("_dolfinmpm_laid", 0))
 
 

@@ -1,10 +1,10 @@
-"""Numberings of grid nodes and cells that reach as far across rank borders as the points do.
+"""Numberings of grid nodes and cells that reach as far across rank borders as points' domains do.
 
-DOLFINx's ghost layer holds the neighbours across facets only. The domain of a
-material point also reaches across corners, so that a lattice gets index maps of
-its own: the same owned indices, the same ghosts first, and behind them every
-node and cell within a given number of layers of the owned cells. Where a partition tells which
-rank computes a cell, what is owned follows it, and the cells of DOLFINx's mesh are known too.
+DOLFINx's ghost layer holds only neighbours across facets. The domain of a material point also
+reaches across corners. A lattice therefore gets its own index maps. They have the same owned
+indices and the same ghosts as DOLFINx's maps. Behind them come all nodes and cells within a given
+number of layers of the owned cells. A partition may tell the rank that computes each cell.
+Ownership then follows the partition, and the cells of DOLFINx's mesh are known too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,17 @@ __all__ = ["LatticeHalo", "Numbering"]
 
 
 class Numbering:
-    """Owned and ghost indices of nodes or cells on this rank."""
+    """Owned and ghost indices of nodes or cells on this rank.
+
+    Args:
+        comm: Communicator.
+        index_map: Index map of the nodes or cells.
+
+    Attributes:
+        comm, index_map: The arguments.
+        owned: Number of owned indices.
+        size: Number of owned and ghost indices.
+    """
 
     def __init__(self, comm: MPI.Intracomm, index_map: IndexMap):
         self.comm = comm
@@ -32,11 +42,11 @@ class Numbering:
         self.size = index_map.size_local + index_map.num_ghosts
 
     def vector(self, components: int = 1, dtype: npt.DTypeLike = np.float64) -> la.Vector:
-        """A distributed array, `components` entries an index. Collective."""
+        """A distributed array with `components` entries per index. Collective."""
         return la.vector(self.index_map, components, dtype=dtype)
 
     def share_flags(self, flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Flags that are set on any rank that knows the index, shape (size,). Collective."""
+        """Whether the flag of each index is set on any rank, shape (size,). Collective."""
         if self.comm.size == 1:
             return flags
         shared = self.vector(dtype=np.int32)
@@ -51,15 +61,15 @@ class LatticeHalo:
     """A lattice's nodes and cells around this rank's own cells.
 
     Attributes:
-        layers: Layers of cells around the owned ones that are known here.
+        layers: Number of layers of cells around the owned cells that this rank knows.
         nodes: Numbering of the nodes.
         cells: Numbering of the cells.
         origin: Lattice position of the first cell of the tables, shape (gdim,).
-        node_table: Local node index by lattice position less origin, -1 where
-            the node is not known here; `degree` more than cell_table a direction.
-        node_ijk: Lattice position of every node known here, shape (nodes, gdim).
-        cell_ijk: Lattice position of every cell known here, likewise.
-        cell_table: Local cell index by lattice position less origin, -1 likewise.
+        node_table: Local node index by (lattice position − origin), -1 for an unknown node. It has
+            `degree` more entries per direction than `cell_table`.
+        node_ijk: Lattice position of every known node, shape (nodes, gdim).
+        cell_ijk: Lattice position of every known cell, shape (cells, gdim).
+        cell_table: Local cell index by (lattice position − origin), -1 for an unknown cell.
     """
 
     layers: int
@@ -73,7 +83,10 @@ class LatticeHalo:
 
 
 def _directory(comm, keys, values, wanted):
-    """Values that other ranks keep under the wanted keys, and who keeps them. Collective."""
+    """Values of the wanted keys on any rank, and the ranks that have these keys. Collective.
+
+    Rank k % size answers questions about key k.
+    """
 
     def by_rank(items):
         return [items[items % comm.size == r] for r in range(comm.size)]
@@ -97,7 +110,7 @@ def _directory(comm, keys, values, wanted):
 
 
 def _extend(comm, index_map, ijk, shape, needed):
-    """An index map whose ghosts cover the needed lattice positions, and all positions' order."""
+    """Numbering whose ghosts cover the needed lattice positions, and the positions in its order."""
     keys = np.ravel_multi_index(tuple(ijk.T), shape).astype(np.int64)
     owned = index_map.size_local
     new = np.setdiff1d(np.ravel_multi_index(tuple(needed.T), shape).astype(np.int64), keys)
@@ -120,7 +133,7 @@ def build_halo(
     node_map: IndexMap,
     node_ijk: npt.NDArray[np.int32],
     layers: int,
-    also: npt.NDArray[np.int32],
+    further: npt.NDArray[np.int32],
     around: npt.NDArray[np.int32] | None = None,
 ) -> LatticeHalo:
     """Numberings and tables for points that reach `layers` cells beyond their own. Collective.
@@ -130,13 +143,13 @@ def build_halo(
         shape: Number of cells of the lattice in each direction.
         degree: Degree of the functions: a cell has degree + 1 nodes per direction.
         cell_map: Index map of the cells.
-        cell_ijk: Lattice position of every cell of that map, shape (cells, gdim).
+        cell_ijk: Lattice position of every cell in `cell_map`, shape (cells, gdim).
         node_map: Index map of the nodes.
-        node_ijk: Lattice position of every node of that map, shape (nodes, gdim).
-        layers: Layers of cells that are to be known around the owned cells, or others.
-        also: Lattice positions of further cells that are to be known, shape (n, gdim).
-        around: Lattice positions of the cells that layers are around, all owned ones among them,
-            likewise; the owned ones by default.
+        node_ijk: Lattice position of every node in `node_map`, shape (nodes, gdim).
+        layers: Number of layers of cells to know around the cells of `around`.
+        further: Lattice positions of further cells to know, shape (n, gdim).
+        around: Lattice positions of the cells inside the layers, shape (n, gdim). All owned cells
+            must be among them. By default they are the owned cells.
     """
     gdim = len(shape)
     if comm.size == 1:
@@ -145,7 +158,7 @@ def build_halo(
         stop = np.array(shape)
     else:
         own = cell_ijk[: cell_map.size_local] if around is None else around
-        known = np.vstack([cell_ijk, own, also])
+        known = np.vstack([cell_ijk, own, further])
         known = known if len(known) else np.zeros((1, gdim), np.int32)
         origin = np.maximum(known.min(axis=0) - layers, 0).astype(np.int32)
         stop = np.minimum(known.max(axis=0) + 1 + layers, shape)
@@ -155,7 +168,7 @@ def build_halo(
             wide = np.pad(mask, [(layers, layers) if d == e else (0, 0) for e in range(gdim)])
             windows = np.lib.stride_tricks.sliding_window_view(wide, 2 * layers + 1, d)
             mask = np.asarray(windows.any(axis=-1))
-        mask[tuple((also - origin).T)] = True
+        mask[tuple((further - origin).T)] = True
         node_mask = np.zeros(stop - origin + degree, bool)
         for corner in np.ndindex(*(degree + 1,) * gdim):
             node_mask[tuple(slice(c, c + n) for c, n in zip(corner, mask.shape))] |= mask

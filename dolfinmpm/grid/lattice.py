@@ -1,4 +1,4 @@
-"""The background grid: its size of cell and, where cells are boxes, its lattice."""
+"""The background grid: the size of its cells, and the lattice of a rectangular grid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]
 
 
 def once_per_grid(function: Callable) -> Callable:
-    """Keep what a function of a grid returns on the grid itself, to be freed with it."""
+    """Store the results of a function on its grid argument, which frees them with itself."""
 
     @functools.wraps(function)
     def wrapper(grid, *args):
@@ -44,13 +44,13 @@ _BOX_CELLS = (CellType.interval, CellType.quadrilateral, CellType.hexahedron)
 
 @dataclass(frozen=True)
 class Lattice:
-    """A rectangular grid seen as the product of one line of coordinates a direction.
+    """A rectangular grid as the product of one line of coordinates per direction.
 
     Attributes:
-        lines: One increasing array of node coordinates (m) a direction, of the
-            whole grid, the same on every rank.
+        lines: One increasing array of node coordinates (m) per direction. The arrays cover the
+            whole grid and are the same on every rank.
         cell_ijk: Lattice position of every local cell, shape (cells, gdim).
-        uniform: Whether all cells of a direction have the same size.
+        uniform: Whether all cells have the same size, per direction.
     """
 
     lines: tuple[npt.NDArray[np.float64], ...]
@@ -70,7 +70,8 @@ class Lattice:
     def coarsened(self, by: int) -> Lattice:
         """The lattice of every `by`-th line.
 
-        Its `cell_ijk` has, for each local cell of the grid, the coarse one that this is a part of.
+        For each local cell of the grid, the `cell_ijk` of this lattice is the lattice position of
+        the coarse cell that contains the cell.
         """
         if by == 1:
             return self
@@ -78,7 +79,10 @@ class Lattice:
         return Lattice(lines, self.cell_ijk // by, self.uniform)
 
     def cells_at(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
-        """Lattice position of the cell at each position, or the nearest one, shape (n, gdim)."""
+        """Lattice positions of the cells at positions x (m), shape (n, gdim).
+
+        Outside the grid, the nearest cell is taken.
+        """
         columns = []
         for d, line in enumerate(self.lines):
             if self.uniform:
@@ -91,15 +95,20 @@ class Lattice:
         return np.column_stack(columns).astype(np.int32)
 
     def holds(self, x: npt.NDArray[np.float64], slack: float) -> npt.NDArray[np.bool_]:
-        """Whether positions are inside, but for so large a share of a cell, shape (n,)."""
+        """Whether positions are inside the grid, shape (n,).
+
+        Args:
+            x: Positions (m), shape (n, gdim).
+            slack: Distance outside the grid that still counts as inside, as a share of a cell.
+        """
         inside = np.ones(len(x), bool)
         for d, line in enumerate(self.lines):
-            beyond = slack * (line[-1] - line[0]) / (line.size - 1)
-            inside &= (x[:, d] >= line[0] - beyond) & (x[:, d] <= line[-1] + beyond)
+            margin = slack * (line[-1] - line[0]) / (line.size - 1)
+            inside &= (x[:, d] >= line[0] - margin) & (x[:, d] <= line[-1] + margin)
         return inside
 
     def index(self, coordinates: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
-        """Nearest lattice node of each coordinate, shape (n, gdim)."""
+        """Lattice positions of the nearest nodes to positions (m), shape (n, gdim)."""
         columns = []
         for d, line in enumerate(self.lines):
             right = np.clip(np.searchsorted(line, coordinates[:, d]), 1, line.size - 1)
@@ -109,7 +118,7 @@ class Lattice:
 
 
 def _global_line(comm: MPI.Comm, values: npt.NDArray[np.float64], tolerance: float):
-    """Sorted coordinates that occur on any rank, those closer than the tolerance made one."""
+    """Sorted coordinates of all ranks; coordinates closer than the tolerance are joined."""
 
     def unique(sorted_values):
         keep = np.ones(sorted_values.size, dtype=bool)
@@ -152,13 +161,17 @@ def lattice_of(grid: Mesh) -> Lattice | None:
     steps = [np.diff(line) for line in lines]
     uniform = all(np.ptp(s) <= 1e-9 * s.mean() * line.size for s, line in zip(steps, lines))
     if uniform:
-        # rounding in the mesh generator must not decide which cell a point on a line is in
+        # rounding errors of the mesh generator must not decide the cell of a point on a grid line
         lines = tuple(np.linspace(line[0], line[-1], line.size) for line in lines)
     return Lattice(lines, ijk, uniform)
 
 
 def require_lattice(grid: Mesh, what: str) -> Lattice:
-    """The lattice of the grid, or an error that says what needs it. Collective.
+    """The lattice of the grid, or an error. Collective.
+
+    Args:
+        grid: Background grid.
+        what: Feature that needs the lattice, for the message.
 
     Raises:
         UnsupportedGridError: The grid is not rectangular.
@@ -168,14 +181,14 @@ def require_lattice(grid: Mesh, what: str) -> Lattice:
         raise UnsupportedGridError(
             f"{what} needs a rectangular grid (axis-aligned intervals, quadrilaterals or "
             f"hexahedra that fill one box), got a grid of {grid.topology.cell_type.name}s that "
-            'is not; use basis="linear" or dolfinx.mesh.create_rectangle / create_box'
+            'is not rectangular; use basis="linear" or dolfinx.mesh.create_rectangle / create_box'
         )
     return lattice
 
 
 @once_per_grid
 def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
-    """Volume of every local cell, shape (cells,); exact for straight-sided cells."""
+    """Volumes of the local cells (m^gdim), shape (cells,); exact for straight-sided cells."""
     space = fem.functionspace(grid, ("DG", 0))
     form = patiently(grid.comm, lambda: fem.form(ufl.TestFunction(space) * ufl.dx))
     volumes = fem.assemble_vector(form)
@@ -188,8 +201,8 @@ def cell_volumes(grid: Mesh) -> npt.NDArray[np.float64]:
 def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     """Size of the cells, for UFL. Collective.
 
-    The edge of a square or a cube, and the leg of a right-angled triangle: the
-    d-th root of the volume of the box that the cell, or d! such simplices, fill.
+    The size of a box is the d-th root of its volume: the edge of a square or a cube. The size of a
+    simplex is the d-th root of d! times its volume: the leg of an isosceles right-angled triangle.
 
     Returns:
         A Constant (m) where all cells have the same size; otherwise a piecewise
@@ -208,7 +221,7 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
 @once_per_grid
 @together
 def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
-    """Size of the cells of `Lattice.coarsened`, as `cell_size`. Collective."""
+    """Size of the cells of `Lattice.coarsened` (m), like `cell_size`. Collective."""
     size = cell_size(grid)
     if not isinstance(size, fem.Function):
         return own_constant(grid, by * float(size.value))
@@ -218,7 +231,7 @@ def coarse_cell_size(grid: Mesh, by: int) -> fem.Constant | fem.Function:
 
 
 def _as_function(grid: Mesh, sizes: npt.NDArray[np.float64]) -> fem.Function:
-    """Sizes of the local cells as a function of the library's own."""
+    """Sizes of the local cells (m) as a function that is marked as the library's own."""
     h = fem.Function(fem.functionspace(grid, ("DG", 0)), name="cell_size")
     h.x.array[:] = sizes
     h._dolfinmpm_own = True
@@ -226,7 +239,7 @@ def _as_function(grid: Mesh, sizes: npt.NDArray[np.float64]) -> fem.Function:
 
 
 def mean_size(h: fem.Constant | fem.Function) -> float:
-    """Mean of the sizes of all cells (m), from `cell_size` or `coarse_cell_size`. Collective."""
+    """Mean size of all cells (m), from `cell_size` or `coarse_cell_size`. Collective."""
     if not isinstance(h, fem.Function):
         return float(h.value)
     own = h.x.array[: h.function_space.dofmap.index_map.size_local]
@@ -237,7 +250,7 @@ def mean_size(h: fem.Constant | fem.Function) -> float:
 
 @once_per_grid
 def smallest_height(grid: Mesh) -> float:
-    """Least height of a cell (m): the shortest way for a wave across it. Collective."""
+    """Least height of a cell (m): the shortest path of a wave across a cell. Collective."""
     lattice = lattice_of(grid)
     if lattice is not None:
         return float(min(np.diff(line).min() for line in lattice.lines))
@@ -245,7 +258,7 @@ def smallest_height(grid: Mesh) -> float:
     simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
     number = grid.topology.index_map(dim).size_local
     widest = grid.h(dim, np.arange(number, dtype=np.int32))
-    # volume over the largest possible side
+    # height >= volume over the area of the largest possible side
     heights = cell_volumes(grid)[:number] / widest ** (dim - 1) * (dim if simplex else 1)
     return float(grid.comm.allreduce(float(heights.min(initial=math.inf)), op=MPI.MIN))
 

@@ -1,8 +1,8 @@
-"""Which rank computes which cell of a lattice, decided by where the work is.
+"""Distribution of the cells of a lattice over the ranks, by the work in the cells.
 
-DOLFINx distributes the grid evenly; a body fills a part of it only, and moves. On a lattice any
-rank can number any node and cell, so that points, and what is owned at nodes and cells, are
-distributed by the body, whoever has the cell in DOLFINx's mesh.
+DOLFINx distributes the grid evenly. A body fills only a part of the grid, and it moves. On a
+lattice any rank can number any node and cell. Points, nodes and cells are therefore distributed by
+the body, and not by the owner of a cell in DOLFINx's mesh.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Ints = npt.NDArray[np.int64]
 class Partition:
     """Parts of a lattice by recursive bisection, the same on all ranks.
 
-    A cut is across one axis, and ends within a layer of cells, so that the parts on both sides
-    have their shares to a cell.
+    A cut is normal to one axis. It may end inside a layer of cells, so that the parts on both
+    sides have equal work up to one cell.
 
     Attributes:
         shape: Number of cells of the lattice in each direction.
         ranks: Number of parts.
-        axes: Axis of each cut, those of the lower part before those of the upper one.
-        cuts: For each the number of the first cell beyond it, in the order of cells in which
-            this axis counts most and the others in their order.
-        imbalance: Largest part over mean, when it was made.
+        axes: Axis of each cut. Cuts of a lower part come before cuts of the upper part.
+        cuts: For each cut, the number of the first cell behind it. Cells are numbered with the
+            axis of the cut slowest, then the other axes in their order.
+        imbalance: Work of the largest part over mean work, at the time of the bisection.
     """
 
     shape: tuple[int, ...]
@@ -43,18 +43,15 @@ class Partition:
 
     @classmethod
     def restored(cls, kept: dict[str, Any]) -> Partition:
-        """That of `dataclasses.asdict`, whose tuples may have become lists."""
+        """The partition from the result of `dataclasses.asdict`; tuples may be lists there."""
         shape, axes, cuts = (tuple(kept[name]) for name in ("shape", "axes", "cuts"))
         return cls(shape, kept["ranks"], axes, cuts, kept["imbalance"])
 
     def rank_of(self, ijk: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
-        """Ranks that compute cells.
+        """Ranks that compute some cells, shape (n,).
 
         Args:
             ijk: Lattice positions of the cells, shape (n, gdim).
-
-        Returns:
-            Shape (n,).
         """
         ranks = np.zeros(len(ijk), np.int32)
 
@@ -78,7 +75,7 @@ class Partition:
 
 
 def _number(ijk, shape: tuple[int, ...], axis: int) -> Ints:
-    """Numbers of cells in the order in which an axis counts most."""
+    """Numbers of cells, with the given axis slowest and the other axes in their order."""
     order = [axis, *(d for d in range(len(shape)) if d != axis)]
     number = ijk[:, axis].astype(np.int64)
     for d in order[1:]:
@@ -92,20 +89,22 @@ def bisected(
     parts: int,
     cut: Callable[[int, int | None], None] = lambda axis, beyond: None,
 ) -> npt.NDArray[np.int32]:
-    """Parts of equal weight, by recursive bisection across the longest side of what weighs most.
+    """Parts of equal weight, by recursive bisection (Berger & Bokhari 1987).
 
-    Berger & Bokhari (1987, doi 10.1109/TC.1987.1676942); those in line along a cut are told apart
-    by their other coordinates.
+    Each cut is normal to the longest extent of the positions with at least half of the largest
+    weight (doi 10.1109/TC.1987.1676942). Positions with equal coordinates along the axis are
+    sorted by their other coordinates.
 
     Args:
         x: Positions, shape (n, gdim).
-        weights: Their weights, not negative, shape (n,).
+        weights: Weights of the positions, not negative, shape (n,).
         parts: Number of parts.
-        cut: Told of each cut, those of a lower part before those of the upper one: its axis, and
-            the first position beyond it, None if there is none.
+        cut: Function that is called for each cut, with the axis and the number of the first
+            position behind the cut, or None if no position is behind it. Cuts of a lower part
+            come before cuts of the upper part.
 
     Returns:
-        Part of each, shape (n,).
+        Part of each position, shape (n,).
     """
     part = np.zeros(len(x), np.int32)
 
@@ -113,13 +112,13 @@ def bisected(
         if count == 1:
             part[chosen] = first
             return
-        here, heavy = x[chosen], weights[chosen]
-        most = here[heavy >= 0.5 * heavy.max(initial=0.0)]
-        axis = int(np.argmax(np.ptp(most, axis=0))) if len(most) else 0
-        others = [here[:, d] for d in range(here.shape[1] - 1, -1, -1) if d != axis]
-        order = np.lexsort((*others, here[:, axis]))
-        low, sums = count // 2, np.concatenate([[0.0], np.cumsum(heavy[order])])
-        # where the lower part is nearest to its share
+        positions, weight = x[chosen], weights[chosen]
+        heavy = positions[weight >= 0.5 * weight.max(initial=0.0)]
+        axis = int(np.argmax(np.ptp(heavy, axis=0))) if len(heavy) else 0
+        others = [positions[:, d] for d in range(positions.shape[1] - 1, -1, -1) if d != axis]
+        order = np.lexsort((*others, positions[:, axis]))
+        low, sums = count // 2, np.concatenate([[0.0], np.cumsum(weight[order])])
+        # cut where the weight of the lower part is nearest to its share
         at = int(np.argmin(np.abs(sums - sums[-1] * low / count)))
         cut(axis, int(chosen[order[at]]) if at < chosen.size else None)
         split(chosen[order[:at]], first, low)
@@ -132,13 +131,13 @@ def bisected(
 def partition_of(
     shape: tuple[int, ...], ranks: int, ijk: npt.NDArray[np.integer], weights: npt.NDArray
 ) -> Partition:
-    """Parts of a lattice that share out what its cells weigh, see `bisected`.
+    """Partition of a lattice into parts of equal weight, see `bisected`.
 
     Args:
         shape: Number of cells of the lattice in each direction.
         ranks: Number of parts.
-        ijk: Lattice positions of the cells that have weights, shape (n, gdim).
-        weights: The weights, shape (n,).
+        ijk: Lattice positions of the cells with weights, shape (n, gdim).
+        weights: Weights of these cells, shape (n,).
     """
     axes: list[int] = []
     cuts: list[int] = []

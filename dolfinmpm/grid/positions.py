@@ -1,11 +1,11 @@
-"""The one layout in which a user's function gets positions.
+"""Calls of users' functions of positions, in one layout of the positions.
 
-Wherever dolfinmpm takes a function of positions (places and values of conditions, faces
-of a surface, densities, parameters of laws, stresses, `Where`), it hands over one array x of
-shape (gdim, n), one row a coordinate as DOLFINx has it, and takes n values. There is no
-third row in 2D: `x[-1]` is the height in every dimension, and a function that asks for a
-coordinate which is not there is told so, where a row of zeros would let it go wrong in
-silence. Functions written for DOLFINx that use `x[0] ... x[gdim - 1]` work unchanged.
+dolfinmpm takes functions of positions in many places: places and values of conditions, faces
+of a surface, densities, parameters of laws, stresses, `Where`. All these functions get one array x
+of positions (m) of shape (gdim, n), one row per coordinate as in DOLFINx, and return n values.
+In 2D the array has no third row. `x[-1]` is therefore the height in every dimension. A function
+that asks for a missing coordinate gets an error; a row of zeros would give wrong values in
+silence. Functions for DOLFINx that use only `x[0] ... x[gdim - 1]` work unchanged.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
     try:
         return function(np.ascontiguousarray(x.T))
     except DolfinMPMError:
-        raise  # says already what is wrong
+        raise  # the message is clear already
     except Exception as error:
         text = " ".join(str(error).split())
         text = text if len(text) <= 200 else text[:197] + "..."
         raise ParameterError(
             f"{what} failed with {type(error).__name__}: {text}; it is called with one array of "
-            f"positions (m) of shape ({d}, {n}), one row a coordinate"
+            f"positions (m) of shape ({d}, {n}), one row per coordinate"
         ) from error
 
 
 def ask(
     what: str, function: Callable[[Array], Any], x: Array, shape: tuple[int, ...] = ()
 ) -> npt.NDArray[np.float64]:
-    """Numbers that a user's function has at positions. Not collective; see `call_together`.
+    """Values of a user's function at positions. Not collective; see `call_together`.
 
     Args:
-        what: What the function is, for messages.
+        what: Name of the function in messages.
         function: Function of positions in the layout of this module.
-        x: Positions (m), shape (n, gdim). Without any the function is not called, for many
-            cannot answer about nothing.
+        x: Positions (m), shape (n, gdim). With n = 0 the function is not called, because many
+            functions fail on empty arrays.
         shape: Shape of one value.
 
     Returns:
-        Shape (n, *shape); a single value is given to all positions.
+        Values, shape (n, *shape). A single value is repeated for all positions.
 
     Raises:
-        ParameterError: The function fails, or returns something else.
+        ParameterError: The function fails, or does not return numbers of these shapes.
     """
     n = len(x)
     if n == 0:
@@ -75,18 +75,18 @@ def ask(
 
 
 def choose(what: str, function: Callable[[Array], Any], x: Array) -> npt.NDArray[np.bool_]:
-    """Which positions a user's function holds for. Not collective; see `call_together`.
+    """Positions at which a user's function is true. Not collective; see `call_together`.
 
     Args:
-        what: What the function is, for messages.
+        what: Name of the function in messages.
         function: Function of positions in the layout of this module.
-        x: Positions (m), shape (n, gdim). Without any the function is not called.
+        x: Positions (m), shape (n, gdim). With n = 0 the function is not called.
 
     Returns:
-        Shape (n,).
+        Whether the function is true at each position, shape (n,).
 
     Raises:
-        ParameterError: The function fails, or returns anything but n booleans.
+        ParameterError: The function fails, or does not return n booleans.
     """
     n = len(x)
     if n == 0:

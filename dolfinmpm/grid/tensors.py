@@ -11,10 +11,13 @@ import numpy.typing as npt
 
 @numba.njit(cache=True, error_model="numpy")
 def eigen_2(xx, yy, xy):
-    """Eigenvalues of a symmetric tensor in two dimensions, and cosine and sine of its axes.
+    """Eigenvalues of a symmetric 2x2 tensor, and cosine c and sine s of its axes.
 
-    By the one rotation that there is, as `eigen`, which takes three times as long to compile.
-    The first axis is (c, -s), the second (s, c).
+    One Jacobi rotation gives the same result as `eigen`, and compiles three times as fast.
+    The first axis is (c, -s), the second axis is (s, c).
+
+    Args:
+        xx, yy, xy: Components of the tensor.
     """
     c, s = 1.0, 0.0
     if not xy * xy <= 1e-32 * (xx * xx + yy * yy):
@@ -31,10 +34,16 @@ def eigen_2(xx, yy, xy):
 
 @numba.njit(cache=True, error_model="numpy")
 def eigen(d, a, values, vectors):
-    """Eigenvalues and eigenvectors (columns) of the leading d x d block of a symmetric a.
+    """Eigenvalues and eigenvectors of the leading d x d block of a symmetric matrix a.
 
-    Closed form for d = 2, cyclic Jacobi rotations for d = 3 (Golub & Van Loan,
-    Matrix Computations, §8.5): accurate for equal eigenvalues too. Destroys a.
+    Closed form for d = 2, cyclic Jacobi rotations for d = 3 (Golub & Van Loan, Matrix
+    Computations, §8.5). Both are accurate for equal eigenvalues too.
+
+    Args:
+        d: Size of the block, 1 to 3.
+        a: The matrix, shape (≥ d, ≥ d); overwritten.
+        values: Written: eigenvalues, shape (≥ d,).
+        vectors: Written: eigenvectors in columns, shape (≥ d, ≥ d).
     """
     for i in range(d):
         for j in range(d):
@@ -78,7 +87,7 @@ def eigen(d, a, values, vectors):
 def products(A, B):
     """Products of the tensors of many points, and determinants of the products.
 
-    NumPy's products of small matrices, and LAPACK's determinants, take ten times as long.
+    NumPy's products of small matrices and LAPACK's determinants take ten times as long.
 
     Args:
         A, B: Shape (n, d, d), d = 1, 2 or 3.
@@ -109,13 +118,13 @@ def products(A, B):
 
 
 def determinants(F: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Determinants of the tensors of many points, in a tenth of the time that LAPACK takes.
+    """Determinants of the tensors of many points, ten times as fast as LAPACK.
 
     Args:
-        F: Shape (n, d, d), d = 1, 2 or 3.
+        F: Tensors, shape (n, d, d), d = 1, 2 or 3.
 
     Returns:
-        Shape (n,).
+        Determinants, shape (n,).
     """
     if F.shape[1] == 1:
         return F[:, 0, 0].copy()

@@ -1,7 +1,7 @@
-"""Strain frameworks: from the increment's gradient to the flux of the momentum balance.
+"""Strain formulations: from the increment's gradient to the flux of the momentum balance.
 
-All of them hand principal elastic strains to the same laws; they differ in how the
-strain of an increment joins that of before, and in which stress the law's is.
+All strain formulations pass principal elastic strains to the same laws. They differ in two points:
+the update of the elastic strain by an increment, and the stress measure of the law.
 """
 
 from dolfinmpm.body.domains import update_domains

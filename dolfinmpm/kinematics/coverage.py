@@ -1,4 +1,4 @@
-"""Where a body is in front of the markers of a wall, and how far away."""
+"""Distance from the markers of a wall to the body in front of the markers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ __all__ = ["in_front", "look_ahead"]
 
 Array = npt.NDArray[np.float64]
 
-# Domains of a deformed body leave gaps: a marker may be beside the nearest one by half its size
+# Domains of a deformed body leave gaps. A marker may therefore miss the nearest domain sideways by
+# half the domain's half-length,
 _REACH = 1.5
-# and by rounding, as a share of a cell
+# plus a rounding error, as a share of a cell
 _SLACK = 1e-6
 
 
 def look_ahead(boundary: Boundary) -> None:
-    """Let markers keep where the nearest point and its domain are."""
+    """Add fields to the markers for the position and the domain of the nearest point."""
     for name in ("body_x", "body_l"):
         boundary.markers.add_field(name, (boundary.gdim,), "m")
 
@@ -27,21 +28,22 @@ def look_ahead(boundary: Boundary) -> None:
 def in_front(
     boundary: Boundary, rows: npt.NDArray[np.integer]
 ) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Which markers have the body in front of them, and the way to it along the normal.
+    """Whether the body is in front of each marker, and its distance along the normal.
 
     Args:
         boundary: The wall, after `look_ahead`.
         rows: Markers in active cells.
 
     Returns:
-        Shapes (markers,); the way (m) is that to the nearest point's domain, negative within it.
+        The answers, shape (markers,), and the distances from the nearest point's domain (m), shape
+        (markers,). Distances are negative inside the domain.
     """
     markers = boundary.markers
     n = markers["area"] / markers["V"][:, None]
-    away, half = markers["x"] - markers["body_x"], markers["body_l"]
-    ahead = np.sum(away * n, axis=1)
-    aside = np.abs(away - ahead[:, None] * n)
+    offset, half = markers["x"] - markers["body_x"], markers["body_l"]
+    normal = np.sum(offset * n, axis=1)
+    sideways = np.abs(offset - normal[:, None] * n)
     on = np.zeros(len(markers), bool)
     slack = _SLACK * largest_cell(markers.grid)
-    on[rows] = np.all(aside[rows] <= _REACH * half[rows] + slack, axis=1)
-    return on, ahead - np.sum(np.abs(n) * half, axis=1)
+    on[rows] = np.all(sideways[rows] <= _REACH * half[rows] + slack, axis=1)
+    return on, normal - np.sum(np.abs(n) * half, axis=1)

@@ -1,11 +1,12 @@
-"""Ground in layers at rest: effective stress by depth, with a water table, and stiffness by stress.
+"""Layered ground at rest: effective stress by depth, with a water table, and stiffness by stress.
 
-The effective vertical stress at a height z is the weight of what lies above,
+The effective vertical stress at a height z is the effective weight of the ground above z,
 
     σ'_v = Σ_layers (γ t_dry + (γ_sat − γ_w) t_wet),
 
-and the horizontal ones are K0 σ'_v. The laws of drained ground see effective stress alone; the
-water then carries its share of the weight, so that the body force is γ_sat − γ_w below the table.
+with the thicknesses t of the layers above and below the water table. The horizontal stresses are
+K0 σ'_v. Laws of drained ground contain only effective stress. The body force below the water table
+is then γ_sat − γ_w, because the water carries the rest of the weight.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ __all__ = ["Deposit", "Layer"]
 Array = npt.NDArray[np.float64]
 Height = float | Callable[[Array], npt.ArrayLike]
 
-# Share of the reference stress below which stiffness does not fall: at the surface it would vanish
+# Lower bound of the stress in the stiffness, as a share of the reference stress: without a bound
+# the stiffness would vanish at the surface
 _LEAST = 1e-2
-# Of passive earth pressure: that of 50 degrees on a rough wall
+# Bound of K0: the coefficient of passive earth pressure for 50 degrees on a rough wall
 _LARGEST_K0 = 20.0
 
 
@@ -45,16 +47,17 @@ class Layer:
     """A layer of ground.
 
     Args:
-        bottom: Height of its lower end (m): a number, or a function of positions, shape
-            (gdim, n), to n values; −inf for what goes on. The last layer of a deposit goes on
-            below its bottom.
-        unit_weight: γ above the water table (N/m³).
-        K0: Horizontal by vertical effective stress, at most 20: that of passive earth pressure is
-            less.
-        saturated_unit_weight: γ_sat below it (N/m³), no less than γ, which it is by default.
+        bottom: Height of the layer's bottom (m): a number, or a function of positions (m), shape
+            (gdim, n), that returns n heights; −inf for a layer without a bottom. The last layer of
+            a deposit also goes on below its bottom.
+        unit_weight: Unit weight γ above the water table (N/m³).
+        K0: Ratio of horizontal to vertical effective stress, at most 20. Coefficients of passive
+            earth pressure are smaller.
+        saturated_unit_weight: Unit weight γ_sat below the water table (N/m³), at least γ. By
+            default it is γ.
 
     Raises:
-        ParameterError: A number is not what it may be.
+        ParameterError: A number is out of range.
     """
 
     bottom: Height
@@ -76,33 +79,42 @@ class Layer:
             full = number("saturated_unit_weight", self.saturated_unit_weight, unit="N/m³")
             if full < self.unit_weight:
                 raise ParameterError(
-                    f"saturated_unit_weight = {full:g} N/m³ must be at least that of the ground "
-                    f"without water, unit_weight = {self.unit_weight:g} N/m³: it has the weight of "
-                    "the water too"
+                    f"saturated_unit_weight = {full:g} N/m³ must be at least unit_weight = "
+                    f"{self.unit_weight:g} N/m³: it contains the weight of the water too"
                 )
 
     @classmethod
     def of(cls, sand: Sand, bottom: Height = -math.inf) -> Layer:
-        """A layer of a sand; see `dolfinmpm.materials.sand`."""
+        """A layer of a sand; see `dolfinmpm.materials.sand`.
+
+        Args:
+            sand: The sand, with its unit weights and its K0.
+            bottom: Height of the layer's bottom (m), see `Layer`.
+
+        Raises:
+            ParameterError: The argument is no sand, or a number is out of range.
+        """
         check_kind("sand", sand, Sand, "make it with mpm.materials.sand(relative_density)")
         return cls(bottom, sand.unit_weight, sand.K0, sand.saturated_unit_weight)
 
 
 class Deposit:
-    """Layers of ground under a surface, in the last axis' direction.
+    """Layers of ground under a surface. The last axis points up.
 
-    The last layer goes on below its bottom. Heights may depend on the place: a surface that is not
-    level has the stress of a level one at each place, which is not in balance; see `equilibrate`.
+    The last layer goes on below its bottom. Heights may depend on the position. Below a sloping
+    surface, each position has the stress of a level surface at the same height. These stresses are
+    not in balance; see `equilibrate`.
 
     Args:
         surface: Height of the ground surface (m), a number or a function as in `Layer`.
         layers: The layers from top to bottom.
-        water_table: Height of the water table (m), likewise; None for dry ground.
-        water_weight: γ_w (N/m³).
+        water_table: Height of the water table (m), a number or a function as in `Layer`; None for
+            dry ground.
+        water_weight: Unit weight γ_w of water (N/m³).
 
     Raises:
-        ParameterError: A layer is none, has its bottom above that of the one before, or floats
-            under water; or a height is no number.
+        ParameterError: An entry of `layers` is no `Layer`; a layer has its bottom above the bottom
+            of the layer before; a layer is lighter than water; or a height is no number.
     """
 
     def __init__(
@@ -126,27 +138,31 @@ class Deposit:
         for upper, lower in itertools.pairwise(heights):
             if not callable(upper) and not callable(lower) and not lower < upper:
                 raise ParameterError(
-                    f"the layer with its bottom at {lower:g} m must end below {upper:g} m, where "
-                    "what is above it ends; give layers from top to bottom"
+                    f"the layer with its bottom at {lower:g} m must end below {upper:g} m, the "
+                    "bottom of the layer above or the surface; give layers from top to bottom"
                 )
         self.surface, self.layers, self.water_table = surface, tuple(layers), water_table
         self.water_weight = float(water_weight) if water_table is not None else 0.0
         for layer in self.layers:
             if water_table is not None and _wet(layer) < self.water_weight:
                 raise ParameterError(
-                    f"a layer's saturated_unit_weight = {_wet(layer):g} N/m³ is less than that of "
-                    f"water, {self.water_weight:g}; give saturated_unit_weight to mpm.Layer"
+                    f"a layer's saturated_unit_weight = {_wet(layer):g} N/m³ is less than the "
+                    f"unit weight of water, {self.water_weight:g} N/m³; give saturated_unit_weight "
+                    "to mpm.Layer"
                 )
 
-    # -- functions of positions, shape (gdim, n), to n values -------------------
+    # -- functions of positions x (m), shape (gdim, n), that return n values -----
 
     def vertical_stress(self, x: npt.ArrayLike) -> Array:
-        """Effective vertical stress, positive in compression (Pa); 0 above the surface."""
+        """Effective vertical stress at positions x (Pa), shape (n,).
+
+        The stress is positive in compression, and 0 above the surface.
+        """
         at = _places(x)
         z, total = at[-1], np.zeros(at.shape[1])
         table, above = self._table(at), self._height("surface", self.surface, at)
         for layer in self.layers:
-            # the last one goes on, as its weight does
+            # the last layer has no bottom
             last = layer is self.layers[-1]
             bottom = -np.inf if last else self._height("bottom", layer.bottom, at)
             below = np.minimum(bottom, above)
@@ -158,41 +174,48 @@ class Deposit:
         return total
 
     def horizontal_stress(self, x: npt.ArrayLike) -> Array:
-        """Effective horizontal stress, positive in compression (Pa)."""
+        """Effective horizontal stress at positions x (Pa), positive in compression, shape (n,)."""
         return self._by_layer(x, [layer.K0 for layer in self.layers]) * self.vertical_stress(x)
 
     def pore_pressure(self, x: npt.ArrayLike) -> Array:
-        """Pressure of water at rest (Pa)."""
+        """Pressure of water at rest at positions x (Pa), shape (n,)."""
         at = _places(x)
         depth = np.where(np.isfinite(table := self._table(at)), table - at[-1], 0.0)
         return self.water_weight * np.maximum(depth, 0.0)
 
     def effective_weight(self, x: npt.ArrayLike) -> Array:
-        """Weight that the effective stress carries (N/m³): γ, or γ_sat − γ_w under water."""
-        at = _places(x)
-        wet = at[-1] < self._table(at)
-        dry = self._by_layer(at, [layer.unit_weight for layer in self.layers])
-        full = self._by_layer(at, [_wet(layer) for layer in self.layers])
-        return np.where(wet, full - self.water_weight, dry)
+        """Weight in the effective stress at positions x (N/m³), shape (n,).
+
+        It is γ above the water table and γ_sat − γ_w below it.
+        """
+        return self._unit_weight(x, self.water_weight)
 
     def density(self, x: npt.ArrayLike, gravity: float = 9.81) -> Array:
-        """Mass per volume (kg/m³), that of the water in saturated ground included.
+        """Mass per volume at positions x (kg/m³), with the water in saturated ground, shape (n,).
 
         Args:
             x: Positions (m), shape (gdim, n).
-            gravity: g (m/s²), positive.
+            gravity: Acceleration g (m/s²), positive.
 
         Raises:
             ParameterError: g is not positive.
         """
         number("gravity", gravity, 0.0, unit="m/s²")
+        return np.asarray(self._unit_weight(x, 0.0) / gravity, np.float64)
+
+    def _unit_weight(self, x: npt.ArrayLike, buoyancy: float) -> Array:
+        """γ above the water table, γ_sat − buoyancy below it (N/m³), shape (n,)."""
         at = _places(x)
         wet = at[-1] < self._table(at)
         dry = self._by_layer(at, [layer.unit_weight for layer in self.layers])
-        return np.where(wet, self._by_layer(at, [_wet(s) for s in self.layers]), dry) / gravity
+        full = self._by_layer(at, [_wet(layer) for layer in self.layers])
+        return np.where(wet, full - buoyancy, dry)
 
     def stress(self, x: npt.ArrayLike) -> Array:
-        """Effective Cauchy stress (Pa), shape (n, 3, 3), tension positive; for `set_stress`."""
+        """Effective Cauchy stress at positions x (Pa), shape (n, 3, 3), for `set_stress`.
+
+        The stress is positive in tension.
+        """
         at = _places(x)
         vertical, horizontal = self.vertical_stress(at), self.horizontal_stress(at)
         result = np.zeros((at.shape[1], 3, 3))
@@ -203,18 +226,18 @@ class Deposit:
     def modulus(
         self, E_ref: float, exponent: float, p_ref: float = 100e3, least: float = _LEAST
     ) -> Callable[[npt.ArrayLike], Array]:
-        """E = E_ref (σ'_h/p_ref)^m by the horizontal effective stress at first.
+        """Young's modulus by initial stress, E = E_ref (σ'_h/p_ref)^m, as a function of positions.
 
-        A law that is given this function as E has a value per point, which stays.
+        Give the function to a law as its parameter E. Each point then keeps its first value.
 
         Args:
             E_ref: Young's modulus at the reference stress (Pa).
-            exponent: m.
+            exponent: Exponent m (-), from 0 to 1.
             p_ref: Reference stress (Pa).
-            least: Share of it that counts where stress is less, as at the surface.
+            least: Lower bound of σ'_h/p_ref (-), which acts near the surface.
 
         Raises:
-            ParameterError: A number is not what it may be.
+            ParameterError: A number is out of range.
         """
         number("E_ref", E_ref, 0.0, unit="Pa"), number("exponent", exponent, 0.0, 1.0, closed=True)
         number("p_ref", p_ref, 0.0, unit="Pa"), number("least", least, 0.0)
@@ -225,14 +248,19 @@ class Deposit:
 
         return E
 
-    # -- of the points ----------------------------------------------------------
+    # -- terms at the points ------------------------------------------------------
 
     @together
     def body_force(self, points: MaterialPoints) -> Expr:
-        """Body force per initial volume that goes with the effective stress (N/m³). Collective.
+        """Body force per initial volume in balance with the effective stress (N/m³). Collective.
 
-        A vector for UFL, downwards: F -= ufl.inner(deposit.body_force(points), v) * points.dX.
-        Adds the field `effective_weight` (N/m³) to the points, by where they are now.
+        The force is a downward vector for UFL:
+        F -= ufl.inner(deposit.body_force(points), v) * points.dX.
+        The method adds the field `effective_weight` (N/m³) to the points, with values at their
+        present positions.
+
+        Args:
+            points: Material points.
         """
         check_points(points)
         values = call_together(points.comm, lambda: self.effective_weight(points["x"].T))
@@ -258,7 +286,7 @@ class Deposit:
         return self._height("water_table", self.water_table, x)
 
     def _by_layer(self, x: npt.ArrayLike, values: Sequence[float]) -> Array:
-        """Values of the layers that positions are in; the last goes on below its bottom."""
+        """Values of the layers at positions; the last layer has no bottom."""
         at = _places(x)
         found = np.full(at.shape[1], values[-1])
         for layer, value in zip(self.layers[-2::-1], values[-2::-1]):
@@ -276,12 +304,12 @@ def _places(x: npt.ArrayLike) -> Array:
     """Positions (m) as an array of shape (gdim, n).
 
     Raises:
-        ParameterError: They are none.
+        ParameterError: x is no array of positions.
     """
     at = coordinates("x", x)
     if at.ndim != 2 or not 1 <= len(at) <= 3:
         raise ParameterError(
-            f"x has the shape {at.shape} and must be positions (m), a row each coordinate, shape "
+            f"x has the shape {at.shape} and must be positions (m), one row per coordinate, shape "
             "(gdim, n): points['x'].T"
         )
     return at

@@ -1,10 +1,10 @@
-"""F-bar: a cell's points share one change of volume, so that incompressible bodies do not lock.
+"""F-bar: the points in a cell share one volume change, so that incompressible bodies do not lock.
 
-De Souza Neto, Perić, Dutko & Owen (1996, doi 10.1016/0020-7683(95)00259-6) replace the
-volume change of every integration point by one of its element; Coombs, Charlton,
-Cortis & Augarde (2018, doi 10.1016/j.cma.2018.01.010) take the volume-weighted mean over
-the material points in a cell, or under the overlapping domains of GIMP. Splines take the
-mean over splines one degree lower, see `dolfinmpm.cut.cellmeans`.
+De Souza Neto, Perić, Dutko & Owen (1996, doi 10.1016/0020-7683(95)00259-6) replace the volume
+change at every integration point by one value per element. Coombs, Charlton, Cortis & Augarde
+(2018, doi 10.1016/j.cma.2018.01.010) take the volume-weighted mean over the material points in a
+cell; for GIMP, over the shares of the points' domains in the cell. For splines, the mean is taken
+over splines of one degree less, see `dolfinmpm.cut.cellmeans`.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ Array = npt.NDArray[np.float64]
 
 
 class StrainFramework(Protocol):
-    """A `PointwiseLaw` of the increment's gradient H that F-bar may be put around.
+    """A `PointwiseLaw` of the increment's gradient H that F-bar can wrap.
 
-    It may be a `KeepingLaw` too.
+    It can be a `KeepingLaw` too.
 
     Attributes:
-        law: The constitutive law in it.
-        multiplicative: Whether strain comes from ΔF = I + H and the flux is τ ΔF⁻ᵀ;
-            False for frameworks in which strain is additive in sym H.
+        law: The constitutive law.
+        multiplicative: True if the strain comes from ΔF = I + H and the flux is τ ΔF⁻ᵀ.
+            False if the strain is additive in sym H.
     """
 
     law: Any
@@ -47,12 +47,12 @@ class StrainFramework(Protocol):
         """See `PointwiseLaw`."""
 
     def describe(self, operand: Array, row: int) -> str:
-        """What is known of a point at which there is no stress."""
+        """Description of a point at which the law found no stress, for messages."""
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _measure(H, d, multiplicative, out):
-    """ΔJ = det(I + H), or tr H."""
+    """Volume change at the points: ΔJ = det(I + H) if multiplicative, else tr H."""
     dF, inverse = np.empty((d, d)), np.empty((d, d))
     for p in range(H.shape[0]):
         if multiplicative:
@@ -68,7 +68,7 @@ def _measure(H, d, multiplicative, out):
 
 @numba.njit(cache=True, error_model="numpy")
 def _slope(H, d, multiplicative, out):
-    """ΔJ ΔF⁻ᵀ, or I."""
+    """Derivative of the volume change by H: ΔJ ΔF⁻ᵀ if multiplicative, else I."""
     dF, inverse = np.empty((d, d)), np.empty((d, d))
     for p in range(H.shape[0]):
         det = 1.0
@@ -87,7 +87,10 @@ def _slope(H, d, multiplicative, out):
 
 @numba.njit(cache=True, error_model="numpy")
 def _replace_volume(H, measure, mean, d, multiplicative, out):
-    """H̄ with the mean's change of volume; returns the first point that has none, or -1."""
+    """Write H̄, which is H with the mean volume change.
+
+    Returns the first point where the mean or its own volume change is not positive, or -1.
+    """
     for p in range(H.shape[0]):
         if multiplicative:
             if not (measure[p] > 0.0 and mean[p] > 0.0):
@@ -106,7 +109,16 @@ def _replace_volume(H, measure, mean, d, multiplicative, out):
 
 @numba.njit(cache=True, error_model="numpy")
 def _true_gradient(H, measure, mean, history, d, multiplicative, S, A, by_mean):
-    """From S̄(H̄) and its slope Ā to S, its slope at constant mean, and that by the mean."""
+    """Turn S̄(H̄) and its derivative into S and its derivatives by H and by the mean.
+
+    Args:
+        H, measure, mean: Gradients, volume changes and mean volume changes of the points.
+        history: J/J̄ at the start of the step.
+        d, multiplicative: Dimension of space, and kind of the strain formulation.
+        S: S̄ before, S after.
+        A: Derivative of S̄ by H̄ before, derivative of S by H at constant mean after.
+        by_mean: Written: derivative of S by the mean; empty without derivatives.
+    """
     n = d * d
     dF, inverse = np.empty((d, d)), np.empty((d, d))
     B = np.empty(n)
@@ -142,7 +154,7 @@ def _true_gradient(H, measure, mean, history, d, multiplicative, S, A, by_mean):
 
 
 def _refuse_dilation(framework: StrainFramework, rows: npt.NDArray[np.int32], comm) -> None:
-    """Raise ParameterError where shear makes volume. Collective."""
+    """Raise ParameterError if the law has a dilation angle that is not 0. Collective."""
     names = list(getattr(framework.law, "parameters", ()))
     name = next((name for name in names if name.startswith("dilation")), None)
     if name is None:
@@ -152,72 +164,72 @@ def _refuse_dilation(framework: StrainFramework, rows: npt.NDArray[np.int32], co
     if angle.max(initial=0.0) > 0.0:
         error = ParameterError(
             f"fbar = True: {type(framework.law).__name__} has {name} = {angle.max():g} degrees, "
-            "only 0 is possible. F-bar shares the change of volume but not the shear that "
-            "dilates: in a cell pressures drift apart, and the load falls or no equilibrium "
+            "only 0 is possible. F-bar shares the volume change of a cell, but not the shear that "
+            "dilates: pressures in the cell drift apart, and the load falls or no equilibrium "
             f'is left. Take basis="bspline2" and finer cells without fbar, or {name} = 0'
         )
     raise_together(comm, error)
 
 
 def _warn_of_compaction(framework: StrainFramework, points: MaterialPoints, degree: int) -> None:
-    """Warn where cubic splines meet a law that compacts. Collective."""
+    """Warn of cubic splines with a law of plastic compaction. Collective."""
     if degree > 2 and "compression" in getattr(framework.law, "parameters", ()):
         warn(
             points.comm,
-            f"fbar = True with splines of degree {degree}: changes of volume that alternate from "
-            "cell to cell are averaged out, and ground that compacts plastically, as "
-            f"{type(framework.law).__name__} does, has no stiffness left against them: steps fail "
-            'soon after it yields. Take basis="bspline2", or fbar=False',
+            f"fbar = True with splines of degree {degree}: the mean hides volume changes that "
+            "alternate from cell to cell. Ground that compacts plastically, as with "
+            f"{type(framework.law).__name__}, then has no stiffness against these changes, and "
+            'steps fail soon after it yields. Take basis="bspline2", or fbar=False',
             SoftVolumeWarning,
         )
 
 
 class FBar:
-    """F-bar around a strain framework, as an operator of the increment's gradient H.
+    """F-bar around a strain formulation, as an operator of the increment's gradient H.
 
-    With ΔF = I + H, ΔJ = det ΔF and ΔJ̄ its mean over the cells of the point, or over
-    splines one degree lower (see `CellMeans`), weighted with the volumes at the start of the
-    step, the framework is given ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), d the dimension of space (2
-    in plane strain, else 3). From its flux S̄ = τ ΔF̄⁻ᵀ follows what is integrated over the true
-    volume with true spatial gradients, S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ: Cauchy stress belongs to
-    the F̄ that made it, σ = τ/J̄, and the factor J/J̄ is left in as de Souza Neto et al. have
-    it, who integrate σ(F̄) over the true volume.
+    Let ΔF = I + H and ΔJ = det ΔF. ΔJ̄ is the mean of ΔJ over the cells of the point, or over
+    splines of one degree less (see `CellMeans`), with the volumes at the start of the step as
+    weights. The strain formulation gets ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), with the dimension d (2 in
+    plane strain, else 3), and returns the flux S̄ = τ ΔF̄⁻ᵀ. F-bar returns the flux
+    S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ, which is integrated over the true volume with true spatial
+    gradients. The Cauchy stress belongs to F̄, σ = τ/J̄. The factor J/J̄ follows de Souza Neto et
+    al., who integrate σ(F̄) over the true volume.
 
-    Where strain is additive the framework is given H + (mean(tr H) − tr H)/d I, and
-    its flux is taken as it is.
+    If strain is additive, the strain formulation gets H + (mean(tr H) − tr H)/d I, and F-bar
+    returns the flux unchanged.
 
-    Adds to the points, once bound, the field `J_bar`, the product J̄ of the means ΔJ̄ of all
-    steps, if strain is multiplicative. F, V and x of the points are the true ones.
+    Binding adds the field `J_bar` to the points if strain is multiplicative. It is the product J̄
+    of the means ΔJ̄ of all steps. The fields F, V and x of the points stay the true ones.
 
     A law with a dilation angle is refused when a problem is made. Let x and t be the rates of
-    shear and of volume at a yielding point, t̄ the shared one, η and η̄ the slopes of the yield
-    surface and of the flow: the rate of stress is proportional to η̄ x − t̄, its power with the
-    true gradients to (η x − t)(η̄ x − t̄). So each point demands that its own shear fit the
-    shared volume, as many constraints as without F-bar (de Borst & Groen 1995, Int. J. Numer.
-    Methods Eng. 38:2887, on elements in dilatant flow); and where x or t varies within a cell
-    the power becomes negative even if flow is associated, η = η̄, where without F-bar it is a
-    square.
-    Under a footing with φ = ψ = 20° an eigenvalue of the tangent goes through zero at 80 % of
-    the limit load, and no step is small enough; with ψ = 5° the load falls to 60 % of its
-    peak. Laws that dilate without a parameter of this name are not recognised.
+    shear and of volume at a yielding point, t̄ the shared rate of volume, and η and η̄ the slopes
+    of the yield surface and of the flow. The rate of stress is proportional to η̄ x − t̄. Its power
+    with the true gradients is proportional to (η x − t)(η̄ x − t̄). Hence the shear of each point
+    must fit the shared rate of volume. These are as many constraints as without F-bar (de Borst &
+    Groen 1995, Int. J. Numer. Methods Eng. 38:2887, on elements in dilatant flow). If x or t vary
+    within a cell, the power can be negative even for associated flow, η = η̄. Without F-bar the
+    power of associated flow is a square. Under a footing with φ = ψ = 20°, an eigenvalue of the
+    tangent goes through zero at 80 % of the limit load, and no step is small enough. With ψ = 5°
+    the load falls to 60 % of its peak. Laws that dilate without a parameter of this name are not
+    recognised.
 
-    Cubic splines warn under a law with a normal compression line. They can change the volume
-    with hardly any shear, as the gradient of a harmonic function does, in waves of two cells,
-    and the mean leaves 2/15 of such a wave, where it leaves 1/3 for quadratic splines. The force
-    is that of the mean and the pressure p of ground on that line resists with about p/λ only:
-    the terms of order p by which a stress turns, and the shear that shares its plastic flow,
-    outweigh what is left. A block of Cam-Clay (λ = 0.05 ... 0.25) under even dead pressures fails
-    soon after it yields, at a free corner first, with 2² and 4² points and with smaller steps;
-    without F-bar it does not, nor with λ = 0.03. A mean that keeps half of a point's own change
-    would mend it, and would lock.
+    Cubic splines with a law that has a normal compression line give a warning. Cubic splines can
+    change the volume almost without shear, in waves of two cells, like the gradient of a harmonic
+    function. The mean keeps 2/15 of such a wave; for quadratic splines it keeps 1/3. Ground on the
+    normal compression line resists the mean only with about p/λ, with the pressure p. This
+    resistance is smaller than terms of order p: the rotation of the stress, and the shear of the
+    plastic flow. A block of Cam-Clay (λ = 0.05 ... 0.25) under uniform dead pressure fails soon
+    after it yields, first at a free corner, with 2² and 4² points and with smaller steps. It does
+    not fail without F-bar or with λ = 0.03. A mean with half of a point's own change would not
+    fail, but would lock.
 
     Args:
-        framework: What gives the stress.
+        framework: The strain formulation with its law, which gives the stress.
         points: Material points.
         degree: Degree of the basis of the increment.
-        by_centres: Whether a point counts in the cell of its centre alone, and has that cell's
-            mean, though its domain overlaps others. There are fewer means to share then than
-            shares of domains leave, and they jump as points cross into the next cell.
+        by_centres: Whether a point counts only in the cell of its centre, and gets the mean of
+            this cell, even if its domain overlaps other cells. Fewer points then share a mean, and
+            the means jump when points cross into the next cell.
     """
 
     def __init__(
@@ -237,12 +249,15 @@ class FBar:
         self._mean: Array = np.empty(0)
 
     def bind(self) -> None:
-        """Add the field `J_bar`: of a body that moved without F-bar it is det F. Collective.
+        """Add the field `J_bar`. Collective.
 
-        Warns of splines that its means are too wide for.
+        For a body that has moved without F-bar, it begins as det F.
 
         Raises:
             ParameterError: The law has a dilation angle that is not 0.
+
+        Warns:
+            SoftVolumeWarning: Cubic splines meet a law of plastic compaction.
         """
         rows = getattr(self.framework, "rows", np.empty(0, np.int32))
         _refuse_dilation(self.framework, rows, self.points.comm)
@@ -260,16 +275,16 @@ class FBar:
 
     @property
     def keeps(self) -> int:
-        """Numbers of a point that are kept, those of the framework; see `KeepingLaw`."""
+        """How many numbers the strain formulation keeps per point; see `KeepingLaw`."""
         return self.framework.keeps if isinstance(self.framework, KeepingLaw) else 0
 
     def describe(self, operand: Array, row: int) -> str:
-        """What is known of a point at which there is no stress; see `Framework`."""
+        """Description of a point without a stress, for messages; see `Framework.describe`."""
         changed = np.empty((1, operand.size))
-        here, d = slice(row, row + 1), self.points.strain_dim
+        one, d = slice(row, row + 1), self.points.strain_dim
         flat = np.ascontiguousarray(operand, float).reshape(1, -1)
         bad = _replace_volume(
-            flat, self._measure[here], self._mean[here], d, self._multiplicative, changed
+            flat, self._measure[one], self._mean[one], d, self._multiplicative, changed
         )
         return self.framework.describe((flat if bad >= 0 else changed).reshape(d, d), row)
 
@@ -279,12 +294,15 @@ class FBar:
         return out
 
     def prepare(self, operand: Array, mean: Callable[[Array], Array]) -> None:
-        """Take the mean of ΔJ, or of tr H, for new increments; see `AveragingLaw`. Collective."""
+        """Compute the means of ΔJ, or of tr H, for new increments. Collective.
+
+        See `AveragingLaw.prepare`.
+        """
         self._measure = self._measured(operand)
         self._mean = mean(self._measure)
 
     def measure_slope(self, operand: Array) -> Array:
-        """ΔJ ΔF⁻ᵀ, or I; see `AveragingLaw`."""
+        """Derivative of ΔJ, or of tr H, by H; see `AveragingLaw.measure_slope`."""
         out = np.empty_like(operand)
         _slope(operand, self.points.strain_dim, self._multiplicative, out)
         return out
@@ -301,7 +319,7 @@ class FBar:
         self, operand: Array, value: Array, tangent: Array | None, rows,
         by_mean: Array | None = None, kept: KeptTangents | None = None,
     ) -> int:  # fmt: skip
-        """S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
+        """Flux S and its derivatives by ∇ũ and by the mean; see `AveragingLaw`, `KeepingLaw`."""
         d, kind = self.points.strain_dim, self._multiplicative
         measure, mean = self._measure[rows], self._mean[rows]
         changed = np.empty_like(operand)
@@ -320,7 +338,7 @@ class FBar:
         return -1
 
     def commit(self, operand: Array, rows, kept: KeptTangents | None = None) -> dict[str, Array]:
-        """The framework's fields at the end of the step, with σ = τ/J̄, and J̄."""
+        """Fields of the strain formulation at the end of the step, with σ = τ/J̄; and J̄."""
         points = self.points
         changed = np.empty_like(operand)
         _replace_volume(
@@ -329,7 +347,7 @@ class FBar:
         )  # fmt: skip
         new = self.framework.commit(changed, rows, **if_kept(kept))
         if self._multiplicative:
-            # the framework took det ΔF̄ times the true det F before the step for its volume
+            # the strain formulation divided τ by det ΔF̄ times the true det F before the step
             new["stress"] *= self._history(rows)[:, None, None]
             new["J_bar"] = points["J_bar"][rows] * self._mean[rows]
         return new

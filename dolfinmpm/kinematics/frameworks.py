@@ -1,4 +1,4 @@
-"""What the strain frameworks share: a law, its state at the points, and the loop over them."""
+"""Base of the strain formulations: a law, its state at the points, and the loop over the points."""
 
 from __future__ import annotations
 
@@ -23,33 +23,35 @@ Rows = npt.NDArray[np.int32]
 
 
 def symmetric(components: Array) -> Array:
-    """Tensors of shape (..., 3, 3) from (xx, yy, zz, xy, yz, zx), shape (..., 6)."""
+    """Symmetric tensors, shape (..., 3, 3), from xx, yy, zz, xy, yz, zx, shape (..., 6)."""
     return components[..., [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 
 
 class Framework:
-    """A law under one measure of strain, as an operator of the increment's gradient.
+    """A law with one strain formulation, as an operator of the increment's gradient.
 
-    Adds to the points, once bound, the field `state`, six components of the elastic strain's
-    tensor (xx, yy, zz, xy, yz, zx); one field for each internal variable of the law, by
-    its name; and those of `PointParameters`. Laws with other tags share the fields, each
-    with values at its own points only; the internal variables of others are 0 there.
+    Binding adds fields to the points: the field `state`, with six components of the elastic strain
+    tensor (xx, yy, zz, xy, yz, zx); one field per internal variable of the law, with the
+    variable's name; and the field of `PointParameters`. Laws for different tags share these
+    fields. Each law writes only its own points. At points of other laws, its internal variables
+    are 0.
 
-    A subclass names its `StrainMeasure`, from which all else follows: the gradient makes a trial
-    tensor, `stress_kernel` makes the law's stress of it, and that makes the flux.
+    A subclass names its `StrainMeasure`. In `evaluate` the gradient gives a trial tensor,
+    `stress_kernel` computes the law's stress from the trial tensor, and the stress gives the flux.
 
     Attributes:
-        measure: Name of the measure of strain.
-        kinematics: The measure itself.
-        multiplicative: Whether increments of deformation are multiplied and the law's
-            stress is Kirchhoff's, rather than added and Cauchy's.
-        state: Name of the field.
-        rest: The field's value without elastic strain.
+        measure: Name of the strain formulation.
+        kinematics: The strain formulation in UFL.
+        multiplicative: True if deformation increments are multiplied, and the law's stress is
+            the Kirchhoff stress. False if strain increments are added, and the law's stress is the
+            Cauchy stress.
+        state: Name of the field of the elastic strain.
+        rest: Value of this field without elastic strain.
 
     Args:
         law: Constitutive law.
         points: Material points.
-        tags: Tags of the points that the law is for; None means all.
+        tags: Tags of the points with this law; None means all points.
     """
 
     measure: str
@@ -68,14 +70,14 @@ class Framework:
 
     @property
     def rows(self) -> Rows:
-        """The law's points on this rank."""
+        """Numbers of the law's points on this rank, shape (n,)."""
         return rows_within(self.points, self.tags)
 
     def bind(self) -> None:
-        """Add the fields, with first values where points have none. Collective.
+        """Add the fields, and give first values to points without values. Collective.
 
         Raises:
-            ParameterError: A parameter that varies is outside its range somewhere.
+            ParameterError: A varying parameter is out of range at a point.
         """
         self._parameters.adopt()
         points, rows = self.points, self.rows
@@ -85,7 +87,7 @@ class Framework:
             self.law.first_internal(parameters), (len(rows), len(self.law.internal))
         )
         for k, (name, (unit, _)) in enumerate(self.law.internal.items()):
-            # which points have a value: another law may give them another first one
+            # whether a point has a value already: laws differ in their first values
             known = f"has_{name}"
             if known not in points.fields:
                 given = name in points.fields
@@ -96,7 +98,10 @@ class Framework:
             points[known][rows] = 1
 
     def parameters(self, rows: Rows | slice) -> Array:
-        """The law's parameters, shape (1, parameters) or, if any varies, (rows, parameters)."""
+        """The law's parameters at some points, shape (1, parameters).
+
+        The shape is (rows, parameters) if a parameter varies.
+        """
         return self._parameters.at(rows)
 
     def weaken(self, factor: float | None) -> None:
@@ -113,7 +118,7 @@ class Framework:
 
     @property
     def keeps(self) -> int:
-        """Numbers of a point that are kept between residual and tangent; see `KeepingLaw`."""
+        """How many numbers per point are kept between residual and tangent; see `KeepingLaw`."""
         return kept_numbers(self.points.strain_dim, len(self.law.internal))
 
     def _run(
@@ -132,7 +137,7 @@ class Framework:
         )  # fmt: skip
 
     def principal(self, rows: Rows) -> Array:
-        """Elastic principal strains of some points, shape (rows, 3)."""
+        """Elastic principal strains of some points (-), shape (rows, 3)."""
         strain: Array = np.empty((0, 3))
         if len(rows):
             tensor = symmetric(self.points[self.state][rows])
@@ -140,7 +145,7 @@ class Framework:
         return 0.5 * np.log(strain) if self._measure.logarithmic else strain
 
     def energy(self) -> Array | None:
-        """Elastic energy per initial volume of the law's points (J/m³); None if it cannot tell."""
+        """Elastic energy per initial volume at the law's points (J/m³), or None if not known."""
         rows = self.rows
         return self.law.energy(self.principal(rows), self.parameters(rows))
 
@@ -153,9 +158,9 @@ class Framework:
         return self._of_state(self.law.moduli)
 
     def _of_state(self, modulus: Callable[[Array, Array, Array], Array]) -> Array:
-        """What a law's function gives for the present elastic strains, variables, parameters."""
+        """Result of a law's function of elastic strains, internal variables and parameters."""
         rows = self.rows
-        # elastic moduli do not ask for strains
+        # laws with elastic moduli do not use the strains
         strain = np.empty((len(rows), 3)) if self.law.has_moduli else self.principal(rows)
         return modulus(strain, self.internal(rows), self.parameters(rows))
 
@@ -167,7 +172,7 @@ class Framework:
         rows: Rows,
         kept: KeptTangents | None = None,
     ) -> int:
-        """Flux S and its derivative by ∇ũ; see `KeepingLaw`."""
+        """Compute the flux S (Pa) and its derivative by ∇ũ; see `KeepingLaw`."""
         if len(rows) == 0:
             return -1
         A = np.empty((0, 1, 1)) if tangent is None else tangent
@@ -189,14 +194,14 @@ class Framework:
         return fields | {name: internal[:, k].copy() for k, name in enumerate(self.law.internal)}
 
     def trial_strain(self, operand: Array, rows: Rows) -> Array:
-        """Trial elastic strain tensors of some points, as the law sees them.
+        """Trial elastic strain tensors of some points (-), the argument of the law.
 
         Args:
             operand: Gradients of the increment at these points, shape (n, d, d).
-            rows: Which points they are, shape (n,).
+            rows: Numbers of the points on this rank, shape (n,).
 
         Returns:
-            Shape (n, 3, 3); not a number where the increment admits none.
+            Tensors, shape (n, 3, 3); NaN at points that the increment turns inside out.
         """
         H = np.array(operand, float).reshape(len(rows), self.points.strain_dim**2)
         state = self.points[self.state][rows]
@@ -215,11 +220,11 @@ class Framework:
         return tensor
 
     def describe(self, operand: Array, row: int) -> str:
-        """What is known of a point at which there is no stress, for messages.
+        """Description of a point at which the law found no stress, for messages.
 
         Args:
-            operand: Gradient of the increment there, shape (d, d).
-            row: Which point of this rank it is.
+            operand: Gradient of the increment at the point, shape (d, d).
+            row: Number of the point on this rank.
         """
         d = self.points.strain_dim
         H = np.asarray(operand, float).reshape(1, d, d)
@@ -227,7 +232,7 @@ class Framework:
         trial = self.trial_strain(H, np.array([row], np.int32))[0]
         if not np.isfinite(trial).all():
             return f"det ΔF = {det:.4g} of the increment turns the point inside out"
-        here = slice(row, row + 1)
+        one = slice(row, row + 1)
         number = int(self.points["id"][row])
         strain = np.linalg.eigvalsh(trial)
-        return self.law.describe(number, strain, self.internal(here)[0], self.parameters(here))
+        return self.law.describe(number, strain, self.internal(one)[0], self.parameters(one))

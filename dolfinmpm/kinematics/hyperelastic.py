@@ -1,4 +1,4 @@
-"""Laws that are energies in UFL, at the points: what they declare, and numbers of their state."""
+"""Laws given by an energy in UFL: their declarations, energies, stiffnesses and moduli."""
 
 from __future__ import annotations
 
@@ -28,18 +28,23 @@ __all__ = ["declare_energy", "end_of_step"]
 
 
 def end_of_step(points: MaterialPoints, u) -> Expr:
-    """Deformation gradient at the end of the step."""
+    """Deformation gradient at the end of the step, for UFL.
+
+    Args:
+        points: Material points.
+        u: Increment of the displacement (m).
+    """
     return (ufl.Identity(points.strain_dim) + gradient(points, u)) * points.F
 
 
 def declare_energy(law: Any, points: MaterialPoints, u, tags: Tags) -> Declaration:
-    """What a law that is an energy in UFL needs of the points.
+    """Declaration of a law that is an energy in UFL.
 
     Args:
         law: The law.
         points: Material points.
-        u: The increment that it is a function of.
-        tags: Tags of the points that it is for; None means all.
+        u: Increment of the displacement (m).
+        tags: Tags of the points with this law; None means all points.
     """
     parameters = PointParameters(law, points, tags)
     holders: list[LawConstant | LawField]
@@ -88,7 +93,7 @@ def _energy_at(law: NeoHookean, points: MaterialPoints, parameters: PointParamet
 
 
 def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """λ + μ (1 + λ_max²) at the points of the neo-Hookean law (Pa)."""
+    """Stiffness bound λ + μ (1 + λ_max²) at the points of the neo-Hookean law (Pa)."""
     rows = rows_within(points, tags)
     if len(rows) == 0:
         return np.empty(0)
@@ -99,6 +104,6 @@ def _stiffness_at(points: MaterialPoints, parameters: PointParameters, tags: Tag
 
 
 def _moduli_at(points: MaterialPoints, parameters: PointParameters, tags: Tags):
-    """λ + 2μ and μ at the points of the neo-Hookean law (Pa), shape (n, 2) or (1, 2)."""
+    """Moduli λ + 2μ and μ of the neo-Hookean law at its points (Pa), shape (n, 2) or (1, 2)."""
     lmbda, mu = lame(*parameters.at(rows_within(points, tags)).T)
     return np.stack([lmbda + 2 * mu, mu], axis=1)

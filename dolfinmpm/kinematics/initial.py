@@ -1,4 +1,4 @@
-"""Initial stress: the elastic state of the points that goes with a given stress field."""
+"""Initial stress: the elastic state of the points for a given stress field."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ __all__ = ["StressField", "geostatic_stress", "take_stress", "write_stress"]
 StressField = npt.ArrayLike | Callable[[Array], npt.ArrayLike]
 OfPosition = float | Callable[[Array], npt.ArrayLike]
 _ROUNDING = 1e-12
-# Share of a stress by which that of a law may differ from one that was set for it
+# Relative difference between a stress that was set and the law's stress, above which the stress
+# was set for another law
 _ANOTHER = 1e-6
-# Ratio of stresses that no ground has; what is above is a weight
+# No ground has a larger K0: a larger number is a weight in the wrong place
 _MOST_K0 = 100.0
 
 
 def _array(stress: npt.ArrayLike, n: int) -> Array:
-    """A stress of all n points of this rank, or one for each."""
+    """A stress for all n points of this rank, shape (3, 3), or one per point, shape (n, 3, 3)."""
     try:
         given = np.asarray(stress, float)
     except (TypeError, ValueError):
@@ -42,18 +43,18 @@ def _array(stress: npt.ArrayLike, n: int) -> Array:
     if given is None or given.shape not in ((3, 3), (n, 3, 3)):
         got = f"= {shown(stress)}" if given is None else f"has the shape {given.shape}"
         raise FieldShapeError(
-            f"stress {got}, expected (3, 3), or {(n, 3, 3)} for all points of this rank; across "
-            "the plane too, in Pa, tension positive"
+            f"stress {got}, expected (3, 3), or {(n, 3, 3)} for all points of this rank; with "
+            "components out of the plane, in Pa, tension positive"
         )
     return given
 
 
 def _given(framework: Framework, stress: StressField, rows: Rows) -> Array:
-    """The stress at points of this rank, symmetric and admissible in this dimension."""
+    """The stress at some points of this rank, checked and symmetric, shape (rows, 3, 3)."""
     points = framework.points
     d = points.gdim
     if callable(stress):
-        sigma = ask("stress (Pa, across the plane too)", stress, points["x"][rows], (3, 3))
+        sigma = ask("stress (Pa, also out of the plane)", stress, points["x"][rows], (3, 3))
     else:
         sigma = np.broadcast_to(_array(stress, len(points)), (len(points), 3, 3))[rows]
     size = np.abs(sigma).max(axis=(1, 2), initial=0.0)
@@ -75,7 +76,7 @@ def _given(framework: Framework, stress: StressField, rows: Rows) -> Array:
 
 
 def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
-    """Six components of the framework's state under Cauchy stresses of shape (n, 3, 3)."""
+    """Elastic state for Cauchy stresses of shape (n, 3, 3), six components, shape (n, 6)."""
     points, law = framework.points, framework.law
     n, d = len(rows), points.gdim
     ratio = np.linalg.det(points["F"][rows]) if framework.multiplicative else np.ones(n)
@@ -110,8 +111,8 @@ def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
         p = int(np.argmin(np.isfinite(value).all(axis=1)))
         raise StateError(
             f"{type(law).__name__}: the principal stresses {principal[p].tolist()} Pa of point "
-            f"{points['id'][rows[p]]} at {points['x'][rows[p]]} m need strains beyond all numbers; "
-            "check the unit, which is Pa"
+            f"{points['id'][rows[p]]} at {points['x'][rows[p]]} m need infinite strains; "
+            "check that the unit is Pa"
         )
     tensor = (Q * value[:, None, :]) @ np.swapaxes(Q, 1, 2)
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
@@ -122,8 +123,8 @@ def write_stress(framework: Framework, stress: StressField, rows: Rows | None = 
 
     Args:
         framework: The law at its points.
-        stress: The stress; see there.
-        rows: Points of this rank that get it; all of the law by default.
+        stress: The stress (Pa); see `dolfinmpm.set_stress`.
+        rows: Points of this rank that get the stress; all points of the law by default.
     """
     points, rows = framework.points, framework.rows if rows is None else rows
     sigma = call_together(points.comm, lambda: _given(framework, stress, rows))
@@ -134,24 +135,25 @@ def write_stress(framework: Framework, stress: StressField, rows: Rows | None = 
 
 
 def take_stress(framework: Framework, law: str) -> None:
-    """Make what the points have as stress, before they move, that of their law. Collective.
+    """Take the stress of points that have not moved as the initial stress of their law. Collective.
 
-    A stress that was written into the field `stress` becomes the initial stress. One that
-    `dolfinmpm.set_stress` gave must be that of the law.
+    A stress that the user wrote into the field `stress` becomes the initial stress. A stress from
+    `dolfinmpm.set_stress` must belong to this law.
 
     Args:
         framework: The law at its points.
         law: The law and its tags, for messages.
 
     Raises:
-        ParameterError: The stress was set for another law, or is none that points can have.
-        StateError: The law has no elastic strain for it.
+        ParameterError: The stress was set for another law; or a stress is not finite, not
+            symmetric, or has shear out of the dimensions of the points.
+        StateError: The law has no elastic strain for the stress.
     """
     points, rows = framework.points, framework.rows
     marks = points.fields.read("moved_under")[rows]
     still, given = rows[marks == 0], rows[marks >= GIVEN]
     stress = points.fields.read("stress")
-    # next to always there is none
+    # shortcut for the usual case without stress
     written = still[np.any(stress[still], axis=(1, 2))] if stress.any() else still[:0]
     asked = np.array([written.size, given.size])
     if points.comm.size > 1:
@@ -163,12 +165,12 @@ def take_stress(framework: Framework, law: str) -> None:
 
 
 def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | None:
-    """What is wrong with stresses that were set for some points, or None."""
+    """The error for stresses that were set for another law, or None."""
     points = framework.points
     sigma = points.fields.read("stress")[rows]
     if framework.multiplicative:
         sigma = np.linalg.det(points.fields.read("F")[rows])[:, None, None] * sigma
-    # of an isotropic law both have the same axes, and rise alike
+    # for an isotropic law, stress and strain have the same axes and the same order
     strain, stress = framework.principal(rows), np.linalg.eigvalsh(sigma)
     internal, parameters = framework.internal(rows), framework.parameters(rows)
     same = belong(framework.law, strain, stress, internal, parameters, _ANOTHER)
@@ -177,33 +179,35 @@ def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | 
     p = rows[np.argmin(same)]
     return ParameterError(
         f"{law}: the stress {points.fields.read('stress')[p].tolist()} Pa at {points['x'][p]} m "
-        f"was set by mpm.set_stress with another law, or changed since, and is not what this law "
-        f"gives for the strain that was found ({int((~same).sum())} such points on this rank): "
-        f'call mpm.set_stress(points, law, stress, strain="{framework.measure}") with the law of '
-        "the problem"
+        f"was set by mpm.set_stress with another law, or changed since. It differs from this law's "
+        f"stress for the elastic strain of the point ({int((~same).sum())} such points on this "
+        f'rank): call mpm.set_stress(points, law, stress, strain="{framework.measure}") with the '
+        "law of the problem"
     )
 
 
 def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
     """Stress of ground at rest under its own weight, for `dolfinmpm.set_stress`.
 
-    Vertical −weight · (surface − y), both horizontal ones K0 times as much, no shear; the
-    last axis points up, points above the surface carry no stress. In equilibrium if
-    the surface is level and weight and K0 depend on the height alone.
+    The vertical stress is −weight · (surface − y). Both horizontal stresses are K0 times the
+    vertical stress. There is no shear. The last axis points up. Points above the surface have no
+    stress. The stress is in equilibrium if the surface is level, and weight and K0 depend only on
+    the height.
 
     Args:
         surface: Height of the ground surface (m).
-        weight: Mean weight per volume ρ g of what is above (N/m³), not negative.
-        K0: Ratio of horizontal to vertical stress, not negative.
+        weight: Mean weight per volume ρ g of the ground above (N/m³), not negative.
+        K0: Ratio of horizontal to vertical stress (-), not negative.
 
-    All three are numbers or functions of positions x, shape (gdim, n), to n values.
+    All three are numbers, or functions of positions x (m), shape (gdim, n), that return n values.
 
     Returns:
-        A function of positions, shape (gdim, n), to Cauchy stresses (Pa), shape (n, 3, 3).
+        A function of positions (m), shape (gdim, n), that returns Cauchy stresses (Pa), shape
+        (n, 3, 3), positive in tension.
 
     Raises:
-        ParameterError: A number is not finite, weight or K0 is negative, K0 is above 100, or
-            surface and weight look swapped; from the function, where a value at a point is.
+        ParameterError: A number is not finite; weight or K0 is negative; K0 is above 100; or
+            surface and weight look swapped. The returned function raises it for values at points.
     """
 
     def checked(name: str, value: npt.ArrayLike, low: float) -> Array:

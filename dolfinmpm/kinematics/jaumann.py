@@ -1,4 +1,4 @@
-"""Jaumann's rate of stress: small strain increments on a body that turns."""
+"""Jaumann's stress rate: small strain increments on a body that rotates."""
 
 from __future__ import annotations
 
@@ -33,23 +33,22 @@ class _Jaumann(StrainMeasure):
 
 
 class Jaumann(Framework):
-    """A law under Jaumann's rate: the old elastic strain turns, the increment is added.
+    """A law with Jaumann's rate: the old elastic strain rotates, and the increment is added.
 
-    ε = R ε_e,n Rᵀ + sym G with R = (1 − W/2)⁻¹ (1 + W/2), W = skew G and G = ∇ũ (1 + ∇ũ/2)⁻¹,
-    the increment's gradient by the configuration in the middle of the step (Hughes &
-    Winget 1980, doi 10.1002/nme.1620151210): a rotation of any angle below 180° turns the
-    stress exactly and strains nothing, as it would with ∇ũ in place of G only for small
-    angles. The law gives Cauchy's stress σ, and the flux per initial volume is S = J σ ΔF⁻ᵀ
-    with J the volume ratio at the end of the step: equilibrium is that of the end, and
-    the tangent takes in G, R, J and ΔF⁻ᵀ. For isotropic laws it is the same to turn
-    the strain or the stress. Dimensions across the plane do not turn. As published, the
-    increment itself is not turned by the half of R: it is of order 1 in the step.
+    ε = R ε_e,n Rᵀ + sym G with R = (1 − W/2)⁻¹ (1 + W/2), W = skew G and G = ∇ũ (1 + ∇ũ/2)⁻¹.
+    G is the increment's gradient by the configuration in the middle of the step (Hughes & Winget
+    1980, doi 10.1002/nme.1620151210). A rotation by any angle below 180° then rotates the stress
+    exactly and makes no strain. With ∇ũ in place of G, this would hold only for small angles. The
+    law gives the Cauchy stress σ. The flux per initial volume is S = J σ ΔF⁻ᵀ, with the volume
+    ratio J at the end of the step. Equilibrium therefore holds at the end of the step. The tangent
+    contains the derivatives of G, R, J and ΔF⁻ᵀ. For isotropic laws, rotating the strain is the
+    same as rotating the stress. Components out of the plane do not rotate. As in the publication,
+    the increment itself is not rotated by half of R; the method is of first order in the step.
 
-    Limits: the rate derives from no energy. Under simple shear γ in small steps
-    σ₁₂ = μ sin γ oscillates (Dienes 1979, doi 10.1007/BF01181469), a cycle of elastic shear
-    that is closed in the strain leaves stress and work behind, and it drifts from cycle
-    to cycle. Below some ten per cent of strain this is of little consequence; beyond,
-    and under many cycles, take `strain="large"`.
+    Limits: the rate does not follow from an energy. In simple shear γ with small steps, the stress
+    σ₁₂ = μ sin γ oscillates (Dienes 1979, doi 10.1007/BF01181469). After a closed cycle of elastic
+    shear, stress and work remain, and they grow from cycle to cycle. Below some 10 % of strain
+    these errors are small. For larger strains and for many cycles, take `strain="large"`.
 
     The state is the field `elastic_strain`; see `Framework`.
     """

@@ -1,10 +1,10 @@
-"""Large strain: from the increment's gradient to the flux of the momentum balance, and back.
+"""Large strain: logarithmic strain and Kirchhoff stress.
 
-The grid starts every step undeformed, so that gradients are taken on the
-configuration at the start of the step (Charlton, Coombs & Augarde 2017, doi
-10.1016/j.compstruc.2017.05.004): ΔF = I + ∇ũ, trial b = ΔF b_n ΔFᵀ, principal
-logarithmic strains ½ ln λ_i, Kirchhoff stress τ from the law, and the flux
-S = τ ΔF⁻ᵀ that goes with ∇̃v per initial volume.
+The grid is undeformed at the start of every step. Gradients are therefore taken by positions at
+the start of the step (Charlton, Coombs & Augarde 2017, doi 10.1016/j.compstruc.2017.05.004). The
+increment gives ΔF = I + ∇ũ and the trial tensor b = ΔF b_n ΔFᵀ. The law gets the principal
+logarithmic strains ½ ln λ_i of b and gives the Kirchhoff stress τ. The flux per initial volume is
+S = τ ΔF⁻ᵀ, which multiplies ∇̃v.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Large(StrainMeasure):
 
 
 class LargeStrain(Framework):
-    """A law under large strain: b = ΔF b_n ΔFᵀ, ε = ½ ln b, flux S = τ ΔF⁻ᵀ.
+    """A law with large strain: b = ΔF b_n ΔFᵀ, ε = ½ ln b, flux S = τ ΔF⁻ᵀ.
 
     The state is the field `be`, the elastic left Cauchy–Green tensor; see `Framework`.
     """

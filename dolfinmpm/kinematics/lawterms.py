@@ -1,7 +1,7 @@
-"""Terms of a weak form that a law makes: internal forces, and stress by itself.
+"""Terms of a weak form with a law: internal forces, and the stress alone.
 
-Nothing here changes the points: a term declares what its law needs, and the problem
-that is made of the form binds it; see `dolfinmpm.forms.declarations`.
+Terms do not change the points. A term contains the declaration of its law, and the problem that is
+made from the form binds the declaration; see `dolfinmpm.forms.declarations`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.forms.declarations import (
-    Declaration,
-)
+from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
@@ -51,16 +49,16 @@ def framework(
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
 ) -> Framework:
-    """The law at the points under a measure of strain; nothing is added to them before `bind`.
+    """A law at the points with a strain formulation. Only its method `bind` changes the points.
 
     Args:
         law: Constitutive law with a kernel.
         points: Material points.
         strain: "large", "small" or "jaumann"; see `momentum`.
-        tag: Tags of the points that the law is for; None means all.
+        tag: Tags of the points with this law; None means all points.
 
     Raises:
-        ParameterError: The measure is not known, or the law has no kernel.
+        ParameterError: The strain formulation is not known, or the law has no kernel.
     """
     check_points(points)
     strain = choice("strain", strain, _FRAMEWORKS)
@@ -73,13 +71,13 @@ def framework(
 
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
-    """Number of the law's declaration: for the same arguments the same, with one operator."""
+    """Number of the law's declaration; the same arguments share one declaration."""
     check_points(points)
     check_displacement(points, u=u)
     strain = choice("strain", strain, _FRAMEWORKS)
     tags, fbar = as_tags(tag), _means(fbar, u)
     if tags is None:
-        # a field of some points has no strain at others
+        # a field with tags has no strain at other points
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
     for number, known in points.declarations.items():
         same = known.law is law and (known.strain, known.fbar, known.tags) == (strain, fbar, tags)
@@ -88,8 +86,8 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
     if isinstance(law, NeoHookean):
         if fbar:
             raise ParameterError(
-                f"fbar = True needs a law with a kernel, {type(law).__name__} is an energy in UFL; "
-                "use mpm.materials.Hencky"
+                f"fbar = True needs a law with a kernel, but {type(law).__name__} is an energy in "
+                "UFL; use mpm.materials.Hencky"
             )
         if strain != "large":
             raise ParameterError(
@@ -105,16 +103,16 @@ def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag)
 
 
 def _degree(u) -> int:
-    """Degree of the basis of an increment; 1 of what is none, which a problem refuses."""
+    """Degree of the basis of an increment; 1 for other functions, which a problem refuses."""
     space = getattr(u, "_dolfinmpm_space", None)
     return space.basis.degree if space is not None else 1
 
 
 def _means(fbar: Any, u) -> bool | str:
-    """Which means F-bar takes: True, False or "centres".
+    """Kind of the means of F-bar: True, False or "centres".
 
     Raises:
-        ParameterError: It is none of them, or splines are to have means over cells.
+        ParameterError: The argument is something else, or is "centres" for splines.
     """
     if not isinstance(fbar, str):
         return truth("fbar", fbar, CENTRES)
@@ -122,15 +120,14 @@ def _means(fbar: Any, u) -> bool | str:
         raise ParameterError(f"fbar = {shown(fbar)} must be True, False or {CENTRES!r}")
     if _degree(u) > 1:
         raise ParameterError(
-            f"fbar = {CENTRES!r} is of linear functions and GIMP: the means of splines of degree "
-            f"{_degree(u)} are over splines one degree lower; take fbar=True"
+            f"fbar = {CENTRES!r} is for linear functions and GIMP only: the means of splines of "
+            f"degree {_degree(u)} are over splines of one degree less; take fbar=True"
         )
     return CENTRES
 
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -> Declaration:
     inner = framework(law, points, strain, tags)
-    # what is no increment of a space is refused when a problem is made
     outer: PointwiseLaw = inner
     if fbar:
         outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
@@ -164,54 +161,52 @@ def momentum(
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
-    """Internal forces of a body, per step: Σ V0 S : ∇̃v, with S from the law and ∇ũ.
+    """Internal forces of a body in a step: Σ V0 S : ∇̃v, with the flux S from the law and ∇ũ.
 
-    The measures of strain, ∇ũ being the increment's gradient on the grid at the
-    start of the step, at axisymmetric points with the hoop term (`mpm.gradient`):
+    ∇ũ is the increment's gradient by positions at the start of the step. At axisymmetric points it
+    has the hoop term (`mpm.gradient`). The strain formulations are:
 
     - "large": logarithmic strain ½ ln(ΔF b_n ΔFᵀ), Kirchhoff stress τ, S = τ ΔF⁻ᵀ; for strains
-      and rotations of any size;
-    - "small": strain ε_n + sym ∇ũ, S = σ; the linear theory, in which nothing turns;
-    - "jaumann": the old strain turned by the increment's spin, plus its rate of
-      deformation, Cauchy stress σ, S = J σ ΔF⁻ᵀ; for moderate strains and any rotation, see
-      `Jaumann` for its limits.
+      and rotations of any size.
+    - "small": strain ε_n + sym ∇ũ, S = σ; the linear theory, without rotations.
+    - "jaumann": the old strain rotates with the spin of the increment, and the rate of deformation
+      is added; Cauchy stress σ, S = J σ ΔF⁻ᵀ; for moderate strains and any rotation. See `Jaumann`
+      for its limits.
 
-    Each keeps the elastic strain in its own field (`be` under large strain, else
-    `elastic_strain`): a body that has moved under one cannot go on under another, nor
-    under an energy, unless `set_stress` gives it the state that belongs to its stress. Another
-    law under the same measure takes over the elastic strain; its own internal variables
-    start at their first values.
+    Each strain formulation has its own field of the elastic strain: `be` for large strain,
+    `elastic_strain` for the others. A body that has moved with one formulation cannot go on with
+    another, or with an energy, unless `set_stress` gives it the state for its stress. Another law
+    with the same formulation takes over the elastic strain. Its internal variables start at their
+    first values.
 
-    Nothing is changed until a problem is made of the form: it adds the law's fields to the
-    points.
+    This function does not change the points. A problem that is made from the form adds the law's
+    fields to the points.
 
     Args:
-        law: Constitutive law: one with a kernel, or one that is an energy in UFL.
+        law: Constitutive law with a kernel, or with an energy in UFL.
         points: Material points.
-        u: Increment of the step, `Space.increment`.
+        u: Increment of the displacement in the step (m), `Space.increment`.
         v: Test function, `Space.test`.
-        strain: "large", "small" or "jaumann"; an energy in UFL takes "large" only.
-        fbar: Whether the points in a cell share its mean change of volume, against
-            locking of nearly incompressible bodies; see `FBar`. True shares domains of GIMP out
-            among the cells that they overlap, "centres" counts each point in the cell of its
-            centre, as explicit codes do.
-        tag: Tags of the points that the law is for, one or several; None means all that the field
-            of u is of. Laws of one form must be for different points.
+        strain: "large", "small" or "jaumann"; an energy in UFL takes only "large".
+        fbar: Whether the points in a cell share the mean volume change of the cell (F-bar, see
+            `FBar`), against locking of nearly incompressible bodies. With True, a domain of GIMP
+            counts in all cells that it overlaps. With "centres", each point counts only in the
+            cell of its centre, as in explicit codes.
+        tag: Tags of the points with this law, one or several; None means all points of u's field.
+            Laws in one form must be for different points.
 
     Returns:
-        A form over the points, to which loads and further terms are added.
+        A form over the points. Add further terms, and subtract loads.
 
     Raises:
-        ParameterError: The measure of strain is not known or not one of the law's, a tag is
-            no whole number, F-bar is asked for with a law that is an energy, or law, points, u
-            or v is something else.
+        ParameterError: The strain formulation is not known or not possible for the law; a tag is
+            no whole number; fbar is given with a law that is an energy; or law, points, u or v is
+            of another kind.
     """
     number = _declare(law, points, u, strain, fbar, tag)
     check_displacement(points, v=v)
     declaration = points.declarations[number]
-    tags = declaration.tags
-    where = "everywhere" if tags is None else (tags if len(tags) > 1 else tags[0])
-    dX = points.dX(where, metadata={**points.dX.metadata(), "law": number})
+    dX = points.dX(subdomain(declaration.tags), metadata={**points.dX.metadata(), "law": number})
     if declaration.operator is None:
         energy = law.energy(end_of_step(points, u), **declaration.given)
         term = ufl.derivative(energy * dX, u, v)
@@ -231,24 +226,24 @@ def stress(
 ) -> Expr:
     """Cauchy stress at the end of the step (Pa), in UFL, for any term over the points.
 
-    The solver derives its tangent, and `ufl.derivative` of it by the increment, as in
-    Nitsche's method, is the law's consistent tangent. The derivative of that, which Newton's
-    method needs then, is a central difference of the tangent: the law is asked twice more for
-    each component of ∇ũ.
+    The solver derives the tangent of the term. `ufl.derivative` of the stress by the increment, as
+    in Nitsche's method, is the law's consistent tangent. Newton's method then also needs the
+    derivative of this tangent. It is computed by central differences, with two more calls of the
+    law per component of ∇ũ.
 
-    A problem needs the law's `momentum` too, or another term that keeps the stress in balance.
-    With the same arguments as there both share one evaluation of the law.
+    A problem also needs the law's `momentum`, or another term that balances the stress. With the
+    same arguments, `momentum` and `stress` share one evaluation of the law.
 
     Args:
-        law, points, u, strain, fbar: As for `momentum`.
-        tag: Likewise; at other points the stress of a law with a kernel is 0. Restrict the
+        law, points, u, strain, fbar: See `momentum`.
+        tag: See `momentum`. At other points the stress of a law with a kernel is 0. Restrict the
             term to the same tags, `points.dX(tag)`.
 
     Returns:
         An expression of shape (strain_dim, strain_dim), which is (3, 3) at axisymmetric points.
 
     Raises:
-        ParameterError: As for `momentum`; or F-bar is asked for under Jaumann's rate.
+        ParameterError: See `momentum`; or fbar is given with strain="jaumann".
     """
     number = _declare(law, points, u, strain, fbar, tag)
     declaration = points.declarations[number]
@@ -260,10 +255,10 @@ def stress(
         return S
     if declaration.strain == "jaumann" and fbar:
         raise ParameterError(
-            "mpm.stress: there is no stress of fbar=True under Jaumann's rate, whose flux belongs "
-            'to the mean volume; use strain="large" or fbar=False'
+            "mpm.stress: fbar=True has no Cauchy stress with Jaumann's rate, because its flux "
+            'belongs to the mean volume; use strain="large" or fbar=False'
         )
-    # with F-bar the flux holds J/J̄, so that σ = τ/J̄
+    # with F-bar the flux contains the factor J/J̄, so that σ = τ/J̄
     dF = ufl.Identity(d) + gradient(points, u)
     return S * dF.T / ufl.det(dF * points.F)
 
@@ -275,16 +270,16 @@ def flux(
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
 ) -> tuple[Expr, Declaration]:
-    """What `momentum` multiplies by ∇̃v, per volume at the start of the step (Pa).
+    """Flux that multiplies ∇̃v in `momentum`, per volume at the start of the step (Pa).
 
-    Its product with a normal at the start of the step is the force per area there.
+    The flux times a normal at the start of the step is the force per area at the start.
 
     Args:
-        law, points, u, strain, tag: As for `momentum`.
+        law, points, u, strain, tag: See `momentum`.
 
     Returns:
-        An expression of shape (gdim, gdim), at axisymmetric points without the hoop term, which no
-        normal has a part in, and the law's declaration.
+        The flux, an expression of shape (gdim, gdim), and the law's declaration. At axisymmetric
+        points the hoop term is left out, because normals have no hoop component.
     """
     declaration = points.declarations[_declare(law, points, u, strain, False, tag)]
     d, S = points.strain_dim, declaration.operator
@@ -306,35 +301,35 @@ def set_stress(
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
 ) -> None:
-    """Give the points an initial stress, and the elastic strain that goes with it. Collective.
+    """Set an initial stress of the points, and the elastic strain for this stress. Collective.
 
-    Sets the state of the measure of strain named (`be` or `elastic_strain`), so that the
-    law returns the stress as long as nothing moves, and the field `stress`. Deformation
-    gradients, positions and internal variables stay: what the points went through before
-    counts as no deformation, under whatever law or measure it was. Call it before or after
-    the problem is made, with the same law, measure and tag; the internal variables, such
-    as a preconsolidation pressure, must admit the stress by then.
+    The function sets the field `stress` and the elastic strain of the strain formulation (`be` or
+    `elastic_strain`). The law then returns the stress as long as nothing moves. Deformation
+    gradients, positions and internal variables stay. Earlier deformation no longer counts, with
+    any law and strain formulation. Call the function before or after the problem is made, with the
+    same law, strain formulation and tag. Internal variables, such as a preconsolidation pressure,
+    must admit the stress at the time of the call.
 
     Args:
         points: Material points.
-        law: The law that the problem uses.
-        stress: Cauchy stress (Pa), tension positive: shape (3, 3), (n, 3, 3) for all points
-            of this rank, or a function of the present positions of the law's points, shape
-            (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.
-        strain: Measure of strain of the problem; see `momentum`.
-        tag: Tags of the points that get it, those of the law; None means all.
+        law: The law of the problem.
+        stress: Cauchy stress (Pa), positive in tension: shape (3, 3); shape (n, 3, 3) for all
+            points of this rank; or a function of the present positions (m) of the law's points,
+            shape (gdim, n), that returns shape (n, 3, 3), such as `geostatic_stress` makes.
+        strain: Strain formulation of the problem; see `momentum`.
+        tag: Tags of the points that get the stress, the tags of the law; None means all points.
 
     Raises:
-        FieldShapeError: The array has the wrong shape.
+        FieldShapeError: The array has a wrong shape.
         ParameterError: A stress is not finite, not symmetric, or has shear out of the
-            dimensions of the points; the law or measure is not known; or no point has the tag.
-        StateError: A stress lies outside the yield surface or cannot be reached by elastic
-            strain; the message has the point, its stress and its parameters. No point
-            is changed then.
+            dimensions of the points; the law or the strain formulation is not known; or no point
+            has the tag.
+        StateError: A stress lies outside the yield surface, or no elastic strain gives it. The
+            message has the point, its stress and its parameters. No point is changed.
     """
     one = framework(law, points, strain, tag)
     check_in_use("tag", points, one.tags)
     one.bind()
     write_stress(one, stress)
-    # problems that are there look at it before they go on
+    # existing problems check the revision before their next step
     points.revision += 1

@@ -1,4 +1,4 @@
-"""What a measure of strain is: a few functions in UFL, compiled with the derivatives UFL finds."""
+"""Strain formulations as a few functions in UFL, compiled together with their derivatives."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
-from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.core.expr import Expr
 
+from dolfinmpm.forms.pointterms import derive
 from dolfinmpm.forms.pointwise import Program, compile_here
 from dolfinmpm.kinematics.spectral import components, layout
 
@@ -21,25 +21,21 @@ __all__ = ["StrainMeasure", "measure_in"]
 Array = npt.NDArray[np.float64]
 
 
-def _diff(expression: Expr, variable: Expr) -> Expr:
-    return apply_derivatives(apply_algebra_lowering(ufl.diff(expression, variable)))
-
-
 def _entries(tensor: Expr) -> list[Expr]:
     return [tensor[i] if i else tensor for i in np.ndindex(*tensor.ufl_shape)]
 
 
 class StrainMeasure:
-    """How an increment makes the trial tensor of a law, and how the law's stress makes a flux.
+    """The trial tensor of a law from an increment, and the flux from the law's stress.
 
-    A subclass states these in UFL, for the gradient H of the increment, shape (d, d); all
-    derivatives follow. Each is compiled when first asked for, by the rank that asks: nothing
-    here is collective, and one that never assembles a tangent compiles none.
+    A subclass defines both in UFL, for the gradient H of the increment, shape (d, d). Derivatives
+    are found by UFL. Each function is compiled at its first use, by the rank that uses it. Nothing
+    is collective, and a rank that never assembles a tangent compiles no tangent.
 
     Attributes:
-        logarithmic: Whether the trial tensor is a left Cauchy–Green tensor, b with ε = ½ ln b,
-            instead of a strain.
-        checks: How many numbers must be positive.
+        logarithmic: True if the trial tensor is a left Cauchy–Green tensor b, with ε = ½ ln b.
+            False if it is a strain.
+        checks: How many numbers `positive` returns.
 
     Args:
         d: Dimension of space.
@@ -49,7 +45,7 @@ class StrainMeasure:
 
     def __init__(self, d: int):
         self.d, at = d, layout(d)
-        # any domain will do, for nothing is integrated over it
+        # the domain can be any domain, because nothing is integrated
         element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
         self._z = z = ufl.Constant(ufl.Mesh(element, ufl_id=0), shape=(at.size,))
         six, inside = components(3), components(d)
@@ -74,22 +70,22 @@ class StrainMeasure:
         )  # fmt: skip
         self.checks = len(self.positive(self._H))
 
-    # -- what a subclass states ----------------------------------------------------
+    # -- defined by a subclass -------------------------------------------------------
 
     def rate(self, H: Expr) -> Expr:
-        """First stage of the trial tensor, shape (d, d); H itself by default.
+        """First stage G of the trial tensor, shape (d, d); by default G is H.
 
-        A stage of its own keeps the derivatives of long expressions short: they are
-        multiplied as numbers.
+        A first stage shortens the derivatives of long expressions: the derivatives of both stages
+        are multiplied as numbers.
         """
         return H
 
     def trial(self, G: Expr, old: Expr) -> Expr:
-        """Trial tensor, symmetric, shape (d, d).
+        """Symmetric trial tensor, shape (d, d).
 
         Args:
-            G: The first stage.
-            old: The state at the start of the step.
+            G: The first stage, shape (d, d).
+            old: Elastic state at the start of the step, shape (d, d).
         """
         raise NotImplementedError
 
@@ -97,21 +93,21 @@ class StrainMeasure:
         """Flux per initial volume (Pa), shape (d, d).
 
         Args:
-            stress: The law's stress.
-            H: The increment's gradient.
-            F: Deformation gradient at the start of the step.
+            stress: The law's stress (Pa), shape (d, d).
+            H: The increment's gradient, shape (d, d).
+            F: Deformation gradient at the start of the step, shape (d, d).
         """
         raise NotImplementedError
 
     def volume(self, H: Expr, F: Expr) -> Expr:
-        """Ratio of the law's stress to Cauchy's at the end of the step."""
+        """Ratio of the law's stress to the Cauchy stress at the end of the step."""
         return ufl.as_ufl(1.0)
 
     def positive(self, H: Expr) -> list[Expr]:
-        """Numbers that must be positive, or the point is turned inside out."""
+        """Numbers that are positive unless the increment turns the point inside out."""
         return []
 
-    # -- what follows ----------------------------------------------------------------
+    # -- derived from these functions --------------------------------------------------
 
     @property
     def _staged(self) -> bool:
@@ -143,24 +139,24 @@ class StrainMeasure:
 
     @functools.cached_property
     def _slopes(self) -> list[Program | None]:
-        """Tangent, and the derivatives of the two stages if there are two."""
+        """Programs of the tangent, and of the derivatives of two stages, or None."""
         flux = self.flux(self._tau, self._H, self._F)
-        slope = self._slope if self._staged else _diff(self._trial_of(self._H), self._H)
+        slope = self._slope if self._staged else derive(self._trial_of(self._H), self._H)
         i, j, m, n, a, b = ufl.indices(6)
-        through = _diff(flux, self._stress)[i, j, a] * (self._law[a, b] * slope[b, m, n])
-        total = _diff(flux, self._H) + ufl.as_tensor(through, (i, j, m, n))
+        through = derive(flux, self._stress)[i, j, a] * (self._law[a, b] * slope[b, m, n])
+        total = derive(flux, self._H) + ufl.as_tensor(through, (i, j, m, n))
         programs: list[Program | None] = [self._program(_entries(apply_algebra_lowering(total)))]
         if not self._staged:
             return [*programs, None, None]
-        by_H, by_G = _diff(self.rate(self._H), self._H), _diff(self._trial_of(self._G), self._G)
+        by_H, by_G = derive(self.rate(self._H), self._H), derive(self._trial_of(self._G), self._G)
         return [*programs, self._program(_entries(by_H)), self._program(_entries(by_G))]
 
     def programs(self, slopes: bool, volume: bool) -> tuple[int, ...]:
-        """Addresses of the compiled functions, as `stress_kernel` takes them; 0 where none is.
+        """Addresses of the compiled functions for `stress_kernel`; 0 for functions not needed.
 
         Args:
-            slopes: Whether a tangent is asked for.
-            volume: Whether the end of the step is.
+            slopes: Whether the tangent is needed.
+            volume: Whether the state at the end of the step is needed.
         """
         asked: list[Any] = [self._first, self._second, self._flux]
         asked.append(self._volume if volume else None)
@@ -168,15 +164,15 @@ class StrainMeasure:
         return tuple(0 if program is None else program.function for program in asked)
 
     def trials(self, H: Array, state: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Trial tensors outside the loop, for messages.
+        """Trial tensors outside the compiled loop, for messages.
 
         Args:
             H: Gradients of the increment, shape (n, d²).
-            state: State at the start of the step, shape (n, 6).
+            state: Elastic state at the start of the step, shape (n, 6).
 
         Returns:
-            Their components, shape (n, m), and whether the points are not turned inside out,
-            shape (n,).
+            The m independent components of the trial tensors, shape (n, m), and whether each point
+            is not turned inside out, shape (n,).
         """
         at = layout(self.d)
         z = np.zeros((len(H), at.size))
@@ -196,7 +192,7 @@ _made: dict[tuple[type[StrainMeasure], int], StrainMeasure] = {}
 
 
 def measure_in(kind: type[StrainMeasure], d: int) -> StrainMeasure:
-    """The measure in d dimensions; asked again, the same one."""
+    """The strain formulation in d dimensions, one object per kind and dimension."""
     if (kind, d) not in _made:
         _made[kind, d] = kind(d)
     return _made[kind, d]

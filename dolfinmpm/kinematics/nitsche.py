@@ -1,22 +1,23 @@
-"""Essential conditions imposed in the weak form, on boundaries that do not fit the grid.
+"""Essential conditions in the weak form, on boundaries that do not fit the grid.
 
-With the traction t(u) of the law at a marker, and what is missing of the prescribed
-displacement, w(u) = gap + u − Δg, Nitsche's method (Nitsche 1971, doi 10.1007/BF02995904) adds
+The marker's traction by the law is t(u). The deviation from the prescribed displacement is
+w(u) = gap + u − Δg. Nitsche's method (Nitsche 1971, doi 10.1007/BF02995904) adds
 
     − ∫ t(u)·v da ∓ ∫ t_e(v)·w(u) da + ∫ k w(u)·v da
 
-to the internal forces: the reaction of the boundary, what makes the whole symmetric (−) or skew
-(+), and a penalty that is no more than stability needs. In the second term the traction is that of
-the law's elasticity: where much of the displacement is still missing, second derivatives of the
-law would make the tangent of the whole indefinite, and whether a point at the yield surface has
-a plastic tangent at the start of a step is a matter of rounding. For the symmetric one k must
-exceed the constant of ∫ |t_e(v)|² da ≤ k a(v, v), which `dolfinmpm.assembly.nitschepenalty`
-computes from the cells with their stabilisation against small cuts; twice that is taken. The
-penalty method keeps the last term alone.
+to the internal forces. The first term is the reaction of the boundary. The second term makes the
+form symmetric (−) or skew-symmetric (+). The third term is a penalty, no larger than stability
+needs. The second term has the traction t_e of the law's elasticity, for two reasons. For a large
+deviation w, second derivatives of the law could make the tangent indefinite. At the start of a
+step, rounding decides whether a point at the yield surface has a plastic tangent. The symmetric
+method needs a penalty k above the constant of ∫ |t_e(v)|² da ≤ k a(v, v).
+`dolfinmpm.assembly.nitschepenalty` computes this constant from the cells with their stabilisation
+against small cuts, and k is twice the constant. The penalty method has only the last term.
 
-The gap is what former steps have left of w, so that nothing accumulates. Explicit steps have the
-forces of the gap and of the stress at their start, see `dolfinmpm.dynamics.boundaryforces`; there
-ghost penalties do not act, and Nitsche's constants are small where nodes are tied alone.
+The gap is the deviation w at the end of the last step, so that deviations do not accumulate.
+Explicit steps have forces from the gap and from the stress at the start of a step, see
+`dolfinmpm.dynamics.boundaryforces`. Ghost penalties do not act in explicit steps. Nitsche's
+constants are small there only with constraints between nodes (aggregation).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import in_front, look_ahead
@@ -47,8 +48,8 @@ from dolfinmpm.materials.neohookean import NeoHookean
 
 __all__ = ["METHODS", "TRACE", "WeakCondition", "dirichlet"]
 
-# Name of the markers' field of their cells' constants (Pa/m), 0 where not known; and with _x and
-# _cell behind it where the marker and its cell were then
+# Name of the markers' field of the constants of their cells (Pa/m), 0 if not known. The fields with
+# _x and _cell behind this name are the positions of the marker and its cell at that time.
 TRACE = "trace_constant"
 
 METHODS = ("nitsche", "skew", "penalty")
@@ -59,20 +60,20 @@ _PENALTY = {"skew": 1.0, "penalty": 1e3}
 
 @dataclass(frozen=True, eq=False)
 class WeakCondition:
-    """What a weak condition keeps at its markers.
+    """A weak Dirichlet condition and its fields at the markers.
 
     Attributes:
         boundary: The boundary.
-        declaration: The law at the markers; None for a penalty of given stiffness.
+        declaration: Declaration of the law at the markers; None for a penalty without a law.
         method: One of `METHODS`.
         penalty: Penalty in units of M/h; None for twice the constant of the cells.
         fixed: Penalty (Pa/m), or None.
         stiffness: Name of the markers' field of the penalty k (Pa/m).
-        moduli: Name of that of the law's elastic moduli M and G (Pa), or None.
-        on: Name of that of whether the body is in front of a marker; None for boundaries of
-            a body, where it always is.
-        updates: The gap and the displacement reached, by name, as a step leaves them.
-        direction: The components that it holds, as `dirichlet` is given them.
+        moduli: Name of the markers' field of the law's elastic moduli M and G (Pa), or None.
+        on: Name of the markers' field that is 1 if the body is in front of a marker, else 0. None
+            for boundaries of a body, which always have the body in front.
+        updates: Fields that a step sets, by name: gap, reached displacement and force.
+        direction: Constrained components, the argument `direction` of `dirichlet`.
     """
 
     boundary: Boundary
@@ -93,7 +94,7 @@ class WeakCondition:
 
     @property
     def exact(self) -> bool:
-        """Whether it has gradients at the markers beside values, which must fit them."""
+        """Whether the terms contain gradients at the markers, which must fit the values."""
         return self.method != "penalty"
 
     def __repr__(self) -> str:
@@ -104,12 +105,12 @@ class WeakCondition:
         return self.boundary.markers[self.stiffness]
 
     def stiffest(self) -> npt.NDArray[np.float64]:
-        """The penalty at the markers of this rank as it is now, 0 where it is off (Pa/m)."""
+        """Present penalty at the markers of this rank (Pa/m), 0 if no body is in front."""
         k = self.boundary.markers[self.stiffness]
         return k if self.on is None else k * self.boundary.markers[self.on]
 
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
-        """Set the penalty where it is in units of M/h, or given, and the law's moduli.
+        """Set the law's moduli, and a penalty that is given or in units of M/h.
 
         Args:
             rows: Markers in active cells.
@@ -121,7 +122,7 @@ class WeakCondition:
         if self.on is not None:
             on = in_front(self.boundary, rows)[0]
             markers[self.on] = on.astype(float)
-            # where the body has gone it leaves nothing behind
+            # where the body has left the boundary, no gap remains
             self.gaps()[~on] = 0.0
         if self.fixed is not None:
             markers[self.stiffness] = self.fixed
@@ -132,7 +133,7 @@ class WeakCondition:
             markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
 
     def gaps(self) -> npt.NDArray[np.float64]:
-        """What is missing of the prescribed displacement at the markers of this rank (m)."""
+        """Deviation from the prescribed displacement at the markers of this rank (m)."""
         return self.boundary.markers[next(iter(self.updates))]
 
 
@@ -149,17 +150,17 @@ def dirichlet(
     penalty: float | None = None,
     stiffness_per_area: float | None = None,
 ) -> ufl.Form:
-    """Prescribed displacement on a boundary that does not fit the grid, to be added.
+    """Prescribed displacement on a boundary that does not fit the grid: terms to add to a form.
 
     Args:
         law: The law of the body there, whose traction Nitsche's method needs. None with
             method="penalty" and a stiffness per area.
         boundary: The boundary.
-        u: Increment of the step, `Space.increment`.
+        u: Increment of the displacement in the step (m), `Space.increment`.
         v: Test function, `Space.test`.
-        value: Displacement since the first step (m): a vector, or with a direction a number
-            along it; a DOLFINx constant, which steps scale in parts, a UFL expression over the
-            boundary, or a function of first positions (m), shape (gdim, n), to (n, gdim) or (n,).
+        value: Displacement since the first step (m): a vector, or a number with a `direction`; a
+            DOLFINx constant, which substeps scale; a UFL expression over the boundary; or a
+            function of first positions (m), shape (gdim, n), that returns shape (n, gdim) or (n,).
         method: "nitsche", "skew" or "penalty".
         direction: None for all components, "normal" for the one along the boundary's
             normal at the start of the step, as of rollers at any angle and symmetry planes, or
@@ -173,7 +174,8 @@ def dirichlet(
         stiffness_per_area: k itself (Pa/m), instead.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument is not valid; beta and stiffness are both given; or the law is
+            missing.
     """
     check_kind("boundary", boundary, Boundary, "make it with mpm.Boundary.from_polygon(...)")
     markers, d = boundary.markers, boundary.points.gdim
@@ -186,7 +188,7 @@ def dirichlet(
         traction = ufl.dot(P, boundary.normal)
     elif method != "penalty" or stiffness_per_area is None:
         raise ParameterError(
-            'law = None is of method="penalty" with a stiffness_per_area (Pa/m) alone; give the '
+            'law = None goes only with method="penalty" and a stiffness_per_area (Pa/m); give the '
             "law of the body at the boundary"
         )
     onto = _projection(boundary, direction)
@@ -224,10 +226,8 @@ def dirichlet(
         for name in (f"{TRACE}_x", f"{TRACE}_cell"):
             markers.add_field(name, (d,), "m")
     mark = {**boundary.ds.metadata(), "condition": condition}
-    where: Any = "everywhere"
-    if declaration is not None and declaration.tags is not None:
-        where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
-    ds = boundary.ds(where, metadata=mark)
+    tags = None if declaration is None else declaration.tags
+    ds = boundary.ds(subdomain(tags), metadata=mark)
     return resisting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
 
 
@@ -242,7 +242,7 @@ def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> floa
 
 
 def _axis(boundary: Boundary, direction: Any) -> Expr:
-    """The unit vector of a direction."""
+    """Unit vector of a direction, for UFL."""
     if isinstance(direction, str):
         choice("direction", direction, ("normal",))
         return boundary.normal
@@ -267,7 +267,7 @@ def _projection(boundary: Boundary, direction: Any) -> Callable[[Expr], Expr]:
 
 
 def _value(boundary: Boundary, value: Any, shape: tuple[int, ...], name: str) -> Expr:
-    """What is prescribed, for UFL."""
+    """The prescribed displacement, for UFL."""
     what = "a number along the direction" if shape == () else f"a vector of shape {shape}"
     if isinstance(value, Expr):
         if value.ufl_shape != shape:

@@ -1,4 +1,4 @@
-"""A law's parameters at the points: numbers, or a field that goes with the points."""
+"""A law's parameters at the points: numbers, or a field of the points."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Array = npt.NDArray[np.float64]
 class PointParameters:
     """The parameters of a law at its points.
 
-    If any varies they are the field `<law>_parameters` of the points, `<law>_parameters_2`
-    for the second law of that name: arrays are given in the order that the points have when
-    the law is bound, and points migrate afterwards.
+    If a parameter varies, all parameters are a field of the points, `<law>_parameters`, or
+    `<law>_parameters_2` for the second law of the same class. Arrays of values are in the order of
+    the points at the time of binding; later, points can move to other ranks.
 
     Attributes:
         field: Name of the field; empty if no parameter varies.
@@ -31,7 +31,7 @@ class PointParameters:
     Args:
         law: The law.
         points: Material points.
-        tags: Tags of the points that the law is for.
+        tags: Tags of the points with this law; None means all points.
     """
 
     def __init__(self, law: Parametrised, points: MaterialPoints, tags: Tags):
@@ -50,11 +50,11 @@ class PointParameters:
             self._numbers = law.parameter_array()
 
     def adopt(self) -> None:
-        """Give parameters to those of the law's points that have none. Collective.
+        """Set the parameters of the law's points that have no parameters yet. Collective.
 
         Raises:
-            ParameterError: A value is outside its range, or their number is not that of
-                the points.
+            ParameterError: A value is out of range, or the number of values is not the number of
+                points.
         """
         if not self.field:
             return
@@ -63,26 +63,27 @@ class PointParameters:
         rows = rows_within(points, self.tags)
         if not new:
             rows = rows[np.isnan(points[self.field][rows, 0])]
-        # an array is for the points that there are at first, and is asked for no others
+        # an array has values only for the first points: later calls need it only for new points
         asked = new or rows.size > 0
         values = call_together(
             points.comm, lambda: self.law.parameter_array(points["x0"][rows]) if asked else None
         )
         if values is not None:
-            # a kernel may take numbers that follow from the parameters, besides these
+            # the arrays may have more columns: numbers that a kernel derives from the parameters
             points.add_field(self.field, values.shape[1:], "", np.nan)
             points[self.field][rows] = values
 
     def weaken(self, factor: float | None) -> None:
-        """Divide the strength that the law gives by a factor, see `weakened`. Collective.
+        """Divide the strength of the law by a factor, see `weakened`. Collective.
 
-        Where parameters vary, the points keep what they were in a further field, until None.
+        If parameters vary, a further field of the points keeps the first values until a call with
+        None.
 
         Args:
-            factor: The factor; 0 for a body that does not yield, None for the law's own strength.
+            factor: The factor; 0 for a body that does not yield, None for the full strength.
 
         Raises:
-            ParameterError: The law does not tell what its strength is, or reduced parameters
+            ParameterError: The law does not tell its strength, or the reduced parameters
                 contradict each other.
         """
         law, points = self.law, self.points
@@ -105,5 +106,9 @@ class PointParameters:
         points[self.field][rows] = found
 
     def at(self, rows) -> Array:
-        """Their values, shape (1, parameters) or, if any varies, (len(rows), parameters)."""
+        """Parameters at some points, shape (1, parameters), or (len(rows), parameters) if varying.
+
+        Args:
+            rows: Numbers of the points on this rank, or a slice.
+        """
         return self.points[self.field][rows] if self.field else self._numbers

@@ -1,4 +1,4 @@
-"""Small strain: strains add up, and equilibrium is that of the body at first."""
+"""Small strain: strain increments are added, and equilibrium is on the initial volume."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class _Small(StrainMeasure):
 
 
 class SmallStrain(Framework):
-    """A law under small strain: ε = ε_e,n + sym ∇ũ, flux S = σ per initial volume.
+    """A law with small strain: ε = ε_e,n + sym ∇ũ, flux S = σ per initial volume.
 
-    Strain and stress of the law are those of the linear theory, where logarithmic and
-    engineering strain, and Cauchy's, Kirchhoff's and Piola's stress, are the same.
-    Nothing rotates and no volume changes. In plane strain the elastic strain across
-    stays where plastic strain opposes it. Points still move with the grid, and each
-    step takes its gradients where they then are: errors are those of the linear theory,
-    of the order of strains and rotations.
+    Strain and stress of the law are the strain and stress of the linear theory. In this theory
+    logarithmic and engineering strain are the same, and so are the stresses of Cauchy, Kirchhoff
+    and Piola. Rotations and volume changes have no effect. In plane strain, the elastic strain out
+    of the plane is kept, because plastic strain balances it. Points still move with the grid, and
+    each step takes gradients at their present positions. The errors are the errors of the linear
+    theory, of the order of strains and rotations.
 
     The state is the field `elastic_strain`; see `Framework`.
     """

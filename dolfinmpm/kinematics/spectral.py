@@ -1,17 +1,17 @@
-"""The one loop over the points: isotropic laws in the principal axes of their trial tensors.
+"""The loop over the points: isotropic laws in the principal axes of their trial tensors.
 
-A law is a function of three principal strains. An isotropic function of a symmetric tensor
-has the tensor's axes, and its derivative follows from that of the principal values: along
-the axes n_a ⊗ n_a the law's own tangent, between two axes the secant of the values (Ogden
-1984, Non-Linear Elastic Deformations, §6.1.4; de Souza Neto, Perić & Owen 2008,
-Computational Methods for Plasticity, appendix A). What comes before and after, from the
-increment to the trial tensor and from the law's stress to the flux, are functions that FFCx
-has compiled, see `dolfinmpm.kinematics.measures`; the loop calls them by their addresses,
-so that nothing between them leaves the cache.
+A law is a function of three principal strains. An isotropic function of a symmetric tensor has the
+axes of the tensor. Its derivative follows from the derivative of the principal values: along the
+axes n_a ⊗ n_a it is the law's tangent, between two axes it is the secant of the values (Ogden 1984,
+Non-Linear Elastic Deformations, §6.1.4; de Souza Neto, Perić & Owen 2008, Computational Methods
+for Plasticity, appendix A). The steps before and after the law are functions that FFCx has
+compiled: from the increment to the trial tensor, and from the law's stress to the flux; see
+`dolfinmpm.kinematics.measures`. The loop calls these functions by their addresses, so that the
+data of a point stay in the cache.
 
-Symmetric tensors are rows of numbers, xx, yy, zz, xy, yz, xz of points' fields, and of trial
-tensors and stresses those of them that lie within the dimensions of the points. What is
-beyond these stands in its own axes.
+Symmetric tensors are stored as rows of numbers: xx, yy, zz, xy, yz, xz in fields of points. Trial
+tensors and stresses have only the components within the dimensions of the points. Directions out of
+these dimensions are principal axes.
 """
 
 from __future__ import annotations
@@ -37,17 +37,19 @@ def components(d: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the data of a point stand in the one array that all compiled functions take.
+    """Positions of a point's data in the array of constants of all compiled functions.
+
+    m is the number of independent components of a symmetric tensor in d dimensions.
 
     Attributes:
         H: Gradient of the increment, d² numbers.
-        F: Deformation gradient at the start of the step, d².
-        state: State then, 6.
-        G: First stage of the kinematics, d².
-        stress: The law's stress, m.
-        law: Its derivative by the trial tensor, m².
-        slope: Derivative of the trial tensor by H, m d², where there are two stages.
-        size: Numbers in all.
+        F: Deformation gradient at the start of the step, d² numbers.
+        state: Elastic state at the start of the step, 6 numbers.
+        G: First stage of the trial tensor, d² numbers.
+        stress: The law's stress, m numbers.
+        law: Derivative of the stress by the trial tensor, m² numbers.
+        slope: Derivative of the trial tensor by H, m d² numbers, for two stages.
+        size: Number of all numbers.
     """
 
     H: int
@@ -70,8 +72,9 @@ def layout(d: int) -> Layout:
 def kept_numbers(d: int, variables: int) -> int:
     """How many numbers of a point's response `stress_kernel` keeps.
 
-    They are the axes, d², the trial tensor's principal values, the principal strains before and
-    after the law and its stresses, 3 each, the law's tangent, 9, and the internal variables.
+    They are the principal axes (d²), the principal values of the trial tensor (3), the principal
+    strains before and after the law (3 each), the principal stresses (3), the law's tangent (9),
+    and the internal variables.
 
     Args:
         d: Dimension of space.
@@ -82,28 +85,28 @@ def kept_numbers(d: int, variables: int) -> int:
 
 @functools.cache
 def stress_kernel(d: int):
-    """The loop in d dimensions, which Numba unrolls for that d.
+    """The loop in d dimensions; Numba unrolls its inner loops for this d.
 
     `kernel(law, parameters, programs, checks, logarithmic, H, numbers, F_n, state_n, internal_n,
-    kept, known, S, A, state, internal, stress) -> first point without a stress, or -1`, with m
-    components of a symmetric tensor in d dimensions:
+    kept, known, S, A, state, internal, stress) -> first point without a stress, or -1`. m is the
+    number of independent components of a symmetric tensor in d dimensions. The arguments are:
 
-    - law, parameters: address of the law's kernel; shape (1, parameters) or (n, parameters);
-    - programs: addresses of the compiled functions, see `StrainMeasure.programs`;
-    - checks: how many numbers that must be positive the first of them writes;
-    - logarithmic: whether ε = ½ ln b of the trial tensor b, which else is the strain;
-    - H: the increment's gradient, shape (n, d²);
-    - numbers: which of all points they are, shape (n,);
-    - F_n, state_n: deformation gradient and state of all points at the start of the step, shapes
-      (all, d, d) and (all, 6); taking the rows of those n would be a pass more;
-    - internal_n: internal variables then, shape (n, variables);
-    - kept: response of the law at the points, shape (n, `kept_numbers`): written, or read
-      instead of asking the law again if `known`; one row is room for one point after another,
-      of which nothing is kept;
-    - S: written unless state is, the flux (Pa), shape (n, d²);
-    - A: written unless empty, its derivative by H, shape (n, d², d²);
-    - state, internal, stress: written unless empty, all at the end of the step, shapes
-      (n, 6), (n, variables) and, Cauchy's (Pa), (n, 6).
+    - law, parameters: address of the law's kernel; its parameters, shape (1, parameters) or
+      (n, parameters).
+    - programs: addresses of the compiled functions, see `StrainMeasure.programs`.
+    - checks: how many numbers of the first program must be positive.
+    - logarithmic: True if ε = ½ ln b for the trial tensor b. False if the trial tensor is ε.
+    - H: the increment's gradient at n points, shape (n, d²).
+    - numbers: numbers of these points among all points, shape (n,).
+    - F_n, state_n: deformation gradient and elastic state of all points at the start of the step,
+      shapes (all, d, d) and (all, 6). The kernel picks the n rows itself, which saves a copy.
+    - internal_n: internal variables at the start of the step, shape (n, variables).
+    - kept: response of the law, shape (n, `kept_numbers`). It is written, or read if `known`,
+      without another call of the law. With one row, the row is reused and nothing is kept.
+    - S: written unless `state` is written: the flux (Pa), shape (n, d²).
+    - A: written unless empty: derivative of the flux by H, shape (n, d², d²).
+    - state, internal, stress: written unless empty: elastic state, internal variables and Cauchy
+      stress (Pa) at the end of the step, shapes (n, 6), (n, variables) and (n, 6).
     """
     index = components(d)
     m, dd, at = len(index), d * d, layout(d)
@@ -111,10 +114,10 @@ def stress_kernel(d: int):
     first = tuple(a for a, b in index[d:])
     second = tuple(b for a, b in index[d:])
     if d == 1:
-        first = second = (0,)  # Numba knows no empty tuple of integers
+        first = second = (0,)  # Numba does not support empty tuples of integers
     at_H, at_F, at_state, at_G = at.H, at.F, at.state, at.G
     at_stress, at_law, at_slope, size = at.stress, at.law, at.slope, at.size
-    # columns of what is kept, see `kept_numbers`: one array compiles faster than six
+    # columns of `kept`, see `kept_numbers`: one array compiles faster than six arrays
     at_value, at_given, at_strain, at_tau, at_C, at_new = (dd + k for k in (0, 3, 6, 9, 12, 21))
 
     @numba.njit(cache=True, error_model="numpy")
@@ -177,7 +180,7 @@ def stress_kernel(d: int):
                     if logarithmic:
                         if not strain > 0.0:
                             return p
-                        # beyond a plane most have none
+                        # out of the plane the strain is mostly zero
                         strain = 0.5 * math.log(strain) if strain != 1.0 else 0.0
                     kept[q, at_given + i] = kept[q, at_strain + i] = strain
                 row = p if parameters.shape[0] > 1 else 0
@@ -220,7 +223,7 @@ def stress_kernel(d: int):
             call_tabulate(flux_of, S.ctypes.data + 8 * p * dd, data)
             if not sloping:
                 continue
-            # in the symmetric basis n_a ⊗ n_a, and n_a ⊗ n_b + n_b ⊗ n_a between two axes
+            # symmetric basis: n_a ⊗ n_a along the axes, n_a ⊗ n_b + n_b ⊗ n_a between two axes
             for a in range(d):
                 for k in range(m):
                     W[a, k] = 0.0
@@ -235,7 +238,7 @@ def stress_kernel(d: int):
                 if logarithmic:
                     apart = abs(gap) > 1e-8
                 else:
-                    # a difference of stresses tells nothing where rounding has made it
+                    # a difference of stresses is useless if it is only a rounding error
                     apart = abs(gap) * (abs(aa) + abs(bb)) > 1e-8 * (abs(tau_a) + abs(tau_b))
                 if apart:
                     secant = (tau_a - tau_b) / gap
@@ -243,7 +246,7 @@ def stress_kernel(d: int):
                     ab, ba = kept[q, at_C + 3 * a + b], kept[q, at_C + 3 * b + a]
                     secant = 0.5 * (aa - ab - ba + bb)
                 if logarithmic:
-                    # (ε_a − ε_b)/(λ_a − λ_b), free of cancellation where stretches meet
+                    # (ε_a − ε_b)/(λ_a − λ_b), without cancellation for nearly equal stretches
                     value_b = kept[q, at_value + b]
                     t = (kept[q, at_value + a] - value_b) / value_b
                     ratio = 0.5 / value_b
@@ -261,7 +264,7 @@ def stress_kernel(d: int):
                     total = 0.0
                     for r in range(m):
                         total += N[r, k] * W[r, j]
-                    # a component off the diagonal stands at two places
+                    # an off-diagonal component is at two places of the tensor
                     z[at_law + k * m + j] = total if j < d else 2.0 * total
             if staged:
                 by_H[:] = 0.0

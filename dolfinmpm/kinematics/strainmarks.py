@@ -1,4 +1,4 @@
-"""Which measure of strain the points have moved under, and the refusal of another."""
+"""Marks of the strain formulation with which points have moved, and checks of these marks."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dolfinmpm.body.points import MaterialPoints
 __all__ = ["ENERGY", "GIVEN", "MARKS", "check_history", "refuse_stress"]
 
 ENERGY = "energy"
-# what stands in the points' field `moved_under`; 0 if they have not moved
+# values of the points' field `moved_under`; 0 for points that have not moved
 MARKS = {"large": 1, "small": 2, "jaumann": 3, ENERGY: 4}
-# what is added to it where a stress was set and nothing has moved since
+# added to the value if a stress was set and the point has not moved since
 GIVEN = 16
 _STATE = {
     "large": "the elastic strain in `be`",
@@ -31,23 +31,24 @@ def _named(measure: str) -> str:
 def check_history(
     points: MaterialPoints, rows: npt.NDArray[np.int32], measure: str, law: str
 ) -> None:
-    """Refuse points that have moved under another measure of strain. Collective.
+    """Refuse points that have moved with another strain formulation. Collective.
 
-    Their stress would come from a state that nobody has kept: a body in equilibrium
-    would settle a second time.
+    Their stress would come from a field that was not updated. A body in equilibrium would then
+    settle a second time.
 
     Args:
         points: Material points.
-        rows: Those of this rank that a law is for.
-        measure: Its measure, a key of `MARKS`.
+        rows: Points of the law on this rank.
+        measure: Strain formulation of the law, a key of `MARKS`.
         law: The law and its tags, for the message.
 
     Raises:
-        StateError: Some have; the message tells how many, and how to go on.
+        StateError: Points have moved with another formulation. The message tells how many, and
+            how to go on.
     """
     marks = points.fields.read("moved_under")
     own = (marks if len(rows) == len(marks) else marks[rows]) % GIVEN
-    # most have moved under this one, or not at all: extremes are found at once
+    # usual case: all points have moved with this formulation, or none has moved
     low, high = (int(own.min()), int(own.max())) if own.size else (0, 0)
     fits = high == 0 or (high == MARKS[measure] and (low == high or not np.any(own % high)))
     if points.comm.allreduce(fits, op=MPI.LAND):
@@ -58,34 +59,32 @@ def check_history(
     if not others:
         return
     done = " and ".join(f"{counts[MARKS[name]]} under {_named(name)}" for name in others)
-    stabilisation = (
+    advice = (
         "set the state that gives the present stress first, "
         f'mpm.set_stress(points, law, points["stress"], strain="{measure}")'
         if measure != ENERGY else
-        "no stress can be set there: go on with a law that has a kernel, such as Hencky, or begin "
-        "with new points"
+        "a stress cannot be set for this law: go on with a law that has a kernel, such as Hencky, "
+        "or begin with new points"
     )  # fmt: skip
     raise_together(
         points.comm,
         StateError(
             f"{law}: of its {counts.sum()} points have moved {done}; they cannot go on under "
-            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {stabilisation}"
+            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {advice}"
         ),
     )
 
 
 def refuse_stress(points: MaterialPoints, rows: npt.NDArray[np.int32], law: str) -> None:
-    """Refuse a stress at points that have not moved, for a law that cannot begin with one.
-
-    Collective.
+    """Refuse an initial stress for a law that cannot have an initial stress. Collective.
 
     Args:
         points: Material points.
-        rows: Those of this rank that the law is for.
+        rows: Points of the law on this rank.
         law: The law and its tags, for the message.
 
     Raises:
-        ParameterError: There is one.
+        ParameterError: A point that has not moved has a stress.
     """
     stress, error = points.fields.read("stress"), None
     still = rows[points.fields.read("moved_under")[rows] == 0] if stress.any() else rows[:0]
@@ -93,9 +92,9 @@ def refuse_stress(points: MaterialPoints, rows: npt.NDArray[np.int32], law: str)
     if np.any(stress):
         k = int(np.argmax(np.any(stress, axis=(1, 2))))
         error = ParameterError(
-            f"{law} has its stress from the deformation gradient alone, and the field `stress` is "
-            f"{stress[k].tolist()} Pa at {points['x'][still[k]]} m before anything moves: set it "
-            "to zero, or take a law with a kernel, such as mpm.materials.Hencky, and "
+            f"{law} computes its stress only from the deformation gradient, but the field `stress` "
+            f"is {stress[k].tolist()} Pa at {points['x'][still[k]]} m before anything moves: set "
+            "the field to zero, or take a law with a kernel, such as mpm.materials.Hencky, and "
             "mpm.set_stress"
         )
     raise_together(points.comm, error)

@@ -1,16 +1,17 @@
-"""Walls that push but do not pull: Signorini's conditions, with Coulomb friction or without.
+"""Walls that push but do not pull: Signorini's conditions, with or without Coulomb friction.
 
-At a marker of a wall with outward normal n, where the body would go to, the gap g (positive where
-the body is too far out) and the traction of the wall on the body are
+The normal n of a wall points outwards, away from the body. The gap g at a marker is positive if the
+body is behind the wall. The pressure p and the traction t of the wall on the body are
 
-    p = k ⟨g⟩,   t = −p n + t_s,   |t_s| ≤ μ p,
+    p = k ⟨g⟩,   t = −p n + t_s,   |t_s| ≤ μ p.
 
-with the shear t_s that Coulomb's law returns of t_s,n − k_t P u, P = I − n⊗n. The gap is that of
-the start of the step plus n·u, and goes on below zero: what lifts off comes back where it left.
-Where a wall has had no contact yet, the gap is the way from the nearest point's domain.
+The shear t_s is t_s,n − k_t P u with P = I − n⊗n, returned to Coulomb's bound. The gap is the gap
+at the start of the step plus n·u. It continues below zero, so that a body that lifts off returns at
+the same place. At markers without earlier contact, the gap is the distance from the nearest point's
+domain.
 
-In steps in time such contact oscillates under the trapezoidal rule with a consistent mass, as any
-penalty does; a lumped mass or `GeneralisedAlpha` with ρ∞ < 1 damps it.
+In steps in time with the trapezoidal rule and a consistent mass, this contact oscillates, like any
+penalty. A lumped mass, or `GeneralisedAlpha` with ρ∞ < 1, damps the oscillations.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from dolfinmpm.body.acting import resisting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
-from dolfinmpm.forms.declarations import Declaration
+from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.kinematics.coverage import in_front, look_ahead
@@ -56,7 +57,7 @@ _STILL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """What a wall keeps at its markers.
+    """A wall and its fields at the markers.
 
     Attributes:
         boundary: The wall.
@@ -88,12 +89,12 @@ class Wall:
         return self.boundary.markers[self.stiffness]
 
     def stiffest(self) -> npt.NDArray[np.float64]:
-        """Largest stiffness at the markers of this rank, 0 where no body is in front (Pa/m)."""
+        """Largest stiffness at the markers of this rank (Pa/m), 0 if no body is in front."""
         markers = self.boundary.markers
         return max(1.0, self.slip) * markers[self.stiffness] * markers[f"{self.name}_on"]
 
     def prepare(self, rows: npt.NDArray[np.integer]) -> None:
-        """Find where the body is in front of the wall, and how far.
+        """Set the penalty, and find the markers with the body in front and their gaps.
 
         Args:
             rows: Markers in active cells.
@@ -105,10 +106,10 @@ class Wall:
         elif self.declaration is not None:
             of_law = self.declaration.rows
             k[of_law] = self.penalty * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
-        on, way = in_front(self.boundary, rows)
+        on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
-        gap[new] = np.minimum(-way, 0.0)[new]
+        gap[new] = np.minimum(-distance, 0.0)[new]
         self._inherit(new, known > 0.0, (gap, shear))
         gap[~on], shear[~on] = 0.0, 0.0
         known[:] = on
@@ -119,12 +120,12 @@ class Wall:
         old: npt.NDArray[np.bool_],
         fields: tuple[npt.NDArray[np.float64], ...],
     ) -> None:
-        """Give markers that the body comes to what those have that it is at. Collective.
+        """Copy fields from near markers with the body to markers that the body reaches. Collective.
 
         Args:
-            new: Markers that it comes to.
-            old: Those that it was at in the last step.
-            fields: Changed.
+            new: Whether the body reaches each marker in this step, shape (markers,).
+            old: Whether the body was at each marker in the last step, shape (markers,).
+            fields: Fields of the markers; changed.
         """
         markers, comm = self.boundary.markers, self.boundary.points.comm
         if not comm.allreduce(bool(new.any()), op=MPI.LOR):
@@ -151,7 +152,7 @@ def signorini(
     slip_penalty: float = _SLIP,
     stiffness_per_area: float | None = None,
 ) -> ufl.Form:
-    """A wall that takes compression but no tension, to be added.
+    """A wall that takes compression but no tension: a term to add to a form.
 
     Args:
         law: The law of the body at the wall, whose modulus scales the penalty; None with a
@@ -168,7 +169,8 @@ def signorini(
             of it.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument is not valid; the boundary moves with a body; or law and
+            stiffness are both missing.
     """
     check_kind(
         "boundary", boundary, Boundary, 'make it with mpm.Boundary.from_side(points, "left")'
@@ -177,7 +179,7 @@ def signorini(
     check_displacement(boundary.points, u=u, v=v)
     if boundary.activates or boundary.follows:
         raise ParameterError(
-            f"{boundary} is one of a body, with follows=True or activates=True; make a wall with "
+            f"{boundary} belongs to a body (follows=True or activates=True); make a wall with "
             "mpm.Boundary.from_side, or with follows=False, activates=False"
         )
     mu = friction_coefficient(friction)
@@ -209,11 +211,11 @@ def signorini(
         trial = shear - stick * (u - ufl.dot(n, u) * n)
         least = stick * own_constant(markers.grid, _STILL * largest_cell(markers.grid))
         size = ufl.sqrt(ufl.dot(trial, trial) + least**2)
-        # continuous where slip begins, so that Newton's method sees one branch or the other
+        # the traction is continuous at the bound, so that Newton's method takes either branch
         slides = ufl.gt(size, bound)
-        rubbed = on * ufl.conditional(slides, bound / size, 1.0) * trial
-        traction += rubbed
-        updates[shear.name] = rubbed
+        returned = on * ufl.conditional(slides, bound / size, 1.0) * trial
+        traction += returned
+        updates[shear.name] = returned
     updates[force.name] = traction * markers.V
     boundary.forces.append(force.name)
     slip = slip_penalty / penalty if mu > 0 else 0.0
@@ -221,8 +223,6 @@ def signorini(
         boundary, declaration, stiffness_per_area, float(penalty), name, slip, k.name, updates
     )
     mark = {**boundary.ds.metadata(), "condition": wall}
-    where: Any = "everywhere"
-    if declaration is not None and declaration.tags is not None:
-        where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
-    ds = boundary.ds(where, metadata=mark)
+    tags = None if declaration is None else declaration.tags
+    ds = boundary.ds(subdomain(tags), metadata=mark)
     return resisting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

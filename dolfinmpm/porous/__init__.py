@@ -1,4 +1,4 @@
-"""Soil and water: coupled deformation and flow, in UFL."""
+"""Saturated soils: coupled deformation and flow of water, in UFL."""
 
 from dolfinmpm.porous.fluid import Fluid, kozeny_carman
 from dolfinmpm.porous.mixture import poromechanics

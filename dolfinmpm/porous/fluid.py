@@ -1,4 +1,4 @@
-"""What flows through the pores, and how easily."""
+"""The fluid in the pores, its permeability, and checks of the mixture's density."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ class Fluid:
     """The fluid in the pores, water by default.
 
     Args:
-        density: ρ_w (kg/m³).
-        gravity: The acceleration g (m/s²) by which hydraulic conductivities are permeabilities,
-            γ_w = ρ_w g; not the load, which a form is given apart.
-        bulk_modulus: K_w (Pa), infinite for an incompressible fluid.
+        density: Density ρ_w (kg/m³).
+        gravity: Acceleration g (m/s²) in the unit weight γ_w = ρ_w g, which turns a hydraulic
+            conductivity into a permeability. The load by gravity is another argument of
+            `poromechanics`.
+        bulk_modulus: Bulk modulus K_w (Pa), infinite for an incompressible fluid.
 
     Raises:
-        ParameterError: One is not positive.
+        ParameterError: A number is not positive.
     """
 
     density: float = 1000.0
@@ -47,33 +48,37 @@ class Fluid:
 
     @property
     def unit_weight(self) -> float:
-        """γ_w (N/m³)."""
+        """Unit weight γ_w = ρ_w g (N/m³)."""
         return self.density * self.gravity
 
     @property
     def compressible(self) -> bool:
-        """Whether its bulk modulus is finite."""
+        """Whether the bulk modulus is finite."""
         return self.bulk_modulus != math.inf
 
 
 def kozeny_carman(k: float, porosity: float) -> Permeability:
-    """Hydraulic conductivity that follows the porosity: k n³/(1 − n)² by its first value.
+    """Hydraulic conductivity that depends on the porosity n: proportional to n³/(1 − n)².
 
-    Kozeny (1927) and Carman (1937); for `poromechanics(..., permeability=...)`.
+    The formula is by Kozeny (1927) and Carman (1937). Use it in
+    `poromechanics(..., permeability=...)`.
 
     Args:
         k: Hydraulic conductivity at the first porosity (m/s).
-        porosity: That porosity, in (0, 1).
+        porosity: First porosity, in (0, 1).
+
+    Returns:
+        A function of the volume ratio J and the porosity n, for UFL.
 
     Raises:
-        ParameterError: A number is outside its range, or both look swapped: a porosity below 0.02
-            and more metres a second than that.
+        ParameterError: A number is outside its range, or the numbers look swapped: the porosity is
+            below 0.02 and smaller than the conductivity.
     """
     k, n0 = number("k", k, 0.0, unit="m/s"), number("porosity", porosity, 0.0, 1.0)
     if n0 < min(k, 0.02):
         raise ParameterError(
-            f"k = {k:g} m/s with porosity = {n0:g}: no soil is as dense and lets as much through. "
-            "They look swapped: give mpm.kozeny_carman(k, porosity)"
+            f"k = {k:g} m/s with porosity = {n0:g}: no soil is so dense and so permeable. "
+            "The numbers look swapped: give mpm.kozeny_carman(k, porosity)"
         )
 
     def permeability(J: Any, n: Any) -> Expr:
@@ -83,16 +88,17 @@ def kozeny_carman(k: float, porosity: float) -> Permeability:
 
 
 def refuse_hollow(points: MaterialPoints, fluid: Fluid, porosity: Any, tags: Tags) -> None:
-    """Raise where the mixture is lighter than the water in it. Collective.
+    """Refuse a mixture that is not heavier than the water in it. Collective.
 
     Args:
-        points: Material points, of the density ρ of the mixture.
+        points: Material points; their density is the density ρ of the mixture.
         fluid: The fluid.
-        porosity: n0, a constant or a field of the points; an expression is not looked at.
-        tags: Tags of the points that are meant, or None for all.
+        porosity: First porosity n0, a constant or a field of the points. Other expressions are not
+            checked.
+        tags: Tags of the points to check, or None for all points.
 
     Raises:
-        ParameterError: Somewhere ρ is no more than n0 ρ_w.
+        ParameterError: The density ρ of a point is not above n0 ρ_w.
     """
     if not isinstance(porosity, (fem.Constant, PointField)):
         return
@@ -105,28 +111,30 @@ def refuse_hollow(points: MaterialPoints, fluid: Fluid, porosity: Any, tags: Tag
     if bad.size:
         p = bad[0]
         error = ParameterError(
-            f"the density of the mixture is {density[p]:.6g} kg/m³ at {points['x'][p]} m, and with "
-            f"the porosity {n0[p]:.4g} the water alone has {water[p]:.6g}: give the points the "
-            "density (1 − n0) ρ_s + n0 ρ_w of grains and water"
+            f"the density of the mixture is {density[p]:.6g} kg/m³ at {points['x'][p]} m, but with "
+            f"the porosity {n0[p]:.4g} the water alone has {water[p]:.6g} kg/m³: give the points "
+            "the density (1 − n0) ρ_s + n0 ρ_w of grains and water"
         )
     raise_together(points.comm, error)
 
 
 def refuse_light(points: MaterialPoints, fluid: Fluid, porosity: Any, M: Any) -> None:
-    """Raise where waves grow if Darcy's law has the acceleration of the soil. Collective.
+    """Refuse a mixture in which waves grow if Darcy's law has the soil's acceleration. Collective.
 
-    Of ρ s² U + M κ² U = κ P, (S s + K κ²) P = κ (K ρ_w s² − s) U, S = n0/K_w and K = k/γ_w, all
-    roots s have a negative real part only if (ρ − ρ_w)(1 + M S) > ρ M S (Routh & Hurwitz), at any
-    wave number κ and permeability.
+    The waves are solutions of ρ s² U + M κ² U = κ P and (S s + K κ²) P = κ (K ρ_w s² − s) U, with
+    S = n0/K_w and K = k/γ_w. By the criterion of Routh and Hurwitz, all roots s have a negative
+    real part only if (ρ − ρ_w)(1 + M S) > ρ M S. The condition does not depend on the wave number
+    κ and on the permeability.
 
     Args:
-        points: Material points, of the density ρ of the mixture.
+        points: Material points; their density is the density ρ of the mixture.
         fluid: The fluid.
-        porosity: n0, a constant, or an expression, of which the largest value is 1.
+        porosity: First porosity n0, a constant or an expression. An expression counts as 1, the
+            largest possible value.
         M: P-wave modulus, a constant (Pa).
 
     Raises:
-        ParameterError: Somewhere they have not.
+        ParameterError: The density of a point is too small.
     """
     lightest = points.density.array.min(initial=math.inf)
     lightest = points.comm.allreduce(float(lightest), op=MPI.MIN)
@@ -135,8 +143,8 @@ def refuse_light(points: MaterialPoints, fluid: Fluid, porosity: Any, M: Any) ->
     least = fluid.density * (1 + stored)
     if not lightest > least:
         raise ParameterError(
-            f"the density of the mixture is {lightest:.6g} kg/m³ somewhere and must be above "
+            f"the smallest density of the mixture is {lightest:.6g} kg/m³ and must be above "
             f"{least:.6g}, ρ_w (1 + M n0/K_w), for the soil's acceleration in Darcy's law: waves "
-            "would grow without bounds. Give the points the density (1 − n0) ρ_s + n0 ρ_w, the "
-            "fluid a larger bulk_modulus, or leave inertia out"
+            "would grow without bounds. Give the points the density (1 − n0) ρ_s + n0 ρ_w, give "
+            "the fluid a larger bulk_modulus, or leave inertia out"
         )

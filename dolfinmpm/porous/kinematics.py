@@ -1,4 +1,4 @@
-"""What a step's increment does to the volumes that hold water, and to gradients."""
+"""Volume changes by a step's increment, and spatial gradients at the end of the step."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ __all__ = ["Kinematics", "kinematics"]
 
 @dataclass(frozen=True)
 class Kinematics:
-    """What a step's increment does to volumes and gradients.
+    """Volume change and spatial gradients after a step's increment.
 
     Attributes:
         points: Material points.
-        J: det F at the end of the step.
-        growth: J less that at the start of the step.
-        inverse: From gradients at the start of the step to spatial ones at its end.
+        J: det F at the end of the step (-).
+        growth: J at the end of the step minus J at its start (-).
+        inverse: Inverse of the step's deformation gradient, which turns gradients by positions at
+            the start of the step into spatial gradients at its end. None for small strain.
     """
 
     points: MaterialPoints
@@ -30,7 +31,11 @@ class Kinematics:
     inverse: Expr | None
 
     def grad(self, w: Expr) -> Expr:
-        """Spatial gradient at the end of the step, with any hoop term; see `gradient`."""
+        """Spatial gradient at the end of the step, with the hoop term if any; see `gradient`.
+
+        Args:
+            w: Scalar or vector field of the grid.
+        """
         points, inverse = self.points, self.inverse
         if w.ufl_shape == ():
             slope = ufl.grad(w)
@@ -40,7 +45,11 @@ class Kinematics:
         return slope if inverse is None else ufl.dot(slope, inverse)
 
     def spatial(self, slope: Expr) -> Expr:
-        """Gradient of a scalar at the end of the step, from that by positions at its start."""
+        """Spatial gradient of a scalar at the end of the step.
+
+        Args:
+            slope: Gradient of the scalar by positions at the start of the step.
+        """
         inverse = self.inverse
         return slope if inverse is None else ufl.dot(slope, in_section(self.points, inverse))
 
@@ -48,13 +57,13 @@ class Kinematics:
 def kinematics(
     points: MaterialPoints, u: Expr, strain: str, factor: Expr | None = None
 ) -> Kinematics:
-    """What a step's increment does to volumes and gradients, by the measure of strain.
+    """Volume change and spatial gradients after a step's increment, by the strain formulation.
 
     Args:
         points: Material points.
-        u: The increment.
-        strain: Measure of strain.
-        factor: What it is multiplied by, or None.
+        u: Increment of the displacement (m).
+        strain: Name of the strain formulation.
+        factor: Factor that multiplies the increment, or None for 1.
     """
     slope = gradient(points, u)
     if factor is not None:
@@ -63,7 +72,7 @@ def kinematics(
         return Kinematics(points, 1.0, ufl.tr(slope), None)
     dF = ufl.Identity(points.strain_dim) + slope
     before = ufl.det(points.F)
-    # by invariants, for the difference of two determinants would lose small strains
+    # by invariants of the gradient: a difference of two determinants loses digits of small strains
     growth = ufl.tr(slope)
     if points.strain_dim == 2:
         growth += ufl.det(slope)

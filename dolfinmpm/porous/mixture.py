@@ -1,19 +1,19 @@
-"""Weak form of a saturated soil: balance of momentum, and of the water's volume, in one step.
+"""Weak form of a saturated soil: balance of momentum and of the water's volume in one step.
 
-With displacement increment u and pore pressure p (positive in compression), incompressible grains
-and total Kirchhoff stress τ' − J p I, per initial volume V0,
+The unknowns are the displacement increment u and the pore pressure p (positive in compression).
+Grains are incompressible. The total Kirchhoff stress is τ' − J p I. Per initial volume V0,
 
     Σ V0 (τ' − J p I) : ∇v − Σ V0 m b·v = 0,
-    Σ V0 {q (J − J_n) + q J n (p − p_n)/K_w + Δt J ∇q · (k/γ_w)(∇p − ρ_w b)} = 0,
+    Σ V0 {q (J − J_n) + q J n (p − p_n)/K_w + Δt J ∇q · (k/γ_w)(∇p − ρ_w b)} = 0.
 
-(the second times M/h, so that both are forces), gradients being spatial ones at the end of the
-step, n = 1 − (1 − n0)/J the porosity and
-m = m_n + (J − J_n) ρ_w the mass of the mixture, which loses the water that drains (Coussy 2004,
-"Poromechanics", ch. 2; Borja & Alarcón 1995, doi 10.1016/0045-7825(94)00720-8).
+The second equation is multiplied by M/h, so that both equations are forces. Gradients are spatial
+gradients at the end of the step. n = 1 − (1 − n0)/J is the porosity. m = m_n + (J − J_n) ρ_w is
+the mass of the mixture, which loses the water that drains (Coussy 2004, "Poromechanics", ch. 2;
+Borja & Alarcón 1995, doi 10.1016/0045-7825(94)00720-8).
 
-The pressure is that of the grid's nodes and starts anew in every step; what it was is carried by
-the points and enters where water is compressible, and the stabilisation. Nothing is projected
-from the points to the grid, so that nothing diffuses.
+The pressure is a field of the grid's nodes. It has no memory: every step solves for the pressure
+itself. The points carry the last pressure, which enters the storage of compressible water and the
+stabilisation. Nothing is projected from the points to the grid, so that nothing diffuses.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ from dolfinmpm.porous.waterfaces import Flow, entering, held, seeping, surfaces
 
 __all__ = ["poromechanics"]
 
-# Shares of storage and flow in the pressure's ghost penalty. That of flow is a stiffness's; a
-# mass's 1/4 for storage would smear the layer in which a first step drains (9 % overshoot, with
-# this 0.8 %). Of splines the stabilisation's factor of 100 or 10⁴ would do that too, and is taken
-# back
+# Factors of storage and flow in the pressure's ghost penalty, by degree. The factor of flow is the
+# factor for a stiffness. The factor for a mass, 1/4, is too large for storage: it smears the thin
+# layer that drains in the first step (9 % overshoot; 0.8 % with these factors). For splines, the
+# stabilisation's own factor of 100 or 10⁴ would smear too, so that it is divided out here.
 _STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
@@ -83,72 +83,74 @@ def poromechanics(
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
-    """Deformation of a saturated soil and flow of its water, as a weak form of one step.
+    """Weak form of one step of a saturated soil: deformation and flow of water.
 
-    Plain UFL, to be copied and changed: `points.dt` is the length of the step, and
-    `mpm.carried` keeps the pressure of the last one. Solve it with `Transient`, or with inertia
-    with `Newmark`. In `QuasiStatic`, set `points.dt.value`; with permeability=0 it is the
-    undrained analysis in effective stresses.
+    The form is plain UFL, to be copied and changed. `points.dt` is the length of the step (s), and
+    `mpm.carried` keeps the pressure of the last step. Solve the form with `Transient`, or with
+    `Newmark` for problems with inertia. For `QuasiStatic`, set `points.dt.value`; permeability=0
+    then gives the undrained analysis in effective stresses.
 
-    The points carry `pressure` (Pa), which may be set before the problem is made, and
-    `porosity`; with gravity, `density` (of the mixture, per initial volume) loses the water
-    that drains.
+    The points carry the fields `pressure` (Pa) and `porosity`. `pressure` may be set before the
+    problem is made. With gravity, the field `density` (of the mixture, per initial volume) changes
+    with the water that drains.
 
     Args:
-        soil: Law of the effective stress, for `momentum`.
-        points: Material points; their density is that of the mixture, (1 − n0) ρ_s + n0 ρ_w.
-        fields: Increment u of the displacement and the pore pressure p (Pa), `Space.increment`
-            each; p is the pressure itself, no increment.
-        tests: Their test functions (v, q).
-        permeability: Hydraulic conductivity k (m/s): a number, a symmetric tensor, shape (gdim,
-            gdim), a UFL expression, or a function of J and n that returns one, such as
+        soil: Law of the effective stress, see `momentum`.
+        points: Material points; their density is the density of the mixture,
+            (1 − n0) ρ_s + n0 ρ_w (kg/m³).
+        fields: Increment u of the displacement (m) and pore pressure p (Pa), each the
+            `Space.increment` of its space. p is the pressure itself, and no increment.
+        tests: Test functions (v, q) of the two spaces.
+        permeability: Hydraulic conductivity k (m/s): a number; a symmetric tensor, shape (gdim,
+            gdim); a UFL expression; or a function of J and n that returns one of these, such as
             `kozeny_carman`.
-        porosity: n0 at J = 1: a number in (0, 1), or a UFL expression such as a field of the
-            points.
+        porosity: Porosity n0 at J = 1: a number in (0, 1), or a UFL expression such as a field of
+            the points.
         fluid: The fluid, water by default.
         gravity: Acceleration b of both phases (m/s²), a vector for UFL such as a DOLFINx
-            constant; None for none.
-        theta: Share of the flow at the end of the step: 1 is backward Euler's rule, ½ Crank and
-            Nicolson's.
-        rho_inf: ρ∞ of `GeneralisedAlpha`, which is to be given the same: the water's volume is
-            then balanced by the generalised-α method of first-order equations, see
-            `dolfinmpm.porous.levels`, at the level where forces are. None for all other problems.
-        inertia: Whether the water is accelerated as the soil is, which takes the pressure's slope
-            ρ_w a: Darcy's law for w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the
-            soil; that of the water relative to it is left out (Zienkiewicz, Chang & Bettess 1980,
-            doi 10.1680/geot.1980.30.4.385), with which waves grow where the water is so easily
-            compressed that n0/K_w > (ρ/ρ_w − 1)/M. Of problems with inertia; see `acceleration`.
-        suction: Largest suction (Pa) that holds grains together; None for no bound.
-        projection: Factor f of the polynomial pressure projection by which a step shorter than
-            f/12 h²/c_v does not oscillate: τ (q − q̄)(p − p̄) of the pressure's increments, means
-            being those of a cell's points (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
-            Borja 2008, doi 10.1016/j.cma.2008.02.016), with τ = (f − 12 θ c_v Δt/h²)₊/M.
-            "auto" is 3, with which a step without drainage does not overshoot in one dimension,
-            and from 4.5 to 10 where the displacement is of splines on the pressure's cells, see
-            `dolfinmpm.porous.projection`; "none" leaves it out. h is the size of these cells.
-        modulus: P-wave modulus M (Pa) that stabilisation is scaled by; the law's by default.
-        drained: Surfaces at which the pressure is held: a `Surface`, a pair of one and its
-            pressure (Pa, for UFL), or several of these. They move with the body; the condition
-            is Nitsche's.
-        seepage: Surfaces at which water leaves but does not enter, and the pressure is 0 where
-            it leaves.
-        inflow: Pairs of a surface and the volume of water that enters through its first area
-            (m/s, for UFL; negative where it leaves).
-        ponded: Pairs of a surface and the level, along the last axis, of still water that stands on
-            it (m, for UFL): its weight acts as a pressure that follows the surface, and is the pore
-            pressure there, 0 above the level.
+            constant; None for no gravity.
+        theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
+        rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
+            volume then uses the generalised-α method for first-order equations, at the level at
+            which forces balance; see `dolfinmpm.porous.levels`. None for all other problems.
+        inertia: Whether the water is accelerated together with the soil. Darcy's law is then
+            w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the soil. The acceleration
+            of the water relative to the soil is left out (Zienkiewicz, Chang & Bettess 1980,
+            doi 10.1680/geot.1980.30.4.385). With this law waves grow if the water is so
+            compressible that n0/K_w > (ρ/ρ_w − 1)/M. Only for problems with inertia; see
+            `acceleration`.
+        suction: Largest suction (Pa) that acts between grains; None for no bound.
+        projection: Factor f of the polynomial pressure projection. The projection prevents
+            oscillations in steps shorter than f/12 h²/c_v. Its term is τ (q − q̄)(p − p̄), with the
+            pressure's change in the step, means over the points of a cell of size h, and
+            τ = (f − 12 θ c_v Δt/h²)₊/M (Dohrmann & Bochev 2004, doi 10.1002/fld.752; White &
+            Borja 2008, doi 10.1016/j.cma.2008.02.016). "auto" is 3, or 4.5 to 10 for
+            displacements of splines on the pressure's cells; see `dolfinmpm.porous.projection`.
+            With 3, a step without drainage does not overshoot in one dimension. "none" leaves the
+            projection out.
+        modulus: P-wave modulus M (Pa) that scales the stabilisation; the law's modulus by default.
+        drained: Surfaces with prescribed pressure: a `Surface` (pressure 0); a pair of a surface
+            and its pressure (Pa, for UFL); or several of these. The surfaces move with the body.
+            The condition is imposed by Nitsche's method.
+        seepage: Surfaces at which water leaves but does not enter. The pressure is 0 where water
+            leaves.
+        inflow: Pairs of a surface and the volume of water that enters per initial area and time
+            (m/s, for UFL; negative for water that leaves).
+        ponded: Pairs of a surface and the level of still water above it (m, along the last axis,
+            for UFL). The weight of the water acts as a pressure that follows the surface. The pore
+            pressure at the surface is the same pressure, and 0 above the level.
         strain, fbar, tag: See `momentum`.
 
     Returns:
-        A form over the points, to which loads are added.
+        A form over the points. Loads are subtracted from it.
 
     Raises:
-        ParameterError: An argument is not what it may be, the law has no elastic constants and
-            modulus is missing, or, with gravity, the points are lighter than the water in them.
+        ParameterError: An argument is not valid; the law has no elastic constants and `modulus` is
+            missing; or, with gravity, the points are not heavier than the water in them.
 
     Warns:
-        UnstablePairWarning: u and p are on the same cells and projection is "none", or u has
-            coarser cells than p, or is of a lower order; see `dolfinmpm.porous.projection`.
+        UnstablePairWarning: u and p have the same cells and projection is "none"; or u has coarser
+            cells than p, or a lower degree; see `dolfinmpm.porous.projection`.
     """
     check_points(points)
     u, p, v, q = _fields(points, fields, tests)
@@ -157,12 +159,12 @@ def poromechanics(
         raise ParameterError(f"fluid = {shown(fluid)} must be a dolfinmpm.Fluid")
     theta = number("theta", theta, 0.0, 1.0, closed=True)
     if theta < 0.5:
-        raise ParameterError(f"theta = {theta:g} must be at least 0.5: less is not stable")
+        raise ParameterError(f"theta = {theta:g} must be at least 0.5: smaller ones are not stable")
     level = None if rho_inf is None else Level(points, rho_inf)
     if level is not None and theta != 1:
         raise ParameterError(
-            f"theta = {theta:g} is of flow that is balanced over a step, and with rho_inf it is at "
-            "a level within: leave theta out, or rho_inf"
+            f"theta = {theta:g} weights the flow at both ends of a step, but with rho_inf the flow "
+            "is balanced at a level within the step: leave theta or rho_inf out"
         )
     form = momentum(soil, points, u, v, strain=strain, fbar=fbar, tag=tag)
     at = kinematics(points, u, strain)
@@ -180,7 +182,7 @@ def poromechanics(
     keeps: list[CarriedField] = [carried(points, "porosity", n_end, "", _first(porosity))]
     keeps[0].bounds = 0.0, 1.0
 
-    # volumes in newtons, as forces are: M/h times q, so that solvers see equations alike
+    # both equations in newtons: M/h times q, so that solvers see equations of similar size
     scale = M / size_of(p)
     q = scale * q
 
@@ -203,7 +205,7 @@ def poromechanics(
     flow = at.J * _times(K, drive)
     terms = -at.J * acts * div + storage * q + theta * dt * ufl.dot(flow, at.grad(q))
     if theta < 1:
-        # flow at the start of the step, whose gradients are those of the grid
+        # flow at the start of the step: gradients on the grid are spatial gradients there
         before = carried(points, "flow", flow, "Pa m/s", np.zeros(gdim))
         terms += (1 - theta) * dt * ufl.dot(before, ufl.grad(q))
     if b is not None:
@@ -251,7 +253,7 @@ def _fields(points: MaterialPoints, fields: Any, tests: Any) -> tuple[Any, Any, 
     for what, pair in (("fields", fields), ("tests", tests)):
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
             raise ParameterError(
-                f"{what} = {shown(pair)} must be a pair, that of the displacement and that of the "
+                f"{what} = {shown(pair)} must be a pair: one for the displacement and one for the "
                 "pressure"
             )
     (u, p), (v, q) = fields, tests
@@ -274,7 +276,7 @@ def _porosity(porosity: Any, points: MaterialPoints) -> Any:
 
 
 def _first(porosity: Any) -> float:
-    # of an expression the first step tells
+    # the value of an expression is known only in the first step
     return 0.5 if isinstance(porosity, Expr) else float(porosity)
 
 
@@ -305,19 +307,19 @@ def _permeability(given: Any, J: Any, n: Any, points: MaterialPoints) -> Any:
 
 
 def _of_porosity(function: Any, J: Any, n: Any) -> Any:
-    """What a function of J and n gives.
+    """Result of a user's function of J and n.
 
     Raises:
-        ParameterError: It fails, as one of positions does.
+        ParameterError: The function fails.
     """
     try:
         return function(J, n)
     except Exception as error:
         raise ParameterError(
             f"permeability, a function, failed with {type(error).__name__}: {error}; it is called "
-            "once, in UFL, with the ratio of volumes J and the porosity n, as kozeny_carman gives "
-            "one; for one that varies in space give a field, points.add_field('k', value=lambda x: "
-            "...)"
+            "once, with UFL expressions of the volume ratio J and the porosity n; see "
+            "kozeny_carman. For a permeability that varies in space give a field, "
+            "points.add_field('k', value=lambda x: ...)"
         ) from error
 
 
@@ -362,15 +364,15 @@ def _modulus(modulus: Any, soil: Any, points: MaterialPoints) -> Any:
     E, nu = values.get("E"), values.get("nu")
     if not (isinstance(E, float) and isinstance(nu, float)):
         raise ParameterError(
-            f"{soil!r} has no elastic constants that are the same everywhere, and the pressure's "
-            "stabilisation is scaled by a modulus: give modulus=M, its P-wave modulus (Pa)"
+            f"{soil!r} has no elastic constants that are the same at all points, but the pressure "
+            "stabilisation needs a modulus as scale: give modulus=M, the P-wave modulus (Pa)"
         )
     lmbda, mu = lame(E, nu)
     return own_constant(points.grid, lmbda + 2 * mu)
 
 
 def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints, p) -> Expr:
-    """γ of the pressure's ghost penalty, in its literal scaling: by what is stored and flows."""
+    """γ of the pressure's ghost penalty in literal scaling, from storage and flow."""
     stored = 1 / M
     if fluid.compressible:
         stored = stored + _plain(n0, 1.0) / own_constant(points.grid, fluid.bulk_modulus)
@@ -380,7 +382,7 @@ def _penalty(M, n0, fluid: Fluid, K, points: MaterialPoints, p) -> Expr:
 
 
 def _plain(factor: Any, otherwise: float) -> Any:
-    """A factor that is the same everywhere, or else what is given."""
+    """The factor if it is the same everywhere, else the other value."""
     from ufl.algorithms import extract_coefficients
 
     return factor if not extract_coefficients(factor) else otherwise

@@ -1,4 +1,4 @@
-"""What water does at the surfaces of a body that it fills: held pressures, seepage, inflow."""
+"""Conditions for water at the surfaces of a saturated body: pressures, seepage, inflow."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dolfinmpm.porous.projection import largest, size_of
 
 __all__ = ["Flow", "entering", "held", "seeping", "surfaces"]
 
-# Penalty of a drained surface, by what flows through a cell and what a cell stores
+# Factor of the penalty of a drained surface, relative to flow through a cell and storage in a cell
 _DRAINED = 100.0
 
 
@@ -29,11 +29,11 @@ class Flow:
 
     Attributes:
         points: Material points.
-        u, p, q: Increment of the displacement, pressure, and its test function times M/h.
-        at: What the step does to volumes.
+        u, p, q: Increment of the displacement (m), pressure (Pa), and its test function times M/h.
+        at: Volume change and spatial gradients after the step's increment.
         M: P-wave modulus (Pa).
-        K: k/γ_w (m²/(Pa s)).
-        drive: What drives the flow (Pa/m).
+        K: Permeability k/γ_w (m²/(Pa s)).
+        drive: Gradient that drives the flow, ∇p − ρ_w (b − a) (Pa/m), shape (gdim,).
     """
 
     points: MaterialPoints
@@ -47,12 +47,12 @@ class Flow:
 
     @property
     def stiffness(self) -> Expr:
-        """Penalty of a pressure that is held, per area and step (m/Pa)."""
+        """Penalty of a prescribed pressure, per area and step (m/Pa)."""
         h = size_of(self.p)
         return _DRAINED * (self.points.dt * largest(self.K) / h + h / self.M)
 
     def area(self, surface: Surface) -> Expr:
-        """Area vectors of a surface at the end of the step, by Nanson's formula (m²)."""
+        """Area vectors of a surface at the end of the step (m²), by Nanson's formula."""
         points, inverse, area = self.points, self.at.inverse, surface.area
         if inverse is None:
             return area
@@ -66,17 +66,17 @@ class Flow:
 def surfaces(
     what: str, given: Any, points: MaterialPoints, unit: str, otherwise: float | None = None
 ) -> list[tuple[Surface, Any]]:
-    """Surfaces, each with its value for UFL.
+    """Surfaces of an argument, each with its value for UFL.
 
     Args:
-        what: What it is called in messages.
-        given: A surface, a pair of one and a value, or several of these.
+        what: Name of the argument, for messages.
+        given: The argument: a surface, a pair of a surface and a value, or several of these.
         points: Material points.
         unit: Unit of the values.
-        otherwise: Value of a surface without one, or None where it must have one.
+        otherwise: Value for surfaces without a value, or None if all surfaces need a value.
 
     Raises:
-        ParameterError: It is something else.
+        ParameterError: The argument is something else, or has a surface of other points.
     """
     if isinstance(given, Surface):
         given = [given]
@@ -101,7 +101,13 @@ def surfaces(
 
 
 def held(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
-    """Nitsche's condition without its adjoint: what flows through the face, and a penalty."""
+    """Prescribed pressure, by Nitsche's method without the adjoint term: flow, and a penalty.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        value: The pressure (Pa).
+    """
     points = flow.points
     gap = surface.at(flow.p) - value
     form = surface.density * flow.stiffness * gap * surface.at(flow.q) * points.dX
@@ -111,12 +117,24 @@ def held(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
 
 
 def seeping(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
-    """What leaves where the pressure is above a value, by a penalty; nothing enters."""
+    """Outflow where the pressure is above a value, by a penalty; no water enters.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        value: The pressure (Pa).
+    """
     out = ufl.max_value(surface.at(flow.p) - value, 0.0)
     return surface.density * flow.stiffness * out * surface.at(flow.q) * flow.points.dX
 
 
 def entering(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
-    """A volume of water that enters per first area and time."""
+    """Prescribed inflow.
+
+    Args:
+        flow: Flow of water in the step.
+        surface: The surface.
+        rate: Volume of water that enters per initial area and time (m/s).
+    """
     points = flow.points
     return -points.dt * rate * surface.density * surface.at(flow.q) * points.dX

@@ -23,12 +23,14 @@ __all__ = ["Conditioning", "conditioning"]
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Condition numbers and critical steps of a body where it lies.
+    """Condition numbers and critical steps of a body at its present place.
 
     Attributes:
-        kappa_K, kappa_M: Condition numbers of stiffness (without rigid modes) and mass.
-        dt_consistent, dt_lumped: Critical steps (s) with either mass, the second with that of
-            explicit steps: row sums, behind ties Cᵀ M_L C, and no penalty.
+        kappa_K, kappa_M: Condition numbers (-) of the stiffness, without rigid modes, and of the
+            consistent mass.
+        dt_consistent: Critical step (s) with the consistent mass.
+        dt_lumped: Critical step (s) with the lumped mass of explicit steps: row sums M_L without
+            penalty, or Cᵀ M_L C with constraints C.
         unknowns: Number of unknowns.
     """
 
@@ -56,7 +58,8 @@ def conditioning(
             stiffness has it in the problem's form.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: The problem has no tangent; density is not positive; gamma is negative; or
+            extra is no UFL form.
     """
     check_kind("problem", problem, QuasiStatic, "give a problem with a tangent")
     number("density", density, 0.0, unit="kg/m^d")
@@ -93,6 +96,6 @@ def conditioning(
 
 
 def _lumped(points: MaterialPoints, here: Activation) -> Matrix:
-    """The lumped mass of explicit steps. Collective."""
+    """Lumped mass matrix of explicit steps. Collective."""
     terms = MassTerms(points, "lumped", None)
     return Mass(terms, replace(here, blocks=terms.blocks(here.fields))).assembled()

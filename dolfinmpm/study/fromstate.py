@@ -1,4 +1,4 @@
-"""A body that is loaded already, with its strength divided by one factor after another."""
+"""Strength reduction of a body from its present, loaded state."""
 
 from __future__ import annotations
 
@@ -29,29 +29,31 @@ from dolfinmpm.study.trial import Trial
 
 __all__ = ["FromState"]
 
-# Field of the points: where they were before strength was reduced (m)
+# Field of the points: positions before the reduction of strength (m)
 _BEFORE = "x_before_reduction"
-# A step of the reduction is made so much shorter before it is given up
+# Shortest step of the reduction, relative to the first one; a trial fails below it
 _SHORTEST = 1 / 8
 
 
 class FromState:
-    """Trials from the present state of a problem, which it has again in the end. Collective.
+    """Trials of strength reduction from the present state of a problem. Collective.
 
-    A context: `with FromState(...) as attempt: trial = attempt(1.3)`. Loads stay, prescribed
-    increments rest, and what the laws give changes: strength goes from its own to that over the
-    factor in equal steps, and stresses outside the yield surface return to it.
+    Use it as a context: `with FromState(...) as attempt: trial = attempt(1.3)`. At the end the
+    problem has its first state again. In a trial, loads stay and prescribed increments are zero.
+    The strength of the laws falls in equal steps to the strength over the factor. Stresses outside
+    the yield surface return to it.
 
     Args:
         problem: The problem, between steps.
-        growth: Displacement since the state, and that of the loads on the elastic body, together
-            over the latter, that still counts as standing.
-        steps: Steps from the own strength to the reduced one.
-        over: Time that they take (s), of problems in time.
+        growth: Largest growth of the displacement that counts as standing. The growth is
+            1 + d/d_e, with the displacement d in the trial, and the displacement d_e of the elastic
+            body under the loads.
+        steps: Number of steps from the full strength to the reduced strength.
+        over: Time of a trial (s), for a `Transient` problem; else None.
 
     Raises:
-        ParameterError: The problem has no state that trials can start from, or no law with a
-            strength; or a number is not what it may be.
+        ParameterError: Trials cannot start from this kind of problem; a rigid body goes on moving;
+            no law has a strength; or a number is out of range.
     """
 
     def __init__(self, problem: QuasiStatic, growth: float, steps: int, over: float | None):
@@ -65,9 +67,9 @@ class FromState:
             )
         if timed != (over is not None):
             raise ParameterError(
-                "over = None: give the time (s) in which a trial reduces the strength, in which "
-                "water flows: short for undrained, long for drained" if timed else
-                f"over = {over!r} is of mpm.Transient alone: the steps of {type(problem).__name__} "
+                "over = None: give the time (s) in which a trial reduces the strength, and water "
+                "flows: short for undrained, long for drained" if timed else
+                f"over = {over!r} is for mpm.Transient only: steps of {type(problem).__name__} "
                 "take no time"
             )  # fmt: skip
         self._over = None if over is None else number("over", over, 0.0, unit="s")
@@ -78,10 +80,10 @@ class FromState:
                 "give it a displacement that has been reached, or weight"
             )
         if not self._laws():
-            raise ParameterError("no law of the problem has a strength that could be reduced")
+            raise ParameterError("no law of the problem has a strength to reduce")
 
     def _laws(self) -> list[Declaration]:
-        """Laws with a strength, those at boundaries too."""
+        """Laws with a strength, also at boundaries."""
         form = self._problem.form
         every = [*form.parts.declarations, *(d for of in form.boundaries for d in of.declarations)]
         return [d for d in every if d.weaken is not None]
@@ -95,7 +97,7 @@ class FromState:
         problem = self._problem
         self._kept = KeptState(problem)
         self._own = problem.solver, problem.here, problem._kept, problem.max_halvings
-        # what the solver learns from trials it is to forget
+        # trials get their own solver, so that they leave no trace in the problem's solver
         newton, solver = problem.newton.anew(), problem.solver
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
         problem.max_halvings = 0
@@ -118,10 +120,10 @@ class FromState:
         problem.solver, problem.here, problem._kept, problem.max_halvings = self._own
 
     def __call__(self, factor: float) -> Trial:
-        """A trial from the state. Collective.
+        """Run a trial from the kept state. Collective.
 
         Args:
-            factor: What strength is divided by in its end.
+            factor: Factor that divides the strength at the end of the trial.
         """
         points = self._problem.points
         self._weaken(None)
@@ -152,17 +154,16 @@ class FromState:
             displacement = _largest(points.comm, way)
             if 1.0 + displacement / self._elastic > self._growth:
                 reason = (
-                    f"with strength over {now:.4g}: the largest displacement since the state, "
-                    f"{displacement:.4g} m, and that which the loads give the body as long as it "
-                    f"is elastic, {self._elastic:.4g} m, are together "
-                    f"{1.0 + displacement / self._elastic:.3g} times the latter, more than "
-                    f"{self._growth:g}"
+                    f"with strength over {now:.4g}: 1 + d/d_e = "
+                    f"{1.0 + displacement / self._elastic:.3g} is more than {self._growth:g}, with "
+                    f"the largest displacement since the state, d = {displacement:.4g} m, and the "
+                    f"displacement of the elastic body under the loads, d_e = {self._elastic:.4g} m"
                 )
         grown = 1.0 + displacement / self._elastic
         return Trial(factor, not reason, reason, taken, displacement, grown, iterations)
 
     def _step(self, share: float) -> int:
-        """A step that takes that share of a trial's time; returns its iterations. Collective."""
+        """Take a step with a share of a trial's time, and return its iterations. Collective."""
         problem = self._problem
         if isinstance(problem, Transient):
             assert self._over is not None
@@ -171,7 +172,7 @@ class FromState:
 
     @contextlib.contextmanager
     def _at_rest(self) -> Iterator[None]:
-        """Let prescribed increments be zero meanwhile, but not pressures. Collective."""
+        """Set prescribed increments to zero in this context, but keep pressures. Collective."""
         problem = self._problem
         held = problem._held
         still = [
@@ -185,19 +186,20 @@ class FromState:
             problem._held = held
 
     def _settlement(self) -> float:
-        """Largest displacement by which the loads would move the elastic body (m). Collective.
+        """Largest displacement of the elastic body under the loads (m). Collective.
 
-        The loads are what stands against the stress: weight and tractions, pore pressure, contact.
+        The loads are all forces in balance with the stress: weight, tractions, pore pressure,
+        contact.
 
         Raises:
-            ParameterError: There is none.
+            ParameterError: The displacement is zero or not finite.
         """
         problem = self._problem
         self._weaken(0.0)
         for kinematics in (LargeStrain, SmallStrain, Jaumann):
             if kinematics.state in problem.points.fields:
                 problem.points[kinematics.state] = kinematics.rest
-        # the elastic body begins without strain: a stress that was set or written gives it none
+        # the elastic body begins without strain, also if the stress was set by the user
         for declaration in problem.form.parts.declarations:
             declaration.points["moved_under"][declaration.rows] = declaration.mark
         operator = problem.operator()
@@ -208,13 +210,13 @@ class FromState:
         if not 0.0 < found < np.inf:
             raise ParameterError(
                 f"the loads of the problem move its elastic body by {found:g} m: a factor of "
-                "safety is of a body under loads, such as its weight, that is held"
+                "safety needs a body under loads, such as its weight, that conditions hold"
             )
         return found
 
 
 def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
-    """Owned unknowns of the displacements that balance the forces at the start. Collective."""
+    """Displacements that balance the forces at the start, shape (owned unknowns,). Collective."""
     here, linear = operator.here, problem.newton.linear
     if here.unknowns.total == 0:
         return np.zeros(here.unknowns.owned)
@@ -225,7 +227,7 @@ def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
         assert linear.matrix is not None
         operator.tangent(linear.matrix)
         return linear.solve(-force)
-    # pressures as they are
+    # solve for displacements only; pressures stay
     matrix = Matrix(here.pattern, here.unknowns)
     operator.tangent(matrix)
     own = sum(here.unknowns.only(k, np.ones(here.unknowns.owned)) for k in here.movers)

@@ -1,4 +1,4 @@
-"""Factors of safety by reduction of strength: at which share of its strength a body fails."""
+"""Factors of safety by strength reduction."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ Loading = Callable[[float], Iterable[QuasiStatic]]
 
 
 def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> tuple[float, float]:
-    """Cohesion c/F (Pa) and friction angle arctan(tan φ / F) (degrees).
+    """Reduced cohesion c/F (Pa) and friction angle arctan(tan φ / F) (degrees).
 
     Args:
         cohesion: Cohesion c (Pa).
         friction_angle: Friction angle φ (degrees), from 0 to below 90.
-        factor: Factor F that both are divided by, more than 0.
+        factor: Factor F that divides the strength, more than 0.
 
     Raises:
-        ParameterError: A number is outside what it may be.
+        ParameterError: A number is out of range.
 
     Warns:
-        DegreesWarning: The angle looks like one in radians.
+        DegreesWarning: The angle looks like an angle in radians.
     """
     number("factor", factor, 0.0)
     number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
@@ -52,7 +52,7 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
     if math.radians(1.0) <= friction_angle < 1.0:
         warn(
             MPI.COMM_WORLD,
-            f"friction_angle = {friction_angle:g} degrees is below 1 degree; if radians were meant "
+            f"friction_angle = {friction_angle:g} degrees is below 1 degree; if you mean radians, "
             f"give {math.degrees(friction_angle):.4g}",
             DegreesWarning,
         )
@@ -70,49 +70,49 @@ def factor_of_safety(
     over: float | None = None,
     label: str = "strength reduction",
 ) -> FactorOfSafety:
-    """Find the factor by which strength can be divided before a body fails. Collective.
+    """Factor of safety: the largest factor that can divide the strength before a body fails.
 
-    Of a problem in the state that it has come to, whatever led there: initial stress, stages,
-    water; or of a body that is loaded anew for every factor. The interval between a factor at
-    which it stands and one at which it fails is halved (Griffiths & Lane 1999, doi
-    10.1680/geot.1999.49.3.387). Their sign of failure is that the displacements rise dramatically
-    while the iterations do not converge; here either is enough. Beyond the factor of safety they
-    rise so steeply that `growth` matters little: from 2 to 10 it takes the slope of Griffiths &
-    Lane from 1.40 to 1.45. A run ends with the step in which it fails.
+    There are two ways. The first is a problem in its present state, with its initial stress, stages
+    and water. The second is a function that loads a new body for every factor. Bisection halves
+    the interval between a factor at which the body stands and a factor at which it fails
+    (Griffiths & Lane 1999, doi 10.1680/geot.1999.49.3.387). For Griffiths and Lane, a body fails if
+    displacements rise dramatically and iterations do not converge. Here one of the two is enough.
+    Displacements rise steeply above the factor of safety, so that `growth` matters little: with 2
+    to 10, the slope of Griffiths and Lane has factors of 1.40 to 1.45. A trial ends with the step
+    in which the body fails. Collective.
 
-    Trials of a problem start from its present state, which it has again in the end. Loads stay,
-    prescribed increments rest, and its laws' strength is divided, see `Law`: a cohesion by the
-    factor, the tangent of a friction angle too; a dilation angle stays as long as it is not
-    larger. Stresses that are too large then return to the yield surface. Displacements are those
-    since the state, and are compared with those by which the loads would move the elastic body,
-    which count as there already.
+    First way: trials start from the present state of the problem, and the problem has this state
+    again at the end. Loads stay, and prescribed increments are zero. The factor divides the
+    cohesion and the tangent of the friction angle of each law, see `Law`. A dilation angle stays
+    as long as it is not larger than the friction angle. Stresses outside the yield surface return
+    to it. Growth is 1 + d/d_e, with the largest displacement d in the trial, and the largest
+    displacement d_e of the elastic body under the loads.
 
-    Of a body that is loaded anew they are compared with those in proportion to the load, as the
-    first step with strength over `low` tells them.
+    Second way: growth is the largest displacement over a displacement in proportion to the load.
+    The first step at the factor `low` defines the proportion.
 
     Args:
-        loading: A problem between steps, `mpm.QuasiStatic` or `mpm.Transient`. Or a function of the
-            factor that builds the body with its strength divided by it, see `reduced_strength`,
-            and then is a generator: it sets the load of each of at least two equal steps and
-            yields the problem, which takes the step.
+        loading: A problem between steps, `mpm.QuasiStatic` or `mpm.Transient`. Or a generator
+            function of the factor. The function builds the body with reduced strength, see
+            `reduced_strength`. For each of at least two equal steps, it sets the load and yields
+            the problem. `factor_of_safety` then takes the step.
         low: A factor at which the body stands.
-        high: A factor at which it fails.
+        high: A factor at which the body fails.
         tolerance: Width of the interval at which the search ends.
-        growth: Largest displacement over that in proportion to the load that still counts
-            as standing, more than 1.
-        steps: Of a problem: steps in which a trial reduces the strength; one that does not
-            converge is halved up to three times.
-        over: Of an `mpm.Transient`, which needs it: time (s) in which a trial reduces the strength,
-            and water flows: short for undrained, long for drained.
-        label: Text beside the progress bar.
+        growth: Largest growth of displacements that counts as standing, more than 1.
+        steps: For a problem: number of steps in which a trial reduces the strength. A step that
+            does not converge is halved up to three times.
+        over: For an `mpm.Transient`, and only there: time (s) in which a trial reduces the
+            strength and water flows; short for undrained, long for drained.
+        label: Text next to the progress bar.
 
     Returns:
-        The factor with its bracket and a table of all runs.
+        The factor with its bracket and a table of all trials.
 
     Raises:
-        ParameterError: A number is outside what it may be, the loading is no generator of problems
-            or has fewer than two steps, no law has a strength or one does not tell it, the body
-            fails at `low` already or stands at `high` still.
+        ParameterError: A number is out of range; the loading is no generator of problems or has
+            fewer than two steps; no law has a strength, or a law does not tell its strength; the
+            body fails already at `low`, or still stands at `high`.
     """
     if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
@@ -126,21 +126,21 @@ def factor_of_safety(
         with FromState(loading, growth, steps, over) as attempt:
             found = _search(attempt, low, high, tolerance, label)
         failure = (
-            "a step of the reduction does not converge, however small it is made, or material "
-            "points leave the grid, or the largest displacement since the state and that by which "
-            f"the loads would move the elastic body are more than {growth:g} times the latter"
+            "a step of the reduction does not converge, also after halvings; or material points "
+            f"leave the grid; or 1 + d/d_e is more than {growth:g}, with the largest displacement "
+            "d since the state, and the displacement d_e of the elastic body under the loads"
         )
         return FactorOfSafety(*found, failure)
     if not callable(loading):
         raise ParameterError(
             f"loading = {shown(loading)} must be an mpm.QuasiStatic or mpm.Transient, or a "
-            "function of the factor that yields one for each step"
+            "function of the factor that yields such a problem for each step"
         )
-    found = _search(_Anew(loading, growth), low, high, tolerance, label)
+    found = _search(_FromStart(loading, growth), low, high, tolerance, label)
     failure = (
-        "a step of the load does not converge, however small it is made, or material points leave "
-        f"the grid, or the largest displacement is more than {growth:g} times that in proportion "
-        "to the load"
+        "a step of the load does not converge, also after halvings; or material points leave the "
+        f"grid; or the largest displacement is more than {growth:g} times the displacement in "
+        "proportion to the load"
     )
     return FactorOfSafety(*found, failure)
 
@@ -148,13 +148,15 @@ def factor_of_safety(
 def _search(
     attempt: Callable[[float], Trial], low: float, high: float, tolerance: float, label: str
 ) -> tuple[float, tuple[float, float], tuple[Trial, ...]]:
-    """The factor, its bracket and the trials that led there."""
+    """The factor, its bracket, and the trials by increasing factor."""
     first = attempt(low)
     if not first.stands:
-        raise ParameterError(f"the body fails at low = {low:g} already, {first.reason}; lower low")
+        raise ParameterError(
+            f"the body fails at low = {low:g} already, {first.reason}; give a smaller low"
+        )
     last = attempt(high)
     if last.stands:
-        raise ParameterError(f"the body stands at high = {high:g} still; raise high")
+        raise ParameterError(f"the body stands at high = {high:g} still; give a larger high")
     trials = [first, last]
     stands, fails = low, high
     halvings = max(math.ceil(math.log2((high - low) / tolerance)), 0)
@@ -169,17 +171,17 @@ def _search(
     return 0.5 * (stands + fails), (stands, fails), ordered
 
 
-class _Anew:
-    """Trials of a body that is loaded anew for every factor.
+class _FromStart:
+    """Trials of a new body for every factor, which is loaded from the start.
 
     Args:
-        loading: Generator of the problem's steps, for a factor.
-        growth: Largest displacement over that in proportion that counts as standing.
+        loading: Function of a factor that yields the problem of each step.
+        growth: Largest growth of displacements that counts as standing.
     """
 
     def __init__(self, loading: Loading, growth: float):
         self._loading, self._growth = loading, growth
-        # displacement of a step in proportion, which the first one tells
+        # displacement per step in proportion to the load, from the first step of the first trial
         self._elastic: float | None = None
 
     def __call__(self, factor: float) -> Trial:
@@ -201,17 +203,20 @@ class _Anew:
             displacement = _largest_displacement(problem.points)
             elastic = displacement if elastic is None else elastic
             if elastic <= 0:
-                raise ParameterError("the first step of the load moves nothing; is its load zero?")
+                raise ParameterError(
+                    "the first step of the load moves nothing: check that the load is not zero"
+                )
             grown = displacement / (steps * elastic)
             if grown > growth:
                 reason = (
                     f"in step {steps} of the load: the largest displacement, {displacement:.4g} m, "
-                    f"is {grown:.3g} times that in proportion to the load, more than {growth:g}"
+                    f"is {grown:.3g} times the displacement in proportion to the load, more than "
+                    f"{growth:g}"
                 )
                 break
         if steps < 2 and not reason:
             raise ParameterError(
-                f"the loading at factor {factor:g} has {steps} steps, it needs two"
+                f"the loading at factor {factor:g} has {steps} steps, but needs at least two"
             )
         if self._elastic is None and not reason:
             self._elastic = displacement / (grown * steps)
@@ -219,10 +224,10 @@ class _Anew:
 
 
 def _steps(loading: Loading, factor: float) -> Iterable[QuasiStatic]:
-    """The steps of a loading.
+    """The problems that a loading yields, one per step.
 
     Raises:
-        ParameterError: It is no generator.
+        ParameterError: The loading is no generator.
     """
     found = loading(factor) if callable(loading) else loading
     if not isinstance(found, Iterable):

@@ -1,4 +1,4 @@
-"""A scene evaluated at many places, or at many sizes of the cells."""
+"""Runs of a problem for many places of its body, or for many sizes of the cells."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Row = dict[str, Any]
 
 
 def _figures(scene: Callable[[Any], Any], place: Any) -> Row:
-    """What a scene returns of a place, by name.
+    """Figures that a scene returns for a place, by name.
 
     Raises:
         ParameterError: The scene is no function, or returns no figures.
     """
     if not callable(scene):
         raise ParameterError(
-            f"scene = {shown(scene)} must be a function that returns figures of a place or size"
+            f"scene = {shown(scene)} must be a function that returns figures for a place or size"
         )
     answer = scene(place)
     if is_dataclass(answer) and not isinstance(answer, type):
@@ -39,40 +39,40 @@ def _figures(scene: Callable[[Any], Any], place: Any) -> Row:
     except (TypeError, ValueError):
         raise ParameterError(
             f"the scene returned {shown(answer)} for {shown(place)} and should return a dictionary "
-            "of figures, a Conditioning, or one number: has it a return?"
+            "of figures, a Conditioning, or one number: check that it has a return"
         ) from None
 
 
 def _several(what: str, given: Any) -> list[Any]:
-    """Some things, one at least.
+    """The entries of a list.
 
     Raises:
-        ParameterError: There is none, or they cannot be gone through.
+        ParameterError: The list is empty, or it is no list.
     """
     try:
         found = [] if isinstance(given, (str, dict)) else list(given)
     except TypeError:
         found = []
     if not found:
-        raise ParameterError(f"{what} = {shown(given)} must be a list with one entry at least")
+        raise ParameterError(f"{what} = {shown(given)} must be a list with at least one entry")
     return found
 
 
 def sweep(scene: Callable[..., Any], places: Sequence[Any], label: str = "") -> list[Row]:
-    """Evaluate a scene at many places of its body, with a progress bar. Collective.
+    """Run a scene for many places of its body, with a progress bar. Collective.
 
     Args:
-        scene: Function of a place that returns its `Conditioning`, a dictionary of
-            figures, or one number.
-        places: Offsets, angles, or pairs of them.
-        label: Text beside the bar.
+        scene: Function of a place that runs the problem and returns its `Conditioning`, a
+            dictionary of figures, or one number.
+        places: Offsets, angles, or pairs of these.
+        label: Text next to the progress bar.
 
     Returns:
-        For every place a dictionary with "place" and the figures; one number is
-        called "error".
+        One dictionary per place, with "place" and the figures. A single number gets the name
+        "error".
 
     Raises:
-        ParameterError: There is no place, or the scene returns no figures.
+        ParameterError: The list of places is empty, or the scene returns no figures.
     """
     listed = _several("places", places)
     return [{"place": place, **_figures(scene, place)} for place in progress(listed, label)]
@@ -84,24 +84,22 @@ def convergence(
     label: str = "",
     errors: Sequence[str] | None = None,
 ) -> list[Row]:
-    """Evaluate a scene for cells of decreasing sizes, with a progress bar. Collective.
+    """Run a scene for cells of decreasing sizes, with a progress bar. Collective.
 
     Args:
-        scene: Function of a size h that returns a dictionary of figures, or one error.
-        sizes: Sizes h of the cells, two at least to see an order.
-        label: Text beside the bar.
-        errors: Names of those figures that are errors; all floating-point numbers by
-            default, so that counts, which are whole, are left out. A run that did not
-            finish has the error None.
+        scene: Function of a size h that runs the problem and returns a dictionary of figures, or
+            one error. A scene with slightly different cells can return the true size as "h".
+        sizes: Sizes h of the cells (m), at least two for an order.
+        label: Text next to the progress bar.
+        errors: Names of the figures that are errors. By default, all floating-point numbers are
+            errors, and whole numbers are counts. A run that did not finish has the error None.
 
     Returns:
-        For every size a dictionary with "h", the figures, and for every error e its
-        observed order from the size before, "e_order", which is None where there is
-        none. A scene whose cells are not quite of the size asked for returns an "h" of
-        its own.
+        One dictionary per size, with "h", the figures, and an observed order "e_order" for every
+        error e. The order is taken from the size before; it is None if it is not known.
 
     Raises:
-        ParameterError: A size is not positive, or an error was not among the figures.
+        ParameterError: A size is not positive, or a named error is not among the figures.
     """
     try:
         h = np.asarray(sizes, float)
@@ -134,20 +132,22 @@ def observed_orders(
 
     Args:
         sizes: Sizes h of the cells.
-        errors: Their errors; None for a run that did not finish.
+        errors: Errors at these sizes; None for a run that did not finish.
 
     Returns:
-        One order fewer than sizes; NaN where an error is missing or both are zero.
+        Orders, one fewer than sizes; NaN where an error is missing or both errors are zero.
 
     Raises:
-        ParameterError: There are not as many errors as sizes.
+        ParameterError: The numbers of errors and sizes differ, or two successive sizes are equal.
 
     >>> [round(order, 3) for order in observed_orders([0.4, 0.2, 0.1], [0.16, 0.04, 0.02])]
     [2.0, 1.0]
     """
     h, e = _of_equal_lengths(sizes, errors)
     if not np.all(np.diff(h)):
-        raise ParameterError(f"sizes = {shown(sizes)} has one twice in a row, and no order there")
+        raise ParameterError(
+            f"sizes = {shown(sizes)} has one twice in a row, which gives no order: leave one out"
+        )
     with np.errstate(divide="ignore", invalid="ignore"):
         return [float(order) for order in np.diff(np.log(e)) / np.diff(np.log(h))]
 
@@ -155,19 +155,19 @@ def observed_orders(
 def overall_order(
     sizes: Sequence[float] | npt.NDArray, errors: Sequence[float | None] | npt.NDArray
 ) -> float:
-    """The one order that fits all refinements best: slope of ln e over ln h, least squares.
+    """Order that fits all refinements best: least-squares slope of ln e over ln h.
 
-    Where errors scatter, it says more than the order between any two of them.
+    If errors scatter, it is more reliable than the order between two sizes.
 
     Args:
-        sizes: Sizes h of the cells.
-        errors: Their errors; runs that did not finish, None, are left out.
+        sizes: Sizes h of the cells (m).
+        errors: Errors at these sizes; None for a run that did not finish, which is left out.
 
     Returns:
-        The order, or NaN where fewer than two errors are left.
+        The order, or NaN if fewer than two errors are left.
 
     Raises:
-        ParameterError: There are not as many errors as sizes.
+        ParameterError: The numbers of errors and sizes differ.
     """
     h, e = _of_equal_lengths(sizes, errors)
     known = np.isfinite(e) & (e > 0)
@@ -179,13 +179,16 @@ def overall_order(
 
 
 def worst(rows: Iterable[Row]) -> dict[str, float]:
-    """The worst figures of a sweep: the largest condition numbers and the smallest steps.
+    """Worst figures of a sweep: the largest condition numbers and the smallest critical steps.
 
     Args:
-        rows: What `sweep` returned of a scene that returns its `Conditioning`.
+        rows: Result of `sweep` with a scene that returns its `Conditioning`.
+
+    Returns:
+        The figures "kappa_K", "kappa_M", "dt_consistent" and "dt_lumped".
 
     Raises:
-        ParameterError: There is no row, or one has not all of them.
+        ParameterError: The list is empty, or a row lacks one of these figures.
     """
     rows = _several("rows", rows)
     choose = {"kappa_K": max, "kappa_M": max, "dt_consistent": min, "dt_lumped": min}
@@ -193,8 +196,8 @@ def worst(rows: Iterable[Row]) -> dict[str, float]:
         missing = [key for key in choose if not isinstance(row, dict) or key not in row]
         if missing:
             raise ParameterError(
-                f"a row has no {', '.join(missing)}: {shown(row)}; give what study.sweep returned "
-                "of a scene that returns a study.Conditioning"
+                f"a row has no {', '.join(missing)}: {shown(row)}; give the result of study.sweep "
+                "with a scene that returns a study.Conditioning"
             )
     return {key: extreme(row[key] for row in rows) for key, extreme in choose.items()}
 

@@ -1,4 +1,4 @@
-"""What a reduction of strength found."""
+"""Results of a strength reduction."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ __all__ = ["FactorOfSafety", "Trial"]
 
 @dataclass(frozen=True)
 class Trial:
-    """A body with its strength reduced, under its load.
+    """One trial of a strength reduction: a body with reduced strength under its load.
 
     Attributes:
-        factor: What the strength was divided by.
-        stands: Whether it carried the whole load.
-        reason: Why not, in words; empty if it stands.
-        steps: Converged steps of the load, or of the reduction of a body that is loaded already.
-        displacement: Largest displacement of a material point in them (m).
-        growth: That displacement over what the first step foretells; of a body that is loaded
-            already, one more than over what the loads would do to it without yielding.
-        iterations: Newton iterations of them.
+        factor: Factor that divided the strength.
+        stands: Whether the body carried the whole load.
+        reason: Reason of the failure in words; empty if the body stands.
+        steps: Number of converged steps of the load; or of the reduction, for a problem that was
+            loaded before.
+        displacement: Largest displacement of a material point in these steps (m).
+        growth: Growth of the displacement, as `factor_of_safety` defines it (-).
+        iterations: Number of Newton iterations in these steps.
     """
 
     factor: float
@@ -34,13 +34,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class FactorOfSafety:
-    """What a strength reduction found.
+    """Result of a strength reduction.
 
     Attributes:
         factor: Factor of safety, the middle of the bracket.
-        bracket: Largest factor at which the body stands, and smallest at which it fails.
-        trials: The runs, by increasing factor.
-        criterion: What counts as failure, in words.
+        bracket: Largest factor at which the body stands, and smallest factor at which it fails.
+        trials: The trials, by increasing factor.
+        criterion: Criterion of failure, in words.
     """
 
     factor: float

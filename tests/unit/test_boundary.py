@@ -373,7 +373,7 @@ def _bad():
             lambda: mpm.dirichlet(LAW, line, u, v, penalty=-1.0), ParameterError, "penalty",
         ),
         "wall of a body": (
-            lambda: mpm.signorini(LAW, line, u, v), ParameterError, "one of a body",
+            lambda: mpm.signorini(LAW, line, u, v), ParameterError, "belongs to a body",
         ),
         "friction": (
             lambda: mpm.signorini(LAW, wall, u, v, friction=-0.1), ParameterError, "friction",

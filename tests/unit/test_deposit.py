@@ -114,7 +114,10 @@ def test_stiffness_by_stress():
         (lambda: mpm.Deposit(1.0, [3]), "must be a Layer"),
         (lambda: mpm.Deposit("high", mpm.Layer(0.0, 1e4, 0.5)), "surface"),
         (lambda: mpm.Deposit(1.0, [mpm.Layer(2.0, 1e4, 0.5)]), "from top to bottom"),
-        (lambda: mpm.Deposit(1.0, [mpm.Layer(0.0, 8e3, 0.5)], 0.5), "less than that of water"),
+        (
+            lambda: mpm.Deposit(1.0, [mpm.Layer(0.0, 8e3, 0.5)], 0.5),
+            "less than the unit weight of water",
+        ),
         (lambda: mpm.Layer(0.0, -1.0, 0.5), "unit_weight"),
         (lambda: mpm.Layer(0.0, 1e4, -0.5), "K0"),
         (lambda: mpm.Layer(np.nan, 1e4, 0.5), "bottom"),

@@ -222,7 +222,7 @@ def test_means_by_centres_over_the_domains_of_others(size):
     sums = np.bincount(cell, points["V"] * m) / np.bincount(cell, points["V"])
     np.testing.assert_allclose(means.mean(m), sums[cell], rtol=1e-13)
     assert problem.here.fields[0].stencils.cells.size > len(sums)
-    with pytest.raises(errors.ParameterError, match="'centres' is of linear functions and GIMP"):
+    with pytest.raises(errors.ParameterError, match="'centres' is for linear functions and GIMP"):
         mpm.momentum(
             Hencky(E=10.0, nu=0.45), points, mpm.Space(grid, "bspline2").increment, V.test,
             fbar="centres",

@@ -48,7 +48,7 @@ def test_second_gradients_at_points(scene):
     refused(
         scene,
         lambda p, u, v: ufl.inner(ufl.grad(ufl.grad(u)), ufl.grad(ufl.grad(v))) * p.dX,
-        "only a first one",
+        "only a first gradient",
     )
 
 
@@ -64,7 +64,7 @@ def test_a_derivative_through_means_over_cells_and_a_second_one(scene):
     refused(
         scene,
         lambda p, u, v: ufl.derivative(ufl.derivative(energy(p, u), u, u), u, v),
-        "second derivative through the law",
+        "the second derivative of the law",
     )
 
 

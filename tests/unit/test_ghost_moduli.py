@@ -21,7 +21,8 @@ from dolfinmpm.assembly.facetpairs import (
     local_constant,
     smooth_constant,
 )
-from dolfinmpm.assembly.facettensors import FacetPlace, FacetTensors
+from dolfinmpm.assembly.facetplaces import FacetPlace
+from dolfinmpm.assembly.facettensors import FacetTensors
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.facetmoduli import FIELD, LEAST, bounded, isotropic_moduli

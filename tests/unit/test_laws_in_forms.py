@@ -216,7 +216,10 @@ def test_two_laws_on_the_same_points_are_refused():
         term(NeoHookean(1.0, 0.3)) + term(one, tag=1), r"(?=.*NeoHookean\(E=1, ).*Hencky\(E=1000, "
     )
     other_stress = mpm.stress(one, points, u, strain="small")
-    refused(term(one) + ufl.inner(other_stress, ufl.grad(v)) * points.dX, "mpm.stress take law")
+    refused(
+        term(one) + ufl.inner(other_stress, ufl.grad(v)) * points.dX,
+        "mpm.stress takes the same law",
+    )
     # tags that nobody has do not meet
     mpm.QuasiStatic(term(one, tag=(0, 1)) + term(other, tag=7), u, points)
     for bad in (-1, 1.5, True, (), "clay"):

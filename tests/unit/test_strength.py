@@ -244,7 +244,7 @@ WRONG = {
     "one that returns": (lambda p: lambda factor: p, {}, "must be a generator"),
     "one that returns nothing": (lambda p: lambda factor: None, {}, "not `return problem`"),
     "steps": (lambda p: p, {"steps": 0}, "steps = 0"),
-    "time that steps have not": (lambda p: p, {"over": 1.0}, "of mpm.Transient alone"),
+    "time that steps have not": (lambda p: p, {"over": 1.0}, "for mpm.Transient only"),
     "Newmark": (
         lambda p: heap(rule=mpm.Newmark)[0], {}, "Newmark.*strength is reduced in quasi-static",
     ),

@@ -51,7 +51,7 @@ def on_wall(points, u, v):
         ({"load": (8, 9)}, r"tag=\(8, 9\), and no point has it"),
         ({"extra": on_body}, r"the contact with 'body\d+' is for points with tag=7, and no point"),
         ({"extra": on_wall}, "a term over Boundary 'right' is for points with tag=7"),
-        ({"law": 9}, "no point has a law: those of the form are for tag=9, .* the tags 1, 2"),
+        ({"law": 9}, "no point has a law: the laws are for tag=9, .* the tags 1, 2"),
         ({"law": 9, "load": 9}, "no point has a law"),
         ({"law": 1}, r"the 8 points of tag 2 have the load '.*density.*momentum\(.*, tag=2\)"),
     ],

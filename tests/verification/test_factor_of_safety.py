@@ -59,7 +59,7 @@ def test_the_published_factor():
     assert trials[1.2].displacement / SCALE == pytest.approx(0.42, abs=0.02)
     assert trials[1.2].steps == 10
     assert trials[1.8].steps < 10
-    assert "times that in proportion to the load" in safety.criterion
+    assert "times the displacement in proportion to the load" in safety.criterion
 
 
 @pytest.mark.long

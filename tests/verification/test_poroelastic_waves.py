@@ -128,12 +128,14 @@ def test_levels_of_another_rule_are_refused():
     mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.0)
     F, points, fields, _, _, bcs = column(permeability=1e-5, rho_inf=0.8)
     for problem in (mpm.Newmark, mpm.Transient, mpm.QuasiStatic):
-        with pytest.raises(FormError, match=rf"with {problem.__name__} they do at 1: .* none"):
+        with pytest.raises(
+            FormError, match=rf"but {problem.__name__} balances forces at 1: .* none"
+        ):
             problem(F, fields, points, bcs)
     with pytest.raises(FormError, match=r"at 0\.666667: .* rho_inf, 0\.5 here"):
         mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.5)
     mpm.GeneralisedAlpha(F, fields, points, bcs, rho_inf=0.8)
-    with pytest.raises(ParameterError, match=r"theta = 0\.5 is of flow"):
+    with pytest.raises(ParameterError, match=r"theta = 0\.5 weights the flow"):
         column(permeability=1e-5, rho_inf=0.8, theta=0.5)
     with pytest.raises(ParameterError, match="rho_inf = 2"):
         column(permeability=1e-5, rho_inf=2)

@@ -261,7 +261,7 @@ def of_few_cells():
         _ends(lambda: mpm.Surface(points, lambda x: x[1] > 7, (0, 1))),
         _ends(lambda: mpm.plot(points, "a.foo")),
     ]
-    assert "they lie from [0. 0.] to [1. 1.] m" in texts[0]
+    assert "the nodes lie from [0. 0.] to [1. 1.] m" in texts[0]
     assert "is nan at the node at [0. 1.] m" in texts[1]
     assert "lie between 0.5 and 0.5 m" in texts[2]
     assert "Matplotlib writes" in texts[3]
