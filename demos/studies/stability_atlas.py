@@ -57,6 +57,7 @@ def arguments(words=None):
     add("--ranks", action="store_true", help="all ranks take each problem together")
     add("--compare", type=int, default=20, metavar="N",
         help="of several ranks: run every N-th problem by all together too; 0: none")  # fmt: skip
+    add("--strict", action="store_true", help="fail if a stabilised problem ends wrong")
     add("--resume", action="store_true", help="keep the results that are there, and go on")
     given = options.parse_args(words)
     allowed = {"family": FAMILIES, "basis": BASES, "stabilisation": (*STABILISATIONS, *OTHERS)}
@@ -192,6 +193,8 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "problems": len(results), "success": shares, "wrong": sum(
             r["outcome"] == WRONG for r in results
+        ), "wrong_stabilised": sum(
+            r["outcome"] == WRONG and r["stabilisation"] != "none" for r in results
         ), "table": table(results), "worst": worst,
     }  # fmt: skip
 
@@ -237,6 +240,8 @@ def main(words=None):
         if WORLD.rank == 0:
             atlas_pictures.draw(args.output / "stability_atlas.png", results)
     finish(args, figures)
+    if args.strict and figures["wrong_stabilised"]:
+        raise SystemExit(f"{figures['wrong_stabilised']} stabilised problems end wrong")
     return figures
 
 
