@@ -20,7 +20,8 @@ ALL = *SHAPES, "bar", "blob"
 def random_shape(rng: np.random.Generator, radius: float, kinds: Any = SHAPES) -> dict[str, Any]:
     """A disc, a box, a turned box or a convex polygon of 3 to 7 corners about the origin.
 
-    A bar is a turned box two to four times as long as it is wide; a blob is smooth and convex.
+    A bar is a turned box two to three times as long as it is wide, in a circle 1.3 times as large;
+    a blob is smooth and convex.
 
     Args:
         rng: Random numbers.
@@ -43,7 +44,7 @@ def random_shape(rng: np.random.Generator, radius: float, kinds: Any = SHAPES) -
     else:
         diagonal = rng.uniform(0.25, 0.75) * 0.5 * np.pi
         if kind == "bar":
-            diagonal = math.atan(1.0 / rng.uniform(2.0, 4.0))
+            diagonal, radius = math.atan(1.0 / rng.uniform(2.0, 3.0)), 1.3 * radius
         turned = 0.0 if kind == "box" else rng.uniform(0.1, 0.7)
         half = [-diagonal, diagonal, np.pi - diagonal, np.pi + diagonal]
         angles = turned + np.array(half)
