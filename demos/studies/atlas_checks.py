@@ -14,7 +14,6 @@ from mpi4py import MPI
 
 __all__ = ["MADE", "Checks", "inside_by"]
 
-MADE = 0.05  # energy made, by all that came
 VOLUME = 0.02  # volume lost beyond what elastic strain takes, by the first volume
 ADMISSIBLE = 1e-6  # elastic strain that a second return mapping would take
 FIELDS = "x", "F", "V", "stress"
@@ -77,7 +76,7 @@ class Checks:
         more = (there - came) / abs(came)
         self._least = min(self._least, more)
         self.made = max(self.made, more - self._least)
-        return f"energy made: {self.made:.2%}" if self.made > MADE else ""
+        return f"energy made: {self.made:.2%}" if self.made > self.example.made else ""
 
     def _overlap(self) -> str:
         for rigid in self.example.rigid:

@@ -184,6 +184,10 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     for kind in dict.fromkeys(r["stabilisation"] for r in results):
         group = [r for r in results if r["stabilisation"] == kind]
         shares[kind] = sum(r["outcome"] == END for r in group) / len(group)
+    seconds = {}
+    for family in dict.fromkeys(r["family"] for r in results):
+        spent = [r["seconds"] for r in results if r["family"] == family]
+        seconds[family] = sum(spent) / len(spent)
     failed = [r for r in results if r["outcome"] != END]
     failed.sort(key=lambda r: (r["outcome"] != WRONG, r["stabilisation"] == "none"))
     worst = [
@@ -195,7 +199,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
             r["outcome"] == WRONG for r in results
         ), "wrong_stabilised": sum(
             r["outcome"] == WRONG and r["stabilisation"] != "none" for r in results
-        ), "table": table(results), "worst": worst,
+        ), "seconds": seconds, "table": table(results), "worst": worst,
     }  # fmt: skip
 
 
@@ -209,6 +213,8 @@ def show(figures: dict[str, Any], most: int = 12) -> None:
         )
     for one in figures["worst"][:most]:
         say(f"{one['outcome']}: {one['reason'][:100]}\n    {one['command']}")
+    spent = ", ".join(f"{family} {time:.1f}" for family, time in figures["seconds"].items())
+    say(f"seconds per problem: {spent}")
     shares = ", ".join(f"{kind} {share:.1%}" for kind, share in figures["success"].items())
     say(f"{figures['problems']} problems, {figures['wrong']} wrong; to the end: {shares}")
 
