@@ -25,6 +25,7 @@ import numpy as np
 import ufl
 from atlas_example import Example, Rigid, domains_of, random_of, rectangle
 from atlas_shapes import random_shape, rounded, shape_of
+from atlas_soils import law_of
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -57,18 +58,6 @@ def draw(seed: int) -> dict[str, Any]:
         "rubs": rng.uniform(0.0, 0.4), "penalty": rng.uniform(1.0, 3.0),
         "turns": rng.uniform(-0.02, 0.02) if rng.random() < 1 / 3 else 0.0,
     }  # fmt: skip
-
-
-def law_of(p: dict[str, Any]) -> Any:
-    """The law of a problem."""
-    E, nu, c, phi = p["E"], p["nu"], p["cohesion"], p["friction"]
-    if p["law"] == "von Mises":
-        return mpm.materials.VonMises(E, nu, math.sqrt(2) * c)
-    if p["law"] == "Tresca":
-        return mpm.materials.Tresca(E, nu, c)
-    if p["law"] == "Mohr-Coulomb":
-        return mpm.materials.MohrCoulomb(E, nu, c, phi, 0.0)
-    return mpm.materials.DruckerPrager(E, nu, c, phi, 0.0, fit="plane strain")
 
 
 def a_tenth(basis: str, stabilisation: str) -> mpm.Stabilisation:

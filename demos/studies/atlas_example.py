@@ -40,6 +40,7 @@ class Example:
         laws: Law of each tag of the points; None of those without a kernel.
         rigid: Rigid bodies that the points must stay out of.
         dynamic: Whether energy is to be kept.
+        made: Energy, by all that came, that may come from nowhere.
         keeps_volume: Whether plastic strain has no volume, in compression at least.
         size: Size of the cells (m).
         equal: Share by which the mean displacement may hang on the number of ranks.
@@ -52,6 +53,7 @@ class Example:
     size: float
     rigid: list[Rigid] = field(default_factory=list)
     dynamic: bool = False
+    made: float = 0.05
     keeps_volume: bool = False
     equal: float = 1e-3
 

@@ -3,8 +3,8 @@
 Two bodies fly at each other in the plane, in cells of 0.1 m, from 0.05 to 0.5 cells apart. Drawn
 evenly between these bounds:
 
-- discs, boxes, turned boxes and convex polygons within circles of 0.2 to 0.35 m; one may be up to
-  half its radius aside of the other's line; 2 or 3 points per cell and direction;
+- discs, boxes, turned boxes, bars, blobs and convex polygons within circles of 0.2 to 0.35 m; one
+  may be up to half its radius aside of the other's line; 2 or 3 points per cell and direction;
 - Hencky, neo-Hookean or von Mises (yield stress of 2 to 10 % of Young's modulus), E from 0.3 to
   3 MPa by its logarithm, ν from 0 to 0.4, 1000 kg/m³; speeds 1 to 5 % of the waves' for each;
 - they fly for 1 to 1.5 times as long as they need to meet, and a wave to cross a body four times;
@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from atlas_example import Example, Rigid, random_of
-from atlas_shapes import corners_of, random_shape, shape_of
+from atlas_shapes import ALL, corners_of, random_shape, shape_of
 from dolfinx import mesh
 from mpi4py import MPI
 
@@ -42,7 +42,7 @@ def draw(seed: int, family: str = "impacts") -> dict[str, Any]:
     rng = random_of(family, seed)
     E, nu = 10 ** rng.uniform(5.5, 6.5), rng.uniform(0.0, 0.4)
     wave = math.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / DENSITY)
-    shapes = [random_shape(rng, rng.uniform(0.2, 0.35)) for _ in range(2)]
+    shapes = [random_shape(rng, rng.uniform(0.2, 0.35), ALL) for _ in range(2)]
     middle = np.array(SIZE) / 2 + rng.uniform(-0.05, 0.05, 2)
     aside = rng.uniform(-0.5, 0.5) * min(shape["radius"] for shape in shapes)
     gap = rng.uniform(0.05, 0.5) * H

@@ -33,14 +33,18 @@ def draw(path: Path, results: list[dict[str, Any]]) -> None:
                 group = [r for r in results if (r["family"], r["stabilisation"]) == (family, kind)]
                 _panel(panel, group, bases, seeds)
                 good = sum(r["outcome"] == "to the end" for r in group)
-                title = f"{kind}: {good} of {len(group)}" if group else f"{kind}: none run"
-                panel.set_title(title, fontsize=7, pad=2)
-            row[0].set_ylabel(family)
+                told = f"{good} of {len(group)} to the end" if group else "not run"
+                panel.set_title(f"{kind}: {told}", fontsize=7, pad=4)
+            row[0].set_ylabel(TITLES[family])
         for panel in axes[-1]:
             panel.set_xlabel("seed")
         _legend(figure)
 
 
+TITLES = {
+    "slopes": "slopes", "bodies": "rigid bodies\nin soil", "impacts": "collisions,\nimplicit",
+    "explicit": "collisions,\nexplicit", "water": "soil with\nwater",
+}  # fmt: skip
 ORDER = [
     "slopes", "bodies", "impacts", "explicit", "water", "none", "ghost", "aggregation",
     "weak-aggregation", "extended", "soft", "linear", "gimp", "bspline2", "bspline3",
@@ -70,5 +74,6 @@ def _panel(axes: Any, group: list[dict[str, Any]], bases: list[str], seeds: list
 def _legend(figure: Any) -> None:
     from matplotlib.patches import Patch
 
-    patches = [Patch(color=colour, label=name) for name, colour in COLOURS.items()]
+    kinds = {**COLOURS, "not run": NOTHING}
+    patches = [Patch(facecolor=colour, label=name) for name, colour in kinds.items()]
     figure.legend(handles=patches, loc="outside upper center", ncols=len(patches))

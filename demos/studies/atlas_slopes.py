@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 import ufl
 from atlas_example import Example, culmann, domains_of, random_of, rectangle
+from atlas_soils import law_of, pressure_of
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
@@ -36,7 +37,6 @@ __all__ = ["BASES", "build", "draw"]
 BASES = "linear", "gimp", "bspline2", "bspline3"
 LAWS = "von Mises", "Tresca", "Mohr-Coulomb", "Drucker-Prager", "Cam-Clay"
 DENSITY, GRAVITY = 2000.0, 10.0  # kg/m³, m/s²
-SWELLING = 0.02  # κ̂
 STEPS = 20
 
 
@@ -58,32 +58,6 @@ def draw(seed: int) -> dict[str, Any]:
         "exact": bool(rng.integers(2)), "fbar": bool(rng.integers(2)) and law != "Cam-Clay",
         "compression": rng.uniform(0.1, 0.2), "ratio": rng.uniform(1.0, 3.0),
     }  # fmt: skip
-
-
-def law_of(p: dict[str, Any]) -> Any:
-    """The law of a problem."""
-    E, nu, c, phi = p["E"], p["nu"], p["cohesion"], p["friction"]
-    if p["law"] == "von Mises":
-        return mpm.materials.VonMises(E, nu, math.sqrt(2) * c)
-    if p["law"] == "Tresca":
-        return mpm.materials.Tresca(E, nu, c)
-    if p["law"] == "Mohr-Coulomb":
-        return mpm.materials.MohrCoulomb(E, nu, c, phi, 0.0)
-    if p["law"] == "Drucker-Prager":
-        return mpm.materials.DruckerPrager(E, nu, c, phi, 0.0, fit="plane strain")
-    sine = math.sin(math.radians(phi))
-    p0 = pressure_of(p)
-    return mpm.materials.CamClay(
-        swelling=SWELLING, compression=p["compression"], M=6 * sine / (3 - sine),
-        mu0=E / (2 * (1 + nu)), alpha=0.0, reference_pressure=p0, preconsolidation=p["ratio"] * p0,
-    )  # fmt: skip
-
-
-def pressure_of(p: dict[str, Any]) -> float:
-    """Pressure from outside (Pa): that which gives friction the strength of the cohesion."""
-    if p["law"] != "Cam-Clay":
-        return 0.0
-    return p["cohesion"] / math.tan(math.radians(p["friction"]))
 
 
 def width_of(p: dict[str, Any]) -> tuple[float, float]:

@@ -23,6 +23,7 @@ import atlas_slopes
 import numpy as np
 import ufl
 from atlas_example import Example, culmann, domains_of, random_of, rectangle
+from atlas_soils import SWELLING, law_of
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -67,7 +68,7 @@ def undrained(p: dict[str, Any]) -> float:
     if p["law"] == "Mohr-Coulomb":
         return 2.0 * math.cos(phi)
     M = 6 * math.sin(phi) / (3 - math.sin(phi))
-    slope = 1 - atlas_slopes.SWELLING / p["compression"]
+    slope = 1 - SWELLING / p["compression"]
     return M / math.sqrt(3) * (p["ratio"] / 2) ** slope / math.tan(phi)
 
 
@@ -75,7 +76,7 @@ def modulus_of(p: dict[str, Any]) -> float:
     """P-wave modulus of the soil at first (Pa)."""
     G = p["E"] / (2 * (1 + p["nu"]))
     if p["law"] == "Cam-Clay":
-        return suction_of(p) / atlas_slopes.SWELLING + 4 / 3 * G
+        return suction_of(p) / SWELLING + 4 / 3 * G
     return 2 * G * (1 - p["nu"]) / (1 - 2 * p["nu"])
 
 
@@ -106,7 +107,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     V = mpm.Space(grid, basis, **domains_of(basis))
     Q = mpm.Space(grid, basis, shape=(), **domains_of(basis))
     u, v, suction, modulus = V.increment, V.test, suction_of(p), modulus_of(p)
-    law, load = atlas_slopes.law_of(p), fem.Constant(grid, (0.0, 0.0))
+    law, load = law_of(p), fem.Constant(grid, (0.0, 0.0))
     held = 0.0 if p["wet"] else -suction
     F = mpm.poromechanics(
         law, points, (u, Q.increment), (v, Q.test), permeability=PERMEABILITY, porosity=0.5,

@@ -57,6 +57,7 @@ def arguments(words=None):
     add("--ranks", action="store_true", help="all ranks take each problem together")
     add("--compare", type=int, default=20, metavar="N",
         help="of several ranks: run every N-th problem by all together too; 0: none")  # fmt: skip
+    add("--strict", action="store_true", help="fail if a stabilised problem ends wrong")
     add("--resume", action="store_true", help="keep the results that are there, and go on")
     given = options.parse_args(words)
     allowed = {"family": FAMILIES, "basis": BASES, "stabilisation": (*STABILISATIONS, *OTHERS)}
@@ -183,6 +184,10 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     for kind in dict.fromkeys(r["stabilisation"] for r in results):
         group = [r for r in results if r["stabilisation"] == kind]
         shares[kind] = sum(r["outcome"] == END for r in group) / len(group)
+    seconds = {}
+    for family in dict.fromkeys(r["family"] for r in results):
+        spent = [r["seconds"] for r in results if r["family"] == family]
+        seconds[family] = sum(spent) / len(spent)
     failed = [r for r in results if r["outcome"] != END]
     failed.sort(key=lambda r: (r["outcome"] != WRONG, r["stabilisation"] == "none"))
     worst = [
@@ -192,7 +197,9 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "problems": len(results), "success": shares, "wrong": sum(
             r["outcome"] == WRONG for r in results
-        ), "table": table(results), "worst": worst,
+        ), "wrong_stabilised": sum(
+            r["outcome"] == WRONG and r["stabilisation"] != "none" for r in results
+        ), "seconds": seconds, "table": table(results), "worst": worst,
     }  # fmt: skip
 
 
@@ -206,6 +213,8 @@ def show(figures: dict[str, Any], most: int = 12) -> None:
         )
     for one in figures["worst"][:most]:
         say(f"{one['outcome']}: {one['reason'][:100]}\n    {one['command']}")
+    spent = ", ".join(f"{family} {time:.1f}" for family, time in figures["seconds"].items())
+    say(f"seconds per problem: {spent}")
     shares = ", ".join(f"{kind} {share:.1%}" for kind, share in figures["success"].items())
     say(f"{figures['problems']} problems, {figures['wrong']} wrong; to the end: {shares}")
 
@@ -237,6 +246,8 @@ def main(words=None):
         if WORLD.rank == 0:
             atlas_pictures.draw(args.output / "stability_atlas.png", results)
     finish(args, figures)
+    if args.strict and figures["wrong_stabilised"]:
+        raise SystemExit(f"{figures['wrong_stabilised']} stabilised problems end wrong")
     return figures
 
 

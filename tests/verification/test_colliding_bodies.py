@@ -133,3 +133,27 @@ def test_two_discs_collide():
     assert kinetic.min() == pytest.approx(0.053, abs=0.015)
     assert t[np.argmin(kinetic)] - touch == pytest.approx(0.518, abs=0.03)
     np.testing.assert_allclose(problem.momentum(), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("basis", ["linear", "gimp"])
+def test_a_collision_makes_no_energy(basis):
+    """A box flies at a disc, five cells wide: energy is lost as they meet, and none comes back.
+
+    What comes back with linear functions is of vibrations: points cross cells. With impulses that
+    stop the nodes' velocities alone, and not those mapped back, 33 % came back, with GIMP 18 %.
+    """
+    speed = 0.8
+    grid = mesh.create_rectangle(COMM, [(0, 0), (2.4, 1.6)], (24, 16), mesh.CellType.quadrilateral)
+    shapes = [mpm.Box((0.61, 0.53), (1.13, 0.97)), mpm.Disc((1.42, 0.83), 0.27)]
+    problem = bodies(grid, shapes, mpm.materials.Hencky(E=1e6, nu=0.2), basis)
+    points = problem.points
+    points["velocity"][:, 0] = np.where(points["tag"] == 1, speed, -speed)
+    whole = []
+    for now in np.linspace(0, 0.15, 31)[1:]:
+        problem.step(float(now))
+        e = problem.energies()
+        whole.append((e.kinetic + e.strain) / e.initial)
+    # the bodies have parted
+    assert mean_velocity(points, 1)[0] < -0.3 * speed
+    assert np.max(whole - np.minimum.accumulate(whole)) < (0.015 if basis == "linear" else 0.01)
+    assert np.min(whole) > 0.75
