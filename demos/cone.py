@@ -42,7 +42,7 @@ def beside(x):
     return (x[:, 1] < 0) & (gap > h / 4 * np.abs(normal).sum(axis=1))
 
 
-clay = mpm.Shape(beside, np.array([0.0, heights[0]]), np.array([40.0, 0.0]))
+clay = mpm.Shape(beside, low=np.array([0.0, heights[0]]), high=np.array([40.0, 0.0]))
 points = mpm.fill(grid, clay, per_cell=2, density=1800.0, axisymmetric=True)
 V = mpm.Space(grid, basis="gimp", domains="volume")
 u, v = V.increment, V.test

@@ -11,7 +11,7 @@ import dolfinmpm as mpm
 
 COMM = MPI.COMM_WORLD
 ELASTIC = mpm.materials.Hencky(E=1e5, nu=0.3)
-CLAY = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=5e3)
+CLAY = mpm.materials.VonMises(E=1e6, nu=0.3, radius=5e3)
 
 
 def grid_of(low, high, n):

@@ -37,7 +37,8 @@ INPUTS = {
     "mpm.Where(mpm.Box((0, 0), (1, 1)))": "condition = a Box must be a function of positions",
     "mpm.Shape(3)": "contains = 3 must be a function of positions that",
     "mpm.fill(s.grid, mpm.Shape(lambda x: x[0] < 1), 2, 1.0)": "Shape should tell of 128",
-    "mpm.Shape(np.zeros(2), lambda x: x[0] < 1)": "contains = array([0., 0.]) must be a function",
+    "mpm.Shape(np.zeros(2), low=lambda x: x[0] < 1)":
+        "contains = array([0., 0.]) must be a function",
     "mpm.Cone((0, 0), 0.5, 0.5, 1.0)": "a cone needs a tip and an axis in 3D, got (0, 0)",
     "mpm.Cone((0, 0, 0), 0.5, 30, 1.0)": "semi_angle = 30 rad must be above 0 and below 1.5708",
     "mpm.Cone((0, 0, 0), -0.5, 0.5, 1.0)": "radius = -0.5 m must be above 0",
@@ -71,7 +72,7 @@ INPUTS = {
     "mpm.Boundary(s.points, [(1, 1)], [(0, 0)])": "the area of the marker at [1. 1.] m is zero;",
     "mpm.Boundary(s.points, [(1, 1)], [(0, nan)])": "area has the row [ 0. nan], which must be",
     'mpm.Boundary(s.points, "ab", "cd")': "x = 'ab' must be an array of numbers",
-    "mpm.Boundary.from_polygon(s.points, [(2, 0), (2, 1)], False, name=3)":
+    "mpm.Boundary.from_polygon(s.points, [(2, 0), (2, 1)], closed=False, name=3)":
         "name = 3 must be a word, such as 'wall'",
     "s.side.traction((0, 0, 1), s.v)": "traction = (0, 0, 1) must be a vector of 2",
     's.side.traction("up", s.v)': "traction = 'up' must be a vector of 2 components:",
@@ -154,7 +155,7 @@ INPUTS = {
     "mpm.geostatic_stress(1.0, 1.0, 0.5)(np.zeros(3))": "x has the shape (3,) and must have",
     "s.set_stress(np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]]))": "the initial stress [[0.0,",
     "s.set_stress(np.eye(2))": "stress has the shape (2, 2), expected (3, 3), or",
-    "s.set_stress(-100000.0 * np.diag([1, 3, 1.0]), law=materials.VonMises(10000.0, 0.3, 10.0))":
+    "s.set_stress(np.diag([-1e5, -3e5, -1e5]), law=materials.VonMises(10000.0, 0.3, radius=10.0))":
         "VonMises: the principal Kirchhoff stresses",
     "s.set_stress(np.eye(3) * 1e+30)": "Hencky: the principal stresses [1e+30, 1e+30,",
     # -- grids

@@ -90,13 +90,13 @@ RAW = {
         lambda s: mpm.materials.Hencky(s.c, 0.3), r"E = a Constant is an expression of UFL.*float",
     ),
     "law: a function of DOLFINx": (
-        lambda s: mpm.materials.VonMises(1e4, 0.3, s.u), "yield_stress = a Function is an expressi",
+        lambda s: mpm.materials.VonMises(1e4, 0.3, radius=s.u), "radius = a Function is an express",
     ),
     "respond: two strains": (lambda s: s.law.respond([1e-3, 0]), r"strain = \[0\.001, 0\] must be"),
     "respond: words": (lambda s: s.law.respond("ab"), "strain = 'ab' must be three principal"),
     "respond: none": (lambda s: s.law.respond(None), "strain = None must be three principal"),
     "respond: internal": (
-        lambda s: mpm.materials.VonMises(1e4, 0.3, 10.0).respond([0, 0, 0], np.zeros(5)),
+        lambda s: mpm.materials.Tresca(1e4, 0.3, 10.0).respond([0, 0, 0], internal=np.zeros(5)),
         r"internal has the shape \(5,\) and must have a row for each strain: plastic_strain",
     ),
     # -- points

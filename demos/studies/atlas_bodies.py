@@ -63,12 +63,12 @@ def law_of(p: dict[str, Any]) -> Any:
     """The law of a problem."""
     E, nu, c, phi = p["E"], p["nu"], p["cohesion"], p["friction"]
     if p["law"] == "von Mises":
-        return mpm.materials.VonMises(E, nu, math.sqrt(2) * c)
+        return mpm.materials.VonMises(E, nu, radius=math.sqrt(2) * c)
     if p["law"] == "Tresca":
         return mpm.materials.Tresca(E, nu, c)
     if p["law"] == "Mohr-Coulomb":
-        return mpm.materials.MohrCoulomb(E, nu, c, phi, 0.0)
-    return mpm.materials.DruckerPrager(E, nu, c, phi, 0.0, fit="plane strain")
+        return mpm.materials.MohrCoulomb(E, nu, c, phi, dilation_angle=0.0)
+    return mpm.materials.DruckerPrager(E, nu, c, phi, fit="plane strain")
 
 
 def a_tenth(basis: str, stabilisation: str) -> mpm.Stabilisation:
@@ -96,7 +96,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     u, v = V.increment, V.test
     law, gravity = law_of(p), fem.Constant(grid, (0.0, -GRAVITY))
     K0 = p["nu"] / (1 - p["nu"])
-    mpm.set_stress(points, law, mpm.geostatic_stress(p["top"], DENSITY * GRAVITY, K0))
+    mpm.set_stress(law, points, mpm.geostatic_stress(p["top"], DENSITY * GRAVITY, K0))
     corners = np.array(p["shape"]["corners"])
     centre = np.array([p["x"], p["top"] - corners[:, 1].min() + 0.01 * H])
     steps, way = way_of(p)

@@ -112,7 +112,7 @@ class Checks:
             internal = [points[name][mine] for name in law.internal]
             kept = np.column_stack(internal) if internal else np.empty((len(strain), 0))
             if len(strain):
-                again = law.respond(strain, kept, points["x0"][mine])
+                again = law.respond(strain, internal=kept, x=points["x0"][mine])
                 most = max(most, np.abs(np.sort(again.strain, axis=1) - strain).max())
         most = self._most([most])
         return f"beyond the yield surface by a strain of {most:.2g}" if most > ADMISSIBLE else ""

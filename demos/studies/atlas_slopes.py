@@ -64,13 +64,13 @@ def law_of(p: dict[str, Any]) -> Any:
     """The law of a problem."""
     E, nu, c, phi = p["E"], p["nu"], p["cohesion"], p["friction"]
     if p["law"] == "von Mises":
-        return mpm.materials.VonMises(E, nu, math.sqrt(2) * c)
+        return mpm.materials.VonMises(E, nu, radius=math.sqrt(2) * c)
     if p["law"] == "Tresca":
         return mpm.materials.Tresca(E, nu, c)
     if p["law"] == "Mohr-Coulomb":
-        return mpm.materials.MohrCoulomb(E, nu, c, phi, 0.0)
+        return mpm.materials.MohrCoulomb(E, nu, c, phi, dilation_angle=0.0)
     if p["law"] == "Drucker-Prager":
-        return mpm.materials.DruckerPrager(E, nu, c, phi, 0.0, fit="plane strain")
+        return mpm.materials.DruckerPrager(E, nu, c, phi, fit="plane strain")
     sine = math.sin(math.radians(phi))
     p0 = pressure_of(p)
     return mpm.materials.CamClay(
@@ -119,7 +119,7 @@ def faces(points: Any, inside: Any, width: float) -> list[Any]:
         free = ~inside(beyond.T) & (beyond[:, 0] < width)
         offset = np.where(free[:, None], half * n, 0.0)
         area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-        found.append(mpm.Surface.from_arrays(points, offset, area, name))
+        found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
     return found
 
 

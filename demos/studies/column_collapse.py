@@ -283,7 +283,7 @@ def run(args, integrator, basis, fbar, strain, keep=()):
             if integrator == "explicit":
                 problem.step(t)
             else:
-                for now in mpm.times(t, args.dt, problem.time, label=name):
+                for now in mpm.times(t, args.dt, start=problem.time, label=name):
                     problem.step(now)
             found.append(measure(points, args, problem))
             if t in keep:

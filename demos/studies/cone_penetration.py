@@ -188,12 +188,12 @@ class Scene:
             # no corner of a domain within the cone
             return (x[:, -1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
 
-        ground = mpm.Shape(beside, low, np.append(high[:-1], 0.0))
+        ground = mpm.Shape(beside, low=low, high=np.append(high[:-1], 0.0))
         deposit = None
         if args.law == "sand":
             sand = mpm.materials.sand(args.relative_density, nu=args.poisson)
             deposit = mpm.Deposit(0.0, [mpm.Layer.of(sand)])
-            E = deposit.modulus(sand.E_ref, sand.exponent, sand.p_ref)
+            E = deposit.modulus(sand.E_ref, sand.exponent, p_ref=sand.p_ref)
             law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
             density, self.unit = sand.density, 1e3
         elif args.law == "cam-clay":
@@ -217,7 +217,7 @@ class Scene:
         else:
             F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
         if deposit is not None:
-            mpm.set_stress(points, law, lambda x: deposit.stress(x))
+            mpm.set_stress(law, points, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         F += mpm.contact(
             self.tool, points, u, v, penalty=args.penalty / h, friction=args.friction,

@@ -125,7 +125,13 @@ class Soil:
             self.strength = least * (args.ratio / 2) ** (1 - SWELLING / COMPRESSION)
             self.G = args.rigidity_index * self.strength
             self.law = mpm.materials.CamClay(
-                SWELLING, COMPRESSION, M, self.G, 0.0, SUCTION, args.ratio * SUCTION
+                swelling=SWELLING,
+                compression=COMPRESSION,
+                M=M,
+                mu0=self.G,
+                alpha=0.0,
+                reference_pressure=SUCTION,
+                preconsolidation=args.ratio * SUCTION,
             )
             self.modulus = SUCTION / SWELLING + 4 / 3 * self.G
         else:
@@ -133,7 +139,7 @@ class Soil:
             self.strength = COHESION * math.cos(phi) + SUCTION * math.sin(phi)
             self.G = args.rigidity_index * self.strength
             self.law = mpm.materials.MohrCoulomb(
-                2 * (1 + nu) * self.G, nu, COHESION, FRICTION, args.dilation
+                2 * (1 + nu) * self.G, nu, COHESION, FRICTION, dilation_angle=args.dilation
             )
             self.modulus = 2 * self.G * (1 - nu) / (1 - 2 * nu)
 
@@ -182,7 +188,7 @@ class Slope:
         # the density is 1, gravity the weight per volume
         F -= ufl.inner(self.points.density * self.gravity, self.v) * self.points.dX
         if args.law == "mohr-coulomb" and way != "undrained":
-            mpm.set_stress(self.points, self.soil.law, -SUCTION * np.eye(3))
+            mpm.set_stress(self.soil.law, self.points, -SUCTION * np.eye(3))
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         kind = mpm.Transient if self.coupled else mpm.QuasiStatic
         stabilisations = [args.stabilisation] * len(fields)
@@ -208,7 +214,7 @@ class Slope:
             free = ~self.inside(beyond.T) & (beyond[:, 0] < WIDTH)
             offset = np.where(free[:, None], half * n, 0.0)
             area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-            found.append(mpm.Surface.from_arrays(points, offset, area, name))
+            found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
         return found
 
     @property

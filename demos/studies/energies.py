@@ -155,7 +155,11 @@ def free_body(args, seed):
         half = np.array([R, rng.uniform(0.3, 0.6)])
         body = mpm.Box(tuple(centre - half), tuple(centre + half))
     materials = mpm.materials
-    laws = materials.Hencky(E, nu), materials.VonMises(E, nu, 10 * E), materials.NeoHookean(E, nu)
+    laws = (
+        materials.Hencky(E, nu),
+        materials.VonMises(E, nu, radius=10 * E),
+        materials.NeoHookean(E, nu),
+    )
     law, basis = laws[rng.integers(3)], ["gimp", "bspline2"][rng.integers(2)]
     grid = squares((0, 0), (4, 4))
     points = mpm.fill(grid, body, int(rng.integers(2, 4)), rho)

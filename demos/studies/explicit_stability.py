@@ -123,7 +123,7 @@ def block(args, method, law, offset, kind, travel=0.0):
     V = mpm.Space(grid, basis)
     material = mpm.materials.Hencky(E, NU)
     if law == "elastoplastic":
-        material = mpm.materials.VonMises(E, NU, YIELD)
+        material = mpm.materials.VonMises(E, NU, radius=YIELD)
     F = mpm.momentum(material, points, V.increment, V.test)
     stabilisation = mpm.Stabilisation(stabilisation, E=E, nu=NU)
     if kind == "static":

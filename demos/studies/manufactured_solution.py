@@ -297,7 +297,7 @@ if not args.no_plot:
         ) as (whole, axes):  # fmt: skip
             for column, (name, by_basis) in zip(axes.T, curves.items()):
                 for ax, key in zip(column, keys):
-                    study.draw_convergence(ax, by_basis, key, orders=(1, 2, 3))
+                    study.draw_convergence(ax, by_basis, key=key, orders=(1, 2, 3))
                 column[0].set_title(name)
                 column[1].set_xlabel("cell size h (m)")
             for ax, key in zip(axes[:, 0], keys):

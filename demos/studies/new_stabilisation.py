@@ -199,12 +199,12 @@ for stabilisation in stabilisations:
     swept[stabilisation] = study.sweep(
         lambda place, stabilisation=stabilisation: conditioning(stabilisation, *place),
         places,
-        stabilisation,
+        label=stabilisation,
     )
     curves[stabilisation] = study.convergence(
         lambda h, stabilisation=stabilisation: error(stabilisation, round(1 / h)),
         sizes,
-        stabilisation,
+        label=stabilisation,
         errors=["error"],
     )
     worst = study.worst(swept[stabilisation])

@@ -86,7 +86,7 @@ def run(args, integrator, h):
     points = mpm.fill(grid, mpm.Where(in_body), args.points_per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
-    law = mpm.materials.VonMises(E, NU, lambda x: np.where(in_zone(x), WEAK, YIELD))
+    law = mpm.materials.VonMises(E, NU, radius=lambda x: np.where(in_zone(x), WEAK, YIELD))
     gravity = fem.Constant(grid, (0.0, -GRAVITY))
     F = mpm.momentum(law, points, u, v)
     F -= ufl.inner(points.density * gravity, v) * points.dX

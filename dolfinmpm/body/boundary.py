@@ -100,6 +100,7 @@ class Boundary:
         points: MaterialPoints,
         x: npt.ArrayLike,
         area: npt.ArrayLike,
+        *,
         follows: bool = True,
         name: str | None = None,
         activates: bool | None = None,
@@ -169,6 +170,7 @@ class Boundary:
         cls,
         points: MaterialPoints,
         vertices: npt.ArrayLike,
+        *,
         closed: bool = True,
         follows: bool = True,
         rule: int = 2,
@@ -206,14 +208,16 @@ class Boundary:
             spacing = smallest_height(points.grid) / 2
         lines = () if lattice is None else lattice.lines
         x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
-        made = cls(points, *revolved(points, x, area), follows, name, activates)
+        made = cls(
+            points, *revolved(points, x, area), follows=follows, name=name, activates=activates
+        )
         made.tiles = rule == 1
         return made
 
     @classmethod
     @together
     def from_side(
-        cls, points: MaterialPoints, side: str, rule: int = 2, name: str | None = None
+        cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
     ) -> Boundary:
         """A side of a rectangular grid, as a wall: it stays, and activates no cells. Collective.
 
@@ -243,7 +247,7 @@ class Boundary:
         area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
         normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
         x, area = revolved(points, x.reshape(-1, points.gdim), area * normal)
-        return cls(points, x, area, False, name or word, activates=False)
+        return cls(points, x, area, follows=False, name=name or word, activates=False)
 
     @classmethod
     @together
@@ -252,6 +256,7 @@ class Boundary:
         points: MaterialPoints,
         vertices: npt.ArrayLike,
         triangles: npt.ArrayLike,
+        *,
         follows: bool = True,
         name: str | None = None,
         activates: bool | None = None,
@@ -281,7 +286,7 @@ class Boundary:
         corners = triangles_of(vertices, triangles)
         lattice = lattice_of(points.grid)
         x, area = cut_triangles(corners, None if lattice is None else lattice.lines)
-        return cls(points, x, area, follows, name, activates)
+        return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod
     @together
@@ -289,6 +294,7 @@ class Boundary:
         cls,
         points: MaterialPoints,
         phi: Callable[[Array], npt.ArrayLike],
+        *,
         subdivisions: int = 2,
         follows: bool = True,
         rule: int = 2,
@@ -339,7 +345,9 @@ class Boundary:
             raise EmptyShapeError(
                 "phi changes its sign nowhere on the grid; it has no level 0 there"
             )
-        return cls(points, *revolved(points, x, area), follows, name, activates)
+        return cls(
+            points, *revolved(points, x, area), follows=follows, name=name, activates=activates
+        )
 
     # -- of UFL ---------------------------------------------------------------
 

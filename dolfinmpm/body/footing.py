@@ -66,6 +66,7 @@ class RigidFooting(ReadOnce):
         self,
         surface: Surface,
         settlement: fem.Constant,
+        *,
         rough: bool = True,
         E: float | None = None,
         stiffness: float | None = None,

@@ -90,6 +90,7 @@ class Surface:
         points: MaterialPoints,
         where: Where,
         normal: Sequence[float],
+        *,
         name: str | None = None,
     ):
         check_points(points)
@@ -133,6 +134,7 @@ class Surface:
         points: MaterialPoints,
         offset: npt.ArrayLike,
         area: npt.ArrayLike,
+        *,
         name: str | None = None,
     ) -> Surface:
         """A surface of any shape, its offsets and areas given point by point. Collective.

@@ -81,6 +81,7 @@ class Cone(Shape):
         radius: float,
         semi_angle: float,
         length: float,
+        *,
         axis: Sequence[float] = (0.0, 0.0, 1.0),
     ):
         number("radius", radius, 0.0, unit="m")
@@ -105,4 +106,4 @@ class Cone(Shape):
 
         ends = self.tip, self.tip + length * self.axis
         across = radius * np.sqrt(np.maximum(1.0 - self.axis**2, 0.0))
-        super().__init__(contains, np.minimum(*ends) - across, np.maximum(*ends) + across)
+        super().__init__(contains, low=np.minimum(*ends) - across, high=np.maximum(*ends) + across)

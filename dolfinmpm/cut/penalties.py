@@ -167,7 +167,7 @@ def ghost(
     return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
-def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:
+def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:
     """Soft stiffness: η times the linear elastic stiffness of the whole of all active cells.
 
     It belongs into the tangent alone, not among the forces (Wang, Vardon, Hicks &
@@ -191,7 +191,7 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
     number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0, 1.0)
     lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
     radius = ufl.SpatialCoordinate(points.grid)[0]
-    strain = ufl.sym(gradient(points, u, radius))
+    strain = ufl.sym(gradient(points, u, radius=radius))
     stress = lmbda * ufl.tr(strain) * ufl.Identity(points.strain_dim) + 2 * mu * strain
-    energy = ufl.inner(stress, gradient(points, v, radius))
+    energy = ufl.inner(stress, gradient(points, v, radius=radius))
     return (ring(radius, energy) if points.axisymmetric else energy) * points.dC

@@ -17,7 +17,7 @@ are the integral of its function: a gap leaves room there, on whichever side of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from itertools import combinations
 
 import numpy as np
@@ -50,6 +50,7 @@ class Collision:
     """
 
     tags: Sequence[int | tuple[int, ...]] = (1, 2)
+    _: KW_ONLY
     friction: float = 0.0
     gap_test: bool = True
 

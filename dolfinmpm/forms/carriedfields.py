@@ -98,7 +98,7 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
 
 
 def carried(
-    points: MaterialPoints, name: str, expression: Any, unit: str = "", first: Any = 0.0
+    points: MaterialPoints, name: str, expression: Any, *, unit: str = "", first: Any = 0.0
 ) -> CarriedField:
     """What an expression was at the end of the last step, at the material points, for UFL.
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,7 @@ class Layer:
     bottom: Height
     unit_weight: float
     K0: float
+    _: KW_ONLY
     saturated_unit_weight: float | None = None
 
     def __post_init__(self):
@@ -85,7 +86,12 @@ class Layer:
     def of(cls, sand: Sand, bottom: Height = -math.inf) -> Layer:
         """A layer of a sand; see `dolfinmpm.materials.sand`."""
         check_kind("sand", sand, Sand, "make it with mpm.materials.sand(relative_density)")
-        return cls(bottom, sand.unit_weight, sand.K0, sand.saturated_unit_weight)
+        return cls(
+            bottom,
+            sand.unit_weight,
+            sand.K0,
+            saturated_unit_weight=sand.saturated_unit_weight,
+        )
 
 
 class Deposit:
@@ -109,6 +115,7 @@ class Deposit:
         self,
         surface: Height,
         layers: Sequence[Layer],
+        *,
         water_table: Height | None = None,
         water_weight: float = 9810.0,
     ):
@@ -175,7 +182,7 @@ class Deposit:
         full = self._by_layer(at, [_wet(layer) for layer in self.layers])
         return np.where(wet, full - self.water_weight, dry)
 
-    def density(self, x: npt.ArrayLike, gravity: float = 9.81) -> Array:
+    def density(self, x: npt.ArrayLike, *, gravity: float = 9.81) -> Array:
         """Mass per volume (kg/m³), that of the water in saturated ground included.
 
         Args:
@@ -201,7 +208,7 @@ class Deposit:
         return result
 
     def modulus(
-        self, E_ref: float, exponent: float, p_ref: float = 100e3, least: float = _LEAST
+        self, E_ref: float, exponent: float, *, p_ref: float = 100e3, least: float = _LEAST
     ) -> Callable[[npt.ArrayLike], Array]:
         """E = E_ref (σ'_h/p_ref)^m by the horizontal effective stress at first.
 

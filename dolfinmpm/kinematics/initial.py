@@ -179,7 +179,7 @@ def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | 
         f"{law}: the stress {points.fields.read('stress')[p].tolist()} Pa at {points['x'][p]} m "
         f"was set by mpm.set_stress with another law, or changed since, and is not what this law "
         f"gives for the strain that was found ({int((~same).sum())} such points on this rank): "
-        f'call mpm.set_stress(points, law, stress, strain="{framework.measure}") with the law of '
+        f'call mpm.set_stress(law, points, stress, strain="{framework.measure}") with the law of '
         "the problem"
     )
 

@@ -160,6 +160,7 @@ def momentum(
     points: MaterialPoints,
     u: fem.Function,
     v: Any,
+    *,
     strain: str = "large",
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
@@ -225,6 +226,7 @@ def stress(
     law: Law | NeoHookean,
     points: MaterialPoints,
     u: fem.Function,
+    *,
     strain: str = "large",
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
@@ -300,9 +302,10 @@ def flux(
 
 @together(own=("stress",))
 def set_stress(
-    points: MaterialPoints,
     law: Law | NeoHookean,
+    points: MaterialPoints,
     stress: StressField,
+    *,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
 ) -> None:
@@ -316,8 +319,8 @@ def set_stress(
     as a preconsolidation pressure, must admit the stress by then.
 
     Args:
-        points: Material points.
         law: The law that the problem uses.
+        points: Material points.
         stress: Cauchy stress (Pa), tension positive: shape (3, 3), (n, 3, 3) for all points
             of this rank, or a function of the present positions of the law's points, shape
             (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.

@@ -130,11 +130,12 @@ class WeakCondition:
 
 
 def dirichlet(
-    law: Law | NeoHookean | None,
     boundary: Boundary,
     u: fem.Function,
     v: Any,
     value: Any = 0.0,
+    *,
+    law: Law | NeoHookean | None = None,
     method: str = "nitsche",
     direction: Any = None,
     strain: str = "large",
@@ -145,14 +146,14 @@ def dirichlet(
     """Prescribed displacement on a boundary that does not fit the grid, to be added.
 
     Args:
-        law: The law of the body there, whose traction Nitsche's method needs. None with
-            method="penalty" and a stiffness.
         boundary: The boundary.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         value: Displacement since the first step (m): a vector, or with a direction a number
             along it; a DOLFINx constant, which steps scale in parts, a UFL expression over the
             boundary, or a function of first positions (m), shape (gdim, n), to (n, gdim) or (n,).
+        law: The law of the body there, whose traction Nitsche's method needs. None with
+            method="penalty" and a stiffness.
         method: "nitsche", "skew" or "penalty".
         direction: None for all components, "normal" for the one along the boundary's
             normal at the start of the step, as of rollers at any angle and symmetry planes, or

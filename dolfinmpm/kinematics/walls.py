@@ -133,10 +133,11 @@ class Wall:
 
 @together
 def signorini(
-    law: Law | NeoHookean | None,
     boundary: Boundary,
     u: fem.Function,
     v: Any,
+    *,
+    law: Law | NeoHookean | None = None,
     friction: float = 0.0,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
@@ -147,12 +148,12 @@ def signorini(
     """A wall that takes compression but no tension, to be added.
 
     Args:
-        law: The law of the body at the wall, whose modulus scales the penalty; None with a
-            stiffness.
         boundary: The wall, such as `Boundary.from_side(points, "right")`; its normal points
             out of the body's room.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
+        law: The law of the body at the wall, whose modulus scales the penalty; None with a
+            stiffness.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
         beta: Penalty in units of M/h; see `dirichlet`, also for what explicit steps bear.

@@ -209,8 +209,8 @@ def check_tangent(problem, size=0.02, tolerance=2e-6):
     [
         (HENCKY, {}),
         (mpm.materials.NeoHookean(10.0, 0.3), {}),
-        (mpm.materials.VonMises(10.0, 0.3, 0.1, 1.0), {"strain": "small"}),
-        (mpm.materials.VonMises(10.0, 0.3, 0.1, 1.0), {"strain": "jaumann"}),
+        (mpm.materials.VonMises(10.0, 0.3, radius=0.1, hardening=1.0), {"strain": "small"}),
+        (mpm.materials.VonMises(10.0, 0.3, radius=0.1, hardening=1.0), {"strain": "jaumann"}),
         (HENCKY, {"fbar": True}),
         (HENCKY, {"fbar": True, "strain": "small"}),
         (mpm.materials.Tresca(10.0, 0.45, 0.1), {"fbar": "centres"}),
@@ -423,7 +423,7 @@ def test_points_stay_rings_beside_markers():
         F = mpm.momentum(HENCKY, points, V.increment, V.test)
         if held:
             line = mpm.Boundary.from_polygon(points, [(0.6, 0.0), (0.6, 0.5)], closed=False)
-            F += mpm.dirichlet(HENCKY, line, V.increment, V.test, method="penalty")
+            F += mpm.dirichlet(line, V.increment, V.test, law=HENCKY, method="penalty")
         here = mpm.QuasiStatic(F, V.increment, points).activate()
         seen.append([here.fields[0].stencils.row(p) for p in range(len(points))])
     for without, beside in zip(*seen):

@@ -302,7 +302,7 @@ def test_a_node_that_points_see_with_no_weight_is_not_accelerated():
         points.locate()
         V = mpm.Space(grid, "linear")
         law = mpm.materials.Hencky(E=1.0, nu=0.3)
-        mpm.set_stress(points, law, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
+        mpm.set_stress(law, points, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
         F = mpm.momentum(law, points, V.increment, V.test)
         problem = mpm.Explicit(F, V.increment, points, fused=fused, courant=0.01, scheme="usl")
         assert (problem.unfused == "") == fused

@@ -29,7 +29,7 @@ def block(u="gimp", p="linear", height=0.7, n=4, law=LAW, drained=True, density=
     grid = unit_grid("quadrilateral", n)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, height)), 2, density, exact=True)
     V, Q = mpm.Space(grid, u), mpm.Space(grid, p, shape=())
-    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1), "top")
+    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1), name="top")
     if drained is True:
         options["drained"] = top
     elif drained:
@@ -409,7 +409,7 @@ def test_a_field_is_carried_under_a_name_once():
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
     V = mpm.Space(grid, "linear")
     u, v = V.increment, V.test
-    last = mpm.carried(points, "last", u, "m")
+    last = mpm.carried(points, "last", u, unit="m")
     F = mpm.momentum(LAW, points, u, v) + 5.0 * ufl.inner(u - 0.5 * last, v) * points.dX
     F -= ufl.inner(fem.Constant(grid, (0.0, -3.0)), v) * points.dX
     assert "last" not in points.fields
@@ -417,7 +417,7 @@ def test_a_field_is_carried_under_a_name_once():
     problem.step()
     before = points["x"] - points["x0"]
     np.testing.assert_allclose(points["last"], before, atol=1e-15)
-    other = mpm.carried(points, "last", 2 * u, "m")
+    other = mpm.carried(points, "last", 2 * u, unit="m")
     with pytest.raises(Exception, match="two expressions are carried"):
         mpm.QuasiStatic(F + ufl.inner(other, v) * points.dX, u, points, mpm.fixed(V, "bottom"))
     with pytest.raises(ParameterError, match="identifier"):
@@ -460,7 +460,7 @@ def fail_first_part(problem):
 
 def test_water_that_enters_swells_the_body_by_its_volume():
     F, points, V, Q, top = block(height=1.0, drained=False, permeability=1e-2)
-    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0), "side")
+    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0), name="side")
     given = {"permeability": 1e-2, "porosity": 0.4, "fluid": WATER, "inflow": [(side, 2e-2)]}
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)
     F = mpm.poromechanics(LAW, points, fields, tests, **given)

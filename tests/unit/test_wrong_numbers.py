@@ -40,7 +40,7 @@ def wall(friction):
     points = body()
     V = mpm.Space(points.grid)
     right = mpm.Boundary.from_side(points, "right")
-    return mpm.signorini(LAW, right, V.increment, V.test, friction=friction)
+    return mpm.signorini(right, V.increment, V.test, law=LAW, friction=friction)
 
 
 def facing(friction):
@@ -197,7 +197,7 @@ def test_penalties_of_other_points():
         mpm.ghost(other, u, v, 1.0),
         jump * other.dS,
         ufl.inner(u, v) * other.dC,
-        mpm.soft(other, u, v, 1.0, 0.3, 1e-3),
+        mpm.soft(other, u, v, E=1.0, nu=0.3, eta=1e-3),
     ):
         with pytest.raises(FormError, match="cells or facets of other material points"):
             mpm.QuasiStatic(F + term, u, points)

@@ -24,7 +24,7 @@ def column(**options):
     )
     points = mpm.fill(grid, mpm.Box((0, 0), (h, LENGTH)), 2, DENSITY)
     V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
-    top = mpm.Surface(points, lambda x: x[1] > LENGTH - 1e-9, (0, 1), "top")
+    top = mpm.Surface(points, lambda x: x[1] > LENGTH - 1e-9, (0, 1), name="top")
     if options.pop("open_top", False):
         options["drained"] = top
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)

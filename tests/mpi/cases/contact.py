@@ -23,7 +23,7 @@ def ploughed(**options):
         mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", angular_velocity=-0.01,
         velocity=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
     )  # fmt: skip
-    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4), points, u, v)
+    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4), points, u, v)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
     F += mpm.contact(tool, points, u, v, friction=0.3)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
@@ -66,7 +66,7 @@ def _penetrated(**options):
     def beside(x):
         return (cone.surface.probe(np.ascontiguousarray(x))[0] > 0.15) & (x[:, 1] < 0)
 
-    ground = mpm.Shape(beside, np.array([0.0, -9.0]), np.array([8.0, 0.0]))
+    ground = mpm.Shape(beside, low=np.array([0.0, -9.0]), high=np.array([8.0, 0.0]))
     points = mpm.fill(grid, ground, 2, 1000.0, axisymmetric=True)
     V = mpm.Space(grid, "gimp", domains="volume")
     clay = mpm.materials.Tresca(E=3e6, nu=0.45, cohesion=1e4)
