@@ -29,7 +29,7 @@ u, v = V.increment, V.test
 end = mpm.Surface(points, lambda x: np.isclose(x[0], 10), normal=(1, 0))
 P = fem.Constant(grid, (0.0, 0.0))  # N/m
 rubber = mpm.materials.Hencky(E=12e6, nu=0.2)
-F = mpm.momentum(rubber, points, u, v) - end.force(P, v)
+F = mpm.momentum(rubber, points, u, v) + end.force(P, v)
 # Without it a point that enters a cell by a sliver gives its nodes next to no stiffness.
 F += mpm.ghost(points, u, v, gamma=12e6 / 30)
 

@@ -46,7 +46,7 @@ u, v = V.increment, V.test
 steel = mpm.materials.VonMises(E, nu, yield_stress=strength)
 inner, outer = face(0, a, -1), face(-1, b, 1)
 pressure = fem.Constant(grid, Y * np.log(b / a))
-F = mpm.momentum(steel, points, u, v) - inner.pressure(pressure, u, v)
+F = mpm.momentum(steel, points, u, v) + inner.pressure(pressure, u, v)
 
 # The path of equilibrium, in 24 steps of equal displacement of the outer face
 limit = Y * b * (1 - nu**2) / E  # that face's displacement when all of the tube yields

@@ -641,29 +641,29 @@ BAD = {
     "pressure: a vector": (lambda s: s.top.pressure(s.g, s.u, s.v), "must be a scalar"),
     "pressure: nothing": (lambda s: s.top.pressure(None, s.u, s.v), "p = None must be a number"),
     "pressure: swapped": (lambda s: s.top.pressure(s.c, s.v, s.u), r"u = .* Space\.increment"),
-    "traction: added": (
-        lambda s: s.solver(form=s.add(s.top.traction((0, 1), s.v))),
-        "traction on 'top' is added .* write F -=",
+    "traction: subtracted": (
+        lambda s: s.solver(form=s.F - s.top.traction((0, 1), s.v)),
+        r"traction on 'top' is subtracted .* write F \+=",
     ),
-    "pressure: added": (
-        lambda s: s.solver(form=s.add(s.top.pressure(s.c, s.u, s.v))),
-        "pressure on 'top' is added",
+    "pressure: subtracted": (
+        lambda s: s.solver(form=s.F - s.top.pressure(s.c, s.u, s.v)),
+        "pressure on 'top' is subtracted",
     ),
-    "force: subtracted twice": (
-        lambda s: s.solver(form=s.F - 2 * -s.top.force((0, 1), s.v)),
-        "force on 'top' is added",
+    "force: subtracted, scaled": (
+        lambda s: s.solver(form=s.F + 2 * -s.top.force((0, 1), s.v)),
+        "force on 'top' is subtracted",
     ),
-    "contact: added": (
-        lambda s: s.solver(form=s.add(mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.u, s.v))),
-        "contact of a footing on 'top' is added",
+    "contact: subtracted": (
+        lambda s: s.solver(form=s.F - mpm.RigidFooting(s.top, s.c, E=1.0).contact(s.u, s.v)),
+        "contact of a footing on 'top' is subtracted",
     ),
-    "boundary: pressure added": (
-        lambda s: s.solver(form=s.add(s.side.pressure(1.0, s.u, s.v))),
-        "pressure on 'side' is added .* write F -=",
+    "boundary: pressure subtracted": (
+        lambda s: s.solver(form=s.F - s.side.pressure(1.0, s.u, s.v)),
+        r"pressure on 'side' is subtracted .* write F \+=",
     ),
-    "boundary: traction added": (
-        lambda s: s.solver(form=s.add(2 * s.side.traction((0.0, 1.0), s.v))),
-        "traction on 'side' is added",
+    "boundary: traction subtracted": (
+        lambda s: s.solver(form=s.F - 2 * s.side.traction((0.0, 1.0), s.v)),
+        "traction on 'side' is subtracted",
     ),
     "ghost: subtracted": (
         lambda s: s.solver(form=s.F - s.ghost()),

@@ -59,7 +59,7 @@ INPUTS = {
     # -- things twice, of another body, or too late
     "s.solver().bcs.append(s.bcs[0])": "append: this list has been read already",
     "s.solver().bcs.clear()": "clear: this list has been read already",
-    "s.solver(form=s.F - footing(s) - footing(s))": "the contact of a footing on 'top' twice",
+    "s.solver(form=s.F + footing(s) + footing(s))": "the contact of a footing on 'top' twice",
     "s.solver(form=s.F + hold(s) + hold(s))": "the form has a condition at 'side' twice",
     "s.solver(form=s.F + wall(s) + wall(s))": "the form has a wall (mpm.signorini) at 'right'",
     'explicit(s, bcs=mpm.frictional(s.V, "bottom", friction=0.3) + mpm.fixed(s.V, "bottom"))':

@@ -141,7 +141,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     F -= ufl.inner(points.density * gravity, v) * points.dX
     if p["law"] == "Cam-Clay":
         for face in faces(points, inside_of(p), width):
-            F -= face.pressure(pressure_of(p), u, v)
+            F += face.pressure(pressure_of(p), u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
 

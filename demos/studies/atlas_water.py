@@ -117,7 +117,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     if p["footing"]:
         top, across = p["height"] * (1 - 1e-9), p["strip"] * CELL
         strip = mpm.Surface(points, lambda x: (x[1] > top) & (x[0] < across), (0, 1), name="strip")
-        F -= strip.traction(load, v)
+        F += strip.traction(load, v)
         whole = p["load"] * (2 + math.pi) * undrained(p) * p["cohesion"]
     else:
         F -= ufl.inner(load, v) * points.dX

@@ -79,7 +79,7 @@ under = mpm.Surface(
 settlement = fem.Constant(grid, 0.0)
 footing = mpm.RigidFooting(under, settlement, rough=rough, E=args.modulus)
 clay = mpm.materials.Tresca(args.modulus, args.poisson, COHESION)
-F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on") - footing.contact(u, v)
+F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on") + footing.contact(u, v)
 problem = mpm.QuasiStatic(
     F,
     u,

@@ -249,7 +249,7 @@ class Slope:
             return mpm.momentum(self.soil.total, self.points, self.u, self.v, fbar=True), [self.u]
         F = mpm.momentum(self.soil.law, self.points, self.u, self.v, fbar=self.fbar)
         for face in self.faces():
-            F -= face.pressure(1e3 * self.args.surface_suction, self.u, self.v)
+            F += face.pressure(1e3 * self.args.surface_suction, self.u, self.v)
         return F, [self.u]
 
     def times(self):

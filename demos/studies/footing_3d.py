@@ -67,7 +67,7 @@ def run(cells: int, permeability: float):
         permeability=permeability, porosity=0.4, drained=top,
     )  # fmt: skip
     load = fem.Constant(grid, (0.0, 0.0, 0.0))
-    F -= square.traction(load, V.test)
+    F += square.traction(load, V.test)
     bcs = mpm.rollers(V, "left", "right", "front", "back") + mpm.fixed(V, "bottom")
     own = {"pc_type": "lu", "ksp_type": "preonly"} if args.direct else {}
     problem = mpm.Transient(

@@ -79,7 +79,7 @@ F = mpm.poromechanics(
     strain="small",
 )  # fmt: skip
 load = fem.Constant(grid, (0.0, -q))
-F -= strip.traction(load, v)
+F += strip.traction(load, v)
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.Transient(F, [u, Q.increment], points, bcs, stabilisation=[args.stabilisation] * 2)
 # what nodes of the top have moved: increments of all steps together

@@ -201,7 +201,7 @@ steel = mpm.materials.VonMises(E=args.modulus, nu=args.poisson, yield_stress=arg
 # %%
 pressure = fem.Constant(grid, exact.limit)
 options = {"fbar": True} if args.fbar == "on" else {}
-F = mpm.momentum(steel, points, u, v, **options) - inner.pressure(pressure, u, v)
+F = mpm.momentum(steel, points, u, v, **options) + inner.pressure(pressure, u, v)
 length = args.reach * exact.last_displacement / args.steps
 problem = mpm.ArcLength(
     F,

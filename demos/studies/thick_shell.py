@@ -119,7 +119,7 @@ steel = mpm.materials.VonMises(E=args.modulus, nu=args.poisson, yield_stress=arg
 pressure = fem.Constant(points.grid, exact.limit)
 F = mpm.momentum(steel, points, u, v, strain=args.strain, fbar=args.fbar == "on")
 if args.strain == "large":
-    F -= body.inner.pressure(pressure, u, v)
+    F += body.inner.pressure(pressure, u, v)
 else:
     # on the face as it was, along its normal then
     area = fem.Constant(points.grid, body.inner.total_area)

@@ -367,7 +367,7 @@ class Boundary:
         return self.markers.area / self.markers.V
 
     def traction(self, t, v) -> ufl.Form:
-        """Virtual work of a traction, to be subtracted: ∫ t·v da at the start of the step.
+        """Traction, to be added: −∫ t·v da at the start of the step.
 
         Args:
             t: Force per area (Pa), a vector of UFL.
@@ -378,12 +378,12 @@ class Boundary:
         """
         check_displacement(self.points, v=v)
         t = vector_of(self.points, "traction", t)
-        return acting(ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
+        return acting(-ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
-        """Virtual work of a pressure that follows the boundary, to be subtracted.
+        """Pressure that follows the boundary, to be added.
 
-        −∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
+        ∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
 
         Args:
             p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar of UFL.
@@ -397,7 +397,7 @@ class Boundary:
         p = pressure_of(self.points, p)
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
-        work = -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
+        work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
         return acting(work, self.ds, f"the pressure on '{self.name}'")
 
     @together

@@ -13,7 +13,7 @@ from ufl.domain import extract_unique_domain
 
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -164,7 +164,7 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
+    return acting(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:

@@ -99,7 +99,7 @@ def _not_a_form(form: Any) -> str:
 
 
 def check_signs(form: ufl.Form) -> None:
-    """Raise FormError if a load was added, or a penalty or a condition subtracted.
+    """Raise FormError if a load, a penalty or a condition was subtracted.
 
     Their forms carry what they were made as, see `dolfinmpm.body.acting`; a sign that
     was put before it since is a factor of it. Terms that were rewritten in between, as
@@ -114,16 +114,11 @@ def check_signs(form: ufl.Form) -> None:
             raise FormError(f"the form has {acting.name} twice: leave one out")
         seen.add(acting.name)
         sign = _factor(integral.integrand(), acting.integrand)
-        if sign is None or (sign > 0) == acting.added:
-            continue
-        raise FormError(
-            f"{acting.name} is subtracted from the weak form; it resists the motion as internal "
-            "forces do and is added: write F += ..."
-            if acting.added else
-            f"{acting.name} is added to the weak form; what acts on the body is subtracted "
-            "from its internal forces: write F -= ..., and give a load that acts the other way "
-            "a negative value"
-        )  # fmt: skip
+        if sign is not None and sign < 0:
+            raise FormError(
+                f"{acting.name} is subtracted from the weak form; all forces are added: write "
+                "F += ..., and give a load that acts the other way a negative value"
+            )
 
 
 def _factor(term: Expr, part: Expr) -> float | None:

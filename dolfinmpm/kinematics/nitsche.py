@@ -33,7 +33,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -227,7 +227,7 @@ def dirichlet(
     if declaration is not None and declaration.tags is not None:
         where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
     ds = boundary.ds(where, metadata=mark)
-    return resisting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+    return acting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
 
 
 def _axis(boundary: Boundary, direction: Any) -> Expr:

@@ -29,7 +29,7 @@ from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -214,4 +214,4 @@ def signorini(
     if declaration is not None and declaration.tags is not None:
         where = declaration.tags if len(declaration.tags) > 1 else declaration.tags[0]
     ds = boundary.ds(where, metadata=mark)
-    return resisting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
+    return acting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

@@ -245,7 +245,7 @@ def poromechanics(
     for surface, level in surfaces("ponded", ponded, points, "m"):
         depth = ufl.max_value(level - surface.position(u)[gdim - 1], 0.0)
         form += held(through, surface, weight * depth)
-        form -= surface.pressure(weight * depth, u, v)
+        form += surface.pressure(weight * depth, u, v)
     return form
 
 

@@ -150,7 +150,7 @@ def test_pressure_on_a_boundary_is_that_on_faces():
             top = mpm.Surface(points, lambda x: x[1] > 0.74, (0, 1))
         else:
             top = mpm.Boundary.from_polygon(points, [(1.0, 0.75), (0.0, 0.75)], closed=False)
-        F -= top.pressure(p, u, v)
+        F += top.pressure(p, u, v)
         bcs = mpm.rollers(V, "left", "right", "bottom")
         mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost").step()
         states.append(points["stress"][:, 1, 1].mean())

@@ -170,7 +170,7 @@ def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
         foot = mpm.RigidFooting(top, s, E=1e3)
         temperature = points.add_field("temperature", (2,), "K", 280.0)
         F = mpm.momentum(mpm.materials.NeoHookean(E=1e3, nu=0.3), points, u, v)
-        F -= foot.contact(u, v)
+        F += foot.contact(u, v)
         bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, push)
         updates = {"temperature": temperature + u}
         return mpm.QuasiStatic(F, u, points, bcs, updates=updates), foot, s, push

@@ -325,7 +325,7 @@ def test_a_body_under_stress_is_not_taken_for_an_unstable_one():
     F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, u, v)
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 5.0), (0, 1))
     pressure = fem.Constant(grid, (0.0, 0.0))
-    F -= top.traction(pressure, v)
+    F += top.traction(pressure, v)
     bcs = mpm.rollers(V, "left", "right", "bottom")
     static = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
     for part in mpm.steps(10):
@@ -443,7 +443,7 @@ def test_strain_before_forces_keeps_all_internal_forces(what):
         if what == "pressure":
             top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.0), (0, 1))
             F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, u, v)
-            F -= top.pressure(fem.Constant(grid, 1e3), u, v)
+            F += top.pressure(fem.Constant(grid, 1e3), u, v)
         else:
             points["velocity"][:, 1] = -points["x"][:, 1]
             Fdef = (ufl.Identity(2) + ufl.grad(u)) * points.F

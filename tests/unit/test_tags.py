@@ -95,7 +95,7 @@ def energy(points, u, v):
 
 def traction(points, u, v):
     side = mpm.Surface(points, lambda x: np.isclose(x[0], 0), (-1, 0))
-    return -side.traction((1.0, 0.0), v)
+    return side.traction((1.0, 0.0), v)
 
 
 @pytest.mark.parametrize("given", [

@@ -87,7 +87,7 @@ def bent(configuration, n=6, steps=8):
     r = head.x0 - ufl.as_vector((0.5, d))
     R = ufl.as_tensor([[ufl.cos(angle), ufl.sin(angle)], [-ufl.sin(angle), ufl.cos(angle)]])
     way = ufl.dot(R, r) - r + ufl.as_vector((0.4 * angle, -0.2 * angle))
-    F = mpm.momentum(law, points, u, v) - side.pressure(p, u, v)
+    F = mpm.momentum(law, points, u, v) + side.pressure(p, u, v)
     F += mpm.dirichlet(foot, u, v, law=law) + mpm.dirichlet(head, u, v, way, law=law)
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     for k in range(steps):

@@ -36,7 +36,7 @@ def bearing_factors(h):
         E, 0.33, COHESION, ANGLE, dilation_angle=ANGLE, fit="plane strain"
     )
     footing = mpm.RigidFooting(under, settlement, rough=False, E=E)
-    F = mpm.momentum(law, points, u, v) - footing.contact(u, v)
+    F = mpm.momentum(law, points, u, v) + footing.contact(u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     stabilisation = mpm.Stabilisation("aggregation", E=E)
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)

@@ -86,7 +86,7 @@ def test_a_sudden_load_obeys_the_telegraph_equation(share):
     damping, load = share * first, 1e3
     k = water.unit_weight / (DENSITY * damping)
     F, points, fields, V, top, bcs = column(permeability=k, fluid=water, open_top=True)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
     problem = mpm.Newmark(F, fields, points, bcs, stabilisation=["ghost", "ghost"])
     times, found = sinking(problem, top, first, load)
     error = np.abs(found - settlement(times, damping))

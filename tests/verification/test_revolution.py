@@ -93,7 +93,7 @@ def pulled(basis, inner=0.0, configuration="updated", stabilisation="ghost", fba
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 3.3), (0, 1))
     assert top.total_area == pytest.approx(np.pi * (3.6**2 - inner**2), rel=1e-13)
     t = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(mpm.materials.Hencky(E, nu), points, u, v, fbar=fbar) - top.traction(t, v)
+    F = mpm.momentum(mpm.materials.Hencky(E, nu), points, u, v, fbar=fbar) + top.traction(t, v)
     bcs = mpm.rollers(V, "bottom") + (mpm.rollers(V, "left") if inner == 0 else [])
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation, tolerance=1e-13)
     axial = 1.06

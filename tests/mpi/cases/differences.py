@@ -75,7 +75,7 @@ def _of_problems(s):
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
         (lambda: s.solver(form=s.F + hold()), "constant"),
-        (lambda: s.solver(form=s.F - side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
+        (lambda: s.solver(form=s.F + side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
         (lambda: s.solver(form=_last(s.F, s.F + s.ghost())), "form differs"),
         (lambda: s.solver(form=s.F + rate(s.u[_last(0, 1)])), "indices of"),
         (lambda: explicit(mapping=_last("flip", "pic")), "mapping differs"),

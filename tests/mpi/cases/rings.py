@@ -28,7 +28,7 @@ def slump(basis, stabilisation, law=None, fbar=True, **options):
     g = fem.Constant(grid, (0.0, 0.0))
     law = law or mpm.materials.Hencky(E=100.0, nu=0.45)
     side = mpm.Surface(points, lambda x: np.isclose(x[0], 5.3), (1, 0), name="side")
-    F = mpm.momentum(law, points, u, v, fbar=fbar) - side.pressure(1.0, u, v)
+    F = mpm.momentum(law, points, u, v, fbar=fbar) + side.pressure(1.0, u, v)
     F -= ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
     stabilisation = mpm.Stabilisation(stabilisation, E=100.0 if stabilisation != "ghost" else None)
