@@ -49,11 +49,11 @@ RAW = {
     "ball: words": (lambda s: mpm.Ball("ab", 1.0), "centre = 'ab' must be numbers"),
     "disc: radius a word": (lambda s: mpm.Disc((0, 0), "a"), "radius = 'a' must be a number"),
     "polygon: words": (lambda s: mpm.Polygon(["ab", "cd", "ef"]), "vertices = .* must be numbers"),
-    "turned box: words": (lambda s: mpm.TurnedBox("ab", "cd", 0.1), "low = 'ab' must be numbers"),
+    "turned box: words": (lambda s: mpm.TurnedBox("ab", "cd", 5.0), "low = 'ab' must be numbers"),
     "turned box: angle": (lambda s: mpm.TurnedBox((0, 0), (1, 1), "a"), "angle = 'a' must be a n"),
     "plane: words": (lambda s: mpm.Plane("ab", "cd"), "point = 'ab' must be numbers"),
-    "cone: words": (lambda s: mpm.Cone("abc", 1, 0.5, 10), "tip = 'abc' must be numbers"),
-    "wedge: words": (lambda s: mpm.Wedge("ab", 0.5, 10), "tip = 'ab' must be numbers"),
+    "cone: words": (lambda s: mpm.Cone("abc", 1, 30, 10), "tip = 'abc' must be numbers"),
+    "wedge: words": (lambda s: mpm.Wedge("ab", 30, 10), "tip = 'ab' must be numbers"),
     # -- forms
     "gradient: a number": (lambda s: mpm.gradient(s.points, 3.0), r"w = 3\.0 must be a field of U"),
     "gradient: no points": (lambda s: mpm.gradient(None, s.u), "points = None must be material p"),
@@ -109,10 +109,11 @@ RAW = {
     "points: near miss": (lambda s: s.fill()["stres"], "did you mean 'stress'"),
     # -- problems
     "newmark: collision": (
-        lambda s: s.motion(contact=mpm.Collision()), "Newmark has no argument contact: .*Explicit",
+        lambda s: s.motion(collision=mpm.Collision()),
+        "Newmark has no argument collision: .*Explicit",
     ),
     "static: collision": (
-        lambda s: s.solver(contact=mpm.Collision()), r"mpm\.contact in the form",
+        lambda s: s.solver(collision=mpm.Collision()), r"mpm\.contact in the form",
     ),
     "newmark: dt": (lambda s: s.motion(dt=0.1), r"Newmark has no argument dt: step\(t\)"),
     "static: near miss": (lambda s: s.solver(toleranc=0.1), "toleranc; did you mean tolerance"),

@@ -102,7 +102,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     steps, way = way_of(p)
     body = mpm.RigidBody(
         shape_of(p["shape"], centre), displacement=way, fillet=p["fillet"], name="body",
-        **({"angular_velocity": p["turns"]} if p["turns"] else {}),
+        **({"angular_velocity": math.degrees(p["turns"])} if p["turns"] else {}),
     )  # fmt: skip
     F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
     F += mpm.contact(body, points, u, v, friction=p["rubs"], penalty=p["penalty"])

@@ -131,7 +131,7 @@ def inside_by(rigid: Rigid, x: Any) -> Any:
         rigid: The body.
         x: Positions (m), shape (n, 2).
     """
-    angle = float(rigid.body.angle[0])
+    angle = np.radians(float(rigid.body.angle[0]))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     corners = rigid.corners @ turn.T + rigid.body.position
     ends = np.roll(corners, -1, axis=0)

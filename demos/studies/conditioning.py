@@ -38,7 +38,7 @@ E, NU, RHO = 1.0, 0.0, 1.0
 
 # %%
 def block(args, dimension, offset, angle=0.0):
-    """The block at an offset (cells) and an angle (rad): its conditioning."""
+    """The block at an offset (cells) and an angle (degrees): its conditioning."""
     h = args.spacing
     length, n = (4 * h, 8) if dimension == 1 else (8 * h, 14)
     if dimension == 1:
@@ -113,7 +113,7 @@ else:
     offsets = [float(k * (np.sqrt(5) - 1) / 2 % 1) for k in range(1, int(args.offsets) + 1)]
 angles = [0.0] * len(offsets)
 if args.dimension == 2:
-    angles = [float(k * (np.sqrt(2) - 1) % 1 * np.pi / 2) for k in range(len(offsets))]
+    angles = [float(k * (np.sqrt(2) - 1) % 1 * 90) for k in range(len(offsets))]
 
 rows = study.sweep(
     lambda place: block(args, args.dimension, *place), list(zip(offsets, angles)), label="places"

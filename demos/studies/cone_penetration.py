@@ -245,7 +245,7 @@ class Scene:
         tip, long = -args.start, args.depth + 4 * self.height
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
-            shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
+            shape = mpm.Cone((0.0, 0.0, tip), R, 30.0, long)
             return mpm.RigidBody(shape, velocity=(0.0, 0.0, -self.way), **motion)
         side = [(R, tip + self.height), (R, tip + long)]
         meridian = [(0.0, tip), *side, *((-r, z) for r, z in side[::-1])]

@@ -54,7 +54,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, numbers, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
 SUCTION = 50e3  # Pa, p0
@@ -274,7 +273,7 @@ class Slope:
             self.gravity.value[1] = -self.args.load * shares[i] * self.soil.strength / HEIGHT
             try:
                 self.problem.step(*([second * T[i]] if self.coupled else []))
-            except DolfinMPMError as error:
+            except mpm.errors.DolfinMPMError as error:
                 # the run's outcome is what is asked for, good or bad
                 self.reason = f"{type(error).__name__}: {error}"
                 return

@@ -54,7 +54,6 @@ from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ConvergenceError
 from dolfinmpm.body.location import destinations
 
 WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
@@ -336,7 +335,7 @@ def run(args):
             residuals.append(scene.press(part))
             names = "centre", "mean", "edge"
             history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
-    except ConvergenceError as error:
+    except mpm.errors.ConvergenceError as error:
         reason = str(error)
         if not len(history):
             # under the weight already

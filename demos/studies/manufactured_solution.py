@@ -42,7 +42,6 @@ from scene import finish, numbers, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 E, RHO = 1e3, 1.0
@@ -175,7 +174,7 @@ def block(basis, cells, cut=None):
             t.value = share
             problem.step()
         figures |= errors(points, nu)
-    except DolfinMPMError as stopped:
+    except mpm.errors.DolfinMPMError as stopped:
         say(f"{basis} with {cells} cells stopped: {stopped}")
     figures["newton_iterations"] = sum(record.iterations for record in problem.history)
     figures["halvings"] = sum(record.halvings for record in problem.history)

@@ -34,7 +34,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
 DENSITY, GRAVITY = 2400.0, 10.0
@@ -140,7 +139,7 @@ def run(h, per_cell, stabilisation, args):
         gravity.value[1] = -GRAVITY * load
         try:
             problem.step()
-        except DolfinMPMError as error:
+        except mpm.errors.DolfinMPMError as error:
             # the run's outcome is what is asked for, good or bad
             reason = f"{type(error).__name__}: {error}"
             break

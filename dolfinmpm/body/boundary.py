@@ -223,7 +223,7 @@ class Boundary:
 
         Args:
             points: Material points of the body.
-            side: "left", "right", "bottom", "top", "front" or "back"; see `prescribed`.
+            side: A side by its axis or name, "x-" or "left"; see `prescribed`.
             rule: Gauss points of a cell's side in each direction.
             name: Name of the boundary; that of the side by default.
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import turn
+from dolfinmpm._platform.units import in_radians
 
 __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
 
@@ -152,14 +152,14 @@ class TurnedBox(Shape):
     Args:
         low: Lower corner (m) before it is turned.
         high: Upper corner (m), likewise.
-        angle: Angle (rad), counter-clockwise.
+        angle: Angle (degrees), counter-clockwise.
 
     Raises:
         ParameterError: The corners are no box, or have fewer than two coordinates, or the angle
             is no finite number.
 
     Warns:
-        DegreesWarning: The angle looks like one in degrees.
+        DegreesWarning: The angle looks like one in radians.
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
@@ -168,7 +168,7 @@ class TurnedBox(Shape):
         assert self.box.high is not None
         if len(self.box.low) < 2:
             raise ParameterError(f"a turned box needs 2 or 3 coordinates, got {low}")
-        angle = turn("angle", angle)
+        angle = in_radians("angle", angle)
         self.middle = 0.5 * (self.box.low + self.box.high)
         self.rotation = np.eye(len(self.middle))
         self.rotation[:2, :2] = [

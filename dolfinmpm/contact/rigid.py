@@ -41,12 +41,12 @@ class RigidBody(ReadOnce):
             `Ball`, `Box` or a closed surface mesh in 3D: a file that meshio reads (STL, Gmsh), or
             a `meshio.Mesh`, of triangles whose normals point out of the body.
         velocity: Of its centre (m/s; m per step), shape (gdim,): numbers, or a function of t.
-        angular_velocity: About the centre (rad/s; rad per step), counter-clockwise: a number, in
-            3D a vector of shape (3,); or a function of t.
+        angular_velocity: About the centre (degrees/s; degrees per step), counter-clockwise: a
+            number, in 3D a vector of shape (3,); or a function of t.
         displacement: Where the centre has got to since the body was made (m), instead of
             velocities: a function of t that is 0 at t = 0, or a DOLFINx constant, which steps set
             and solvers scale like a load; what it holds already the first step brings about.
-        rotation: How far the body has turned since (rad), likewise: an angle, in 3D a rotation
+        rotation: How far the body has turned since (degrees), likewise: an angle, in 3D a rotation
             vector.
         centre: What it turns about (m); by default the middle of a box around it, or a plane's
             point.
@@ -115,6 +115,7 @@ class RigidBody(ReadOnce):
         self._turn = Course("rotation", rotation, "angular_velocity", angular_velocity, turns)
         # a rotation vector is not the sum of small ones
         self._turn.absolute = d == 3 and rotation is not None
+        self._turn.unit = math.radians(1.0)
         loads = mass, inertia, gravity, force, moment
         self.freedom: Freedom | None = None
         if free is not None or any(load is not None for load in loads):
@@ -186,8 +187,8 @@ class RigidBody(ReadOnce):
 
     @property
     def angle(self) -> Array:
-        """How far it has turned (rad), shape (1,), in 3D (3,), see `Pose`."""
-        return self.pose.turn
+        """How far it has turned (degrees), shape (1,), in 3D (3,), see `Pose`."""
+        return np.degrees(self.pose.turn)
 
     @property
     def loads(self) -> list[fem.Constant]:

@@ -72,7 +72,7 @@ def pressed():
     points = mpm.fill(grid, mpm.Box((0, 0), (6, 2)), 2, 1000.0)
     V = mpm.Space(grid, "gimp")
     law = mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4)
-    shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
+    shape = mpm.Wedge((2.4, 1.95), np.degrees(0.7), 1.5)
     tool = mpm.RigidBody(shape, velocity=(0.0, -0.05), name="tool")
     F = mpm.momentum(law, points, V.increment, V.test)
     F += mpm.contact(tool, points, V.increment, V.test, friction=0.3)

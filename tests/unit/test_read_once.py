@@ -34,7 +34,7 @@ EXPLICIT = [
     "mass_scaling",
     "bulk_viscosity",
     "fused",
-    "contact",
+    "collision",
 ]
 
 

@@ -26,7 +26,7 @@ def bodies(grid, shapes, law, basis="gimp", gravity=None, bcs=None, **contact):
     points.add_field("velocity", (2,), "m/s")
     collision = mpm.Collision(tuple(range(1, len(shapes) + 1)), **contact)
     return mpm.Explicit(
-        F, V.increment, points, () if bcs is None else bcs(V), contact=collision, courant=0.5
+        F, V.increment, points, () if bcs is None else bcs(V), collision=collision, courant=0.5
     )
 
 

@@ -122,7 +122,7 @@ def test_turned_block_of_quadratic_splines(kind):
             MPI.COMM_WORLD, [(0, 0), (14, 14)], (14, 14), mesh.CellType.quadrilateral
         )
         offset = (k + 1) * (np.sqrt(5) - 1) / 2 % 1
-        angle = k * (np.sqrt(2) - 1) % 1 * np.pi / 2
+        angle = k * (np.sqrt(2) - 1) % 1 * 90
         corner = np.array([3 + offset, 3 + 0.7 * offset])
         body = mpm.TurnedBox(corner, corner + 8, angle)
         points = mpm.fill(grid, body, 3, 1.0, aligned="body")

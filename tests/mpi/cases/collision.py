@@ -26,7 +26,7 @@ def colliding_bodies():
     for gap_test in (True, False):
         collision = mpm.Collision((1, 2), friction=0.3, gap_test=gap_test)
         bcs = mpm.fixed(V, "bottom")
-        problem = mpm.Explicit(F, V.increment, points, bcs, contact=collision)
+        problem = mpm.Explicit(F, V.increment, points, bcs, collision=collision)
         for k in range(4):
             problem.step(0.04 * (k + 1))
         if gap_test:

@@ -20,7 +20,8 @@ def ploughed(**options):
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     tool = mpm.RigidBody(
-        mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", angular_velocity=-0.01,
+        mpm.Wedge((2.4, 1.85), np.degrees(0.7), 1.5), fillet=0.1, name="tool",
+        angular_velocity=np.degrees(-0.01),
         velocity=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4), points, u, v)
@@ -97,7 +98,8 @@ def _thrown(kind, free=True, **options):
     V = mpm.Space(grid, "gimp")
     mass = {"mass": 2000.0, "inertia": 100.0, "gravity": (0.0, -10.0)} if free else {}
     ball = mpm.RigidBody(
-        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=-1.0, name="ball", **mass
+        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=np.degrees(-1.0), name="ball",
+        **mass,
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
     F += mpm.contact(ball, points, V.increment, V.test, friction=0.2, penalty=10.0)

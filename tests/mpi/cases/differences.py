@@ -80,7 +80,7 @@ def _of_problems(s):
         (lambda: s.solver(form=s.F + rate(s.u[_last(0, 1)])), "indices of"),
         (lambda: explicit(mapping=_last("flip", "pic")), "mapping differs"),
         (lambda: explicit(fused=_last(True, False)), "fused differs"),
-        (lambda: explicit(contact=mpm.Collision((0, _last(1, 2)))), "tags of contact differs"),
+        (lambda: explicit(collision=mpm.Collision((0, _last(1, 2)))), "tags of collision differs"),
         (lambda: _fresh(s).step(*_last((), (1.0,))), "t differs between ranks: None on"),
         (lambda: mpm.equilibrate(_fresh(s), tolerance=_last(1e-9, 1e-8)), "tolerance differs"),
     ]
