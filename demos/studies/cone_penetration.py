@@ -184,11 +184,11 @@ class Scene:
         touched = 0.5 * h / args.points_per_cell
 
         def beside(x):
-            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x, float))
+            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x.T, float))
             # no corner of a domain within the cone
-            return (x[:, -1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
+            return (x[-1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
 
-        ground = mpm.Shape(beside, low=low, high=np.append(high[:-1], 0.0))
+        ground = mpm.Where(beside, low=low, high=np.append(high[:-1], 0.0))
         deposit = None
         if args.law == "sand":
             sand = mpm.materials.sand(args.relative_density, nu=args.poisson)

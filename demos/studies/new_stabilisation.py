@@ -114,7 +114,7 @@ def stabilised(form, stabilisation, points, u, v):
 
 # %%
 def conditioning(stabilisation, offset, angle):
-    """Condition numbers and critical step of the block at an offset (cells) and an angle (degrees)."""
+    """Condition numbers and critical step of the block at an offset (cells), turned (degrees)."""
     n = 10
     grid = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Shape:
-    """A region of space.
+    """A region of space, the base of all; make one of your own with `Where`.
 
     Args:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
@@ -308,8 +308,15 @@ class Where(Shape):
     Args:
         condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
             returns n booleans.
+        low, high: Corners (m) of a box around them, or None if unknown.
     """
 
-    def __init__(self, condition: Callable[[Array], npt.NDArray[np.bool_]]):
+    def __init__(
+        self,
+        condition: Callable[[Array], npt.NDArray[np.bool_]],
+        *,
+        low: Array | None = None,
+        high: Array | None = None,
+    ):
         check_function("condition", condition, "of positions that tells which are inside")
-        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)))
+        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)), low=low, high=high)

@@ -1,5 +1,8 @@
 """The one layout in which a user's function gets positions.
 
+Arrays of positions have shape (points, gdim), a row per point, wherever they are given or told.
+Functions of positions have the layout of DOLFINx:
+
 Wherever dolfinmpm takes a function of positions (places and values of conditions, faces
 of a surface, densities, parameters of laws, stresses, `Where`), it hands over one array x of
 shape (gdim, n), one row a coordinate as DOLFINx has it, and takes n values. There is no

@@ -2,10 +2,11 @@
 
 The effective vertical stress at a height z is the weight of what lies above,
 
-    σ'_v = Σ_layers (γ t_dry + (γ_sat − γ_w) t_wet),
+    σ'_v = −Σ_layers (γ t_dry + (γ_sat − γ_w) t_wet),
 
-and the horizontal ones are K0 σ'_v. The laws of drained ground see effective stress alone; the
-water then carries its share of the weight, so that the body force is γ_sat − γ_w below the table.
+and the horizontal ones are K0 σ'_v; signs are those of `MaterialPoints`. The laws of drained ground
+see effective stress alone; the water then carries its share of the weight, so that the body force
+is γ_sat − γ_w below the table.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ class Deposit:
     # -- functions of positions, shape (gdim, n), to n values -------------------
 
     def vertical_stress(self, x: npt.ArrayLike) -> Array:
-        """Effective vertical stress, positive in compression (Pa); 0 above the surface."""
+        """Effective vertical stress (Pa), tension positive; 0 above the surface."""
         at = _places(x)
         z, total = at[-1], np.zeros(at.shape[1])
         table, above = self._table(at), self._height("surface", self.surface, at)
@@ -162,10 +163,10 @@ class Deposit:
             wet = np.maximum(np.minimum(above, table) - low, 0.0)
             total += layer.unit_weight * (thick - wet) + (_wet(layer) - self.water_weight) * wet
             above = below
-        return total
+        return -total
 
     def horizontal_stress(self, x: npt.ArrayLike) -> Array:
-        """Effective horizontal stress, positive in compression (Pa)."""
+        """Effective horizontal stress (Pa), tension positive."""
         return self._by_layer(x, [layer.K0 for layer in self.layers]) * self.vertical_stress(x)
 
     def pore_pressure(self, x: npt.ArrayLike) -> Array:
@@ -204,13 +205,13 @@ class Deposit:
         vertical, horizontal = self.vertical_stress(at), self.horizontal_stress(at)
         result = np.zeros((at.shape[1], 3, 3))
         for i in range(3):
-            result[:, i, i] = -(vertical if i == len(at) - 1 else horizontal)
+            result[:, i, i] = vertical if i == len(at) - 1 else horizontal
         return result
 
     def modulus(
         self, E_ref: float, exponent: float, *, p_ref: float = 100e3, least: float = _LEAST
     ) -> Callable[[npt.ArrayLike], Array]:
-        """E = E_ref (σ'_h/p_ref)^m by the horizontal effective stress at first.
+        """E = E_ref (−σ'_h/p_ref)^m by the horizontal effective stress at first.
 
         A law that is given this function as E has a value per point, which stays.
 
@@ -227,7 +228,7 @@ class Deposit:
         number("p_ref", p_ref, 0.0, unit="Pa"), number("least", least, 0.0)
 
         def E(x: npt.ArrayLike) -> Array:
-            share = np.maximum(self.horizontal_stress(x) / p_ref, least)
+            share = np.maximum(-self.horizontal_stress(x) / p_ref, least)
             return E_ref * share**exponent
 
         return E

@@ -321,7 +321,7 @@ def set_stress(
     Args:
         law: The law that the problem uses.
         points: Material points.
-        stress: Cauchy stress (Pa), tension positive: shape (3, 3), (n, 3, 3) for all points
+        stress: Cauchy stress (Pa), signs as in `MaterialPoints`: shape (3, 3), (n, 3, 3) for all points
             of this rank, or a function of the present positions of the law's points, shape
             (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.
         strain: Measure of strain of the problem; see `momentum`.

@@ -68,8 +68,8 @@ def test_stress_by_depth(d):
          49e3 + 20e3 - GAMMA_W, 49e3 + 20e3 - GAMMA_W + 18e3 - GAMMA_W]
     )  # fmt: skip
     K0 = np.array([0.5, 0.5, 0.5, 0.5, 0.4, 0.4, 0.4, 0.4, 1.0])
-    np.testing.assert_allclose(ground.vertical_stress(x), vertical)
-    np.testing.assert_allclose(ground.horizontal_stress(x), K0 * vertical)
+    np.testing.assert_allclose(ground.vertical_stress(x), -vertical)
+    np.testing.assert_allclose(ground.horizontal_stress(x), -K0 * vertical)
     stress = ground.stress(x)
     np.testing.assert_allclose(stress[:, d - 1, d - 1], -vertical)
     np.testing.assert_allclose(stress[:, d % 3, d % 3], -K0 * vertical)
@@ -97,7 +97,7 @@ def test_the_last_layer_goes_on_below_its_bottom():
             water_table=table,
         )
         np.testing.assert_allclose(ground.stress(x), endless.stress(x), rtol=1e-12)
-        slope = (ground.vertical_stress(x - step) - ground.vertical_stress(x + step)) / 2e-4
+        slope = (ground.vertical_stress(x + step) - ground.vertical_stress(x - step)) / 2e-4
         np.testing.assert_allclose(slope, ground.effective_weight(x), rtol=1e-6)
 
 
@@ -106,7 +106,7 @@ def test_weight_is_the_slope_of_the_vertical_stress_under_water_and_above():
     z = np.linspace(0.05, 4.95, 99) + 0.003
     x = np.stack([np.zeros(99), z])
     step = np.array([[0.0], [1e-4]])
-    slope = (ground.vertical_stress(x - step) - ground.vertical_stress(x + step)) / 2e-4
+    slope = (ground.vertical_stress(x + step) - ground.vertical_stress(x - step)) / 2e-4
     np.testing.assert_allclose(slope, ground.effective_weight(x), rtol=1e-6)
 
 

@@ -65,9 +65,9 @@ def _penetrated(**options):
     cone = mpm.RigidBody(mpm.Polygon(meridian), velocity=(0, -0.1), fillet=0.5, name="cone")
 
     def beside(x):
-        return (cone.surface.probe(np.ascontiguousarray(x))[0] > 0.15) & (x[:, 1] < 0)
+        return (cone.surface.probe(np.ascontiguousarray(x.T))[0] > 0.15) & (x[1] < 0)
 
-    ground = mpm.Shape(beside, low=np.array([0.0, -9.0]), high=np.array([8.0, 0.0]))
+    ground = mpm.Where(beside, low=np.array([0.0, -9.0]), high=np.array([8.0, 0.0]))
     points = mpm.fill(grid, ground, 2, 1000.0, axisymmetric=True)
     V = mpm.Space(grid, "gimp", domains="volume")
     clay = mpm.materials.Tresca(E=3e6, nu=0.45, cohesion=1e4)
@@ -98,8 +98,8 @@ def _thrown(kind, free=True, **options):
     V = mpm.Space(grid, "gimp")
     mass = {"mass": 2000.0, "inertia": 100.0, "gravity": (0.0, -10.0)} if free else {}
     ball = mpm.RigidBody(
-        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=np.degrees(-1.0), name="ball",
-        **mass,
+        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), name="ball",
+        angular_velocity=np.degrees(-1.0), **mass,
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
     F += mpm.contact(ball, points, V.increment, V.test, friction=0.2, penalty=10.0)
