@@ -187,9 +187,9 @@ def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | 
 def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
     """Stress of ground at rest under its own weight, for `dolfinmpm.set_stress`.
 
-    Signs are those of `MaterialPoints`. Vertical −weight · (surface − y), both horizontal ones K0 times as much, no shear; the
-    last axis points up, points above the surface carry no stress. In equilibrium if
-    the surface is level and weight and K0 depend on the height alone.
+    Vertical −weight · (surface − y), both horizontal ones K0 times as much, no shear, with the
+    signs of `MaterialPoints`; the last axis points up, points above the surface carry no stress.
+    In equilibrium if the surface is level and weight and K0 depend on the height alone.
 
     Args:
         surface: Height of the ground surface (m).

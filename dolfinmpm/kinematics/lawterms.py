@@ -321,9 +321,9 @@ def set_stress(
     Args:
         law: The law that the problem uses.
         points: Material points.
-        stress: Cauchy stress (Pa), signs as in `MaterialPoints`: shape (3, 3), (n, 3, 3) for all points
-            of this rank, or a function of the present positions of the law's points, shape
-            (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.
+        stress: Cauchy stress (Pa), signs as in `MaterialPoints`: shape (3, 3), (n, 3, 3) for all
+            points of this rank, or a function of the present positions of the law's points,
+            shape (gdim, n), to (n, 3, 3); such as `geostatic_stress` makes.
         strain: Measure of strain of the problem; see `momentum`.
         tag: Tags of the points that get it, those of the law; None means all.
 
