@@ -38,11 +38,11 @@ cone = mpm.RigidBody(mpm.Polygon(meridian), increment=(0, -step), fillet=h, name
 
 def beside(x):
     """Whether points are in the clay, and no corner of their domains in the cone."""
-    gap, normal, _ = cone.surface.probe(np.ascontiguousarray(x))
-    return (x[:, 1] < 0) & (gap > h / 4 * np.abs(normal).sum(axis=1))
+    gap, normal, _ = cone.surface.probe(np.ascontiguousarray(x.T))
+    return (x[1] < 0) & (gap > h / 4 * np.abs(normal).sum(axis=1))
 
 
-clay = mpm.Shape(beside, np.array([0.0, heights[0]]), np.array([40.0, 0.0]))
+clay = mpm.Where(beside, low=np.array([0.0, heights[0]]), high=np.array([40.0, 0.0]))
 points = mpm.fill(grid, clay, per_cell=2, density=1800.0, axisymmetric=True)
 V = mpm.Space(grid, basis="gimp", domains="volume")
 u, v = V.increment, V.test

@@ -37,7 +37,7 @@ F = mpm.poromechanics(
     clay, points, (u, p), (v, q_), porosity=0.5, fluid=water, drained=top, theta=0.5,
     permeability=lambda J, porosity: k0 * J**3 / (1 - ufl.ln(J)),
 )  # fmt: skip
-F -= top.traction(fem.Constant(grid, (0.0, -q)), v)
+F += top.traction(fem.Constant(grid, (0.0, -q)), v)
 problem = mpm.Transient(
     F, [u, p], points, mpm.rollers(V, "left", "right", "bottom"), stabilisation=["ghost", "ghost"]
 )

@@ -28,7 +28,15 @@ import dolfinmpm as mpm
 
 H, p0, M, swelling, compression = 6.0, 50e3, 1.05, 0.018, 0.13
 c = M / math.sqrt(3) * p0 * 0.5 ** (1 - swelling / compression)
-clay = mpm.materials.CamClay(swelling, compression, M, 100 * c, 0.0, p0, p0)
+clay = mpm.materials.CamClay(
+    swelling=swelling,
+    compression=compression,
+    M=M,
+    mu0=100 * c,
+    alpha=0.0,
+    reference_pressure=p0,
+    preconsolidation=p0,
+)
 modulus, k = p0 / swelling + 4 / 3 * 100 * c, 1e-9
 grid = mesh.create_rectangle(
     MPI.COMM_WORLD, [(0, 0), (26, 9)], (52, 18), mesh.CellType.quadrilateral

@@ -35,7 +35,7 @@ F = mpm.momentum(clay, points, u, v, fbar=True)
 under = mpm.Surface(points, lambda x: np.isclose(x[1], 2) & (x[0] < 1), normal=(0, 1))
 settlement = fem.Constant(grid, 0.0)
 footing = mpm.RigidFooting(under, settlement, rough=False, E=E)
-F -= footing.contact(u, v)
+F += footing.contact(u, v)
 
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")

@@ -50,15 +50,15 @@ def bar(offset, factor):
     return mpm.study.conditioning(mpm.QuasiStatic(F, u, points), rho, extra=mass)
 
 
-none = mpm.study.sweep(lambda offset: bar(offset, 0.0), PLACES, "without")
-ours = mpm.study.sweep(lambda offset: bar(offset, 1.0), PLACES, "with")
+none = mpm.study.sweep(lambda offset: bar(offset, 0.0), PLACES, label="without")
+ours = mpm.study.sweep(lambda offset: bar(offset, 1.0), PLACES, label="with")
 worst, uncut = mpm.study.worst(ours), 1 / math.sqrt(3)
 
 if MPI.COMM_WORLD.rank == 0:
     print({name: float(f"{value:.4g}") for name, value in worst.items()})
     with mpm.figure("output/new_stabilisation.png") as (_, axes):
         for rows, label in ((none, "without"), (ours, "with")):
-            mpm.study.draw_sweep(axes, rows, "place", {"dt_consistent": f"{label} penalty"})
+            mpm.study.draw_sweep(axes, rows, x="place", keys={"dt_consistent": f"{label} penalty"})
         axes.axhline(uncut, color="0.5", linestyle="--", label="not cut")
         axes.set(xlabel="offset of the bar (cells)", ylabel="critical step Δt c/h")
         axes.legend()

@@ -34,7 +34,7 @@ sand = mpm.materials.sand(0.44)
 ground = mpm.Deposit(0.0, mpm.Layer.of(sand))
 law = mpm.materials.MohrCoulomb(E=ground.modulus(sand.E_ref, sand.exponent), **sand.parameters)
 points = mpm.fill(grid, bed - blade, per_cell=2, density=sand.density)
-mpm.set_stress(points, law, ground.stress)
+mpm.set_stress(law, points, ground.stress)
 
 V = mpm.Space(grid, basis="gimp")
 u, v = V.increment, V.test
@@ -44,7 +44,7 @@ F = mpm.momentum(law, points, u, v) - ufl.inner(ground.body_force(points), v) * 
 F += mpm.contact(plough, points, u, v, friction=0.3, penalty=12.5)
 for side in ("left", "right"):
     plate = mpm.Boundary.from_side(points, side)
-    F += mpm.signorini(None, plate, u, v, stiffness_per_area=1e9)
+    F += mpm.signorini(plate, u, v, stiffness_per_area=1e9)
 bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-7)
 

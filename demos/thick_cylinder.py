@@ -43,11 +43,10 @@ def face(ring, radius, sign):
 
 V = mpm.Space(grid, basis="gimp")
 u, v = V.increment, V.test
-# von Mises' law in this library takes ρ_y = √(2/3) σ_y, for f = √(2 J₂) − ρ_y
-steel = mpm.materials.VonMises(E, nu, yield_stress=np.sqrt(2 / 3) * strength)
+steel = mpm.materials.VonMises(E, nu, yield_stress=strength)
 inner, outer = face(0, a, -1), face(-1, b, 1)
 pressure = fem.Constant(grid, Y * np.log(b / a))
-F = mpm.momentum(steel, points, u, v) - inner.pressure(pressure, u, v)
+F = mpm.momentum(steel, points, u, v) + inner.pressure(pressure, u, v)
 
 # The path of equilibrium, in 24 steps of equal displacement of the outer face
 limit = Y * b * (1 - nu**2) / E  # that face's displacement when all of the tube yields

@@ -12,7 +12,7 @@ from dolfinmpm.grid.lattice import smallest_height
 
 COMM = MPI.COMM_WORLD
 ELASTIC = mpm.materials.Hencky(E=1e5, nu=0.3)
-CLAY = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=5e3)
+CLAY = mpm.materials.VonMises(E=1e6, nu=0.3, radius=5e3)
 
 
 def grid_of(low, high, n):
@@ -86,8 +86,8 @@ def is_hit(law=ELASTIC, **options):
     points, V, F = body(grid, block, law, "gimp", tags=True)
     u, v = V.increment, V.test
     ball = mpm.RigidBody(
-        mpm.Disc((-0.1, 1.07), 0.3), velocity=(1.0, -3.0), angular_velocity=-4.0, mass=400.0,
-        inertia=18.0, gravity=(0.0, -10.0), name="ball",
+        mpm.Disc((-0.1, 1.07), 0.3), velocity=(1.0, -3.0), angular_velocity=np.degrees(-4.0),
+        mass=400.0, inertia=18.0, gravity=(0.0, -10.0), name="ball",
     )  # fmt: skip
     left = mpm.RigidBody(mpm.Plane((-0.76, 0), (1, 0)), name="left")
     right = mpm.RigidBody(mpm.Box((0.76, -1), (1.5, 3)), velocity=(-0.3, 0.0), name="right")
@@ -103,7 +103,8 @@ def is_ploughed(law=CLAY, **options):
     grid = grid_of((-1, 0), (1, 1.25), (16, 10))
     points, V, F = body(grid, mpm.Box((-1, 0), (1, 0.75)), law, "gimp")
     wedge = mpm.RigidBody(
-        mpm.Wedge((-0.3, 0.76), 0.6, 0.6), fillet=0.03, angular_velocity=0.5, name="wedge",
+        mpm.Wedge((-0.3, 0.76), np.degrees(0.6), 0.6), fillet=0.03,
+        angular_velocity=np.degrees(0.5), name="wedge",
         velocity=lambda t: (0.0, -4.0) if t < 0.02 else (4.0, 0.0),
     )  # fmt: skip
     F += mpm.contact(wedge, points, V.increment, V.test, friction=0.3, penalty=6.25)
@@ -117,8 +118,9 @@ def is_pressed(free=False, basis="gimp", averaged=None, law=CLAY, **options):
     points, V, F = body(grid, mpm.Box((-0.75,) * 3, (0.75, 0.75, 0)), law, basis, averaged)
     mass = {"mass": 300.0, "inertia": (20.0, 25.0, 30.0), "gravity": (0, 0, -10)} if free else {}
     box = mpm.RigidBody(
-        mpm.TurnedBox((-0.3, -0.25, 0.07), (0.3, 0.35, 0.5), 0.3), fillet=0.03,
-        velocity=(0.4, 0.2, -3.0), angular_velocity=(0.3, -0.4, 0.5), name="box", **mass,
+        mpm.TurnedBox((-0.3, -0.25, 0.07), (0.3, 0.35, 0.5), np.degrees(0.3)), fillet=0.03,
+        velocity=(0.4, 0.2, -3.0), angular_velocity=np.degrees((0.3, -0.4, 0.5)), name="box",
+        **mass,
     )  # fmt: skip
     F += mpm.contact(box, points, V.increment, V.test, friction=0.3, penalty=12.5)
     return mpm.Explicit(F, V.increment, points, mpm.fixed(V, "bottom"), **options)

@@ -36,7 +36,7 @@ def column(width, per_cell):
     points = mpm.fill(grid, mpm.Box((0, 0), (width, 10)), per_cell, 1000.0)
     V = mpm.Space(grid, "gimp")
     g = fem.Constant(grid, (0.0, 0.0))
-    law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4)
+    law = mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4)
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")

@@ -93,7 +93,7 @@ def check_return(
     parameters = law.parameter_array(x)
     old = law.first_internal(parameters) if internal is None else internal
     old = np.broadcast_to(old, (len(strains), len(law.internal)))
-    result = law.respond(strains, old, x)
+    result = law.respond(strains, internal=old, x=x)
     check_finite(result)
 
     f = law.yield_function(result.stress, result.internal, parameters)
@@ -104,7 +104,7 @@ def check_return(
     assert np.abs(worst[yielded]).max(initial=0.0) <= tolerance, np.abs(worst[yielded]).max()
 
     size = np.abs(result.stress).max(axis=1)
-    stiffness = np.abs(law.respond(np.zeros_like(strains), old, x).tangent).max()
+    stiffness = np.abs(law.respond(np.zeros_like(strains), internal=old, x=x).tangent).max()
     size = np.maximum(size, 1e-12 * stiffness * np.abs(strains).max(axis=1))
     for i, j in itertools.combinations(range(3), 2):
         turned = (strains[:, i] - strains[:, j]) * (result.stress[:, i] - result.stress[:, j])
@@ -117,7 +117,7 @@ def check_return(
     terms = np.abs(result.stress).max(axis=1) * np.abs(strains).max(axis=1)
     assert (work >= -1e-12 * terms).all(), (work / terms).min()
 
-    again = law.respond(result.strain, result.internal, x)
+    again = law.respond(result.strain, internal=result.internal, x=x)
     assert (np.abs(again.stress - result.stress).max(axis=1) <= tolerance * size).all()
     if elastic is not None:
         expected = elastic.respond(result.strain, x=x).stress
@@ -149,7 +149,7 @@ def check_tangent(
         tolerance: Bound on the difference by the largest entry of the state's tangent.
         share: Share of states that must be smooth.
     """
-    here = law.respond(strains, internal, x)
+    here = law.respond(strains, internal=internal, x=x)
     h = step * np.abs(strains).max(axis=1)
     assert (h > 0).all()
     numeric = np.empty_like(here.tangent)
@@ -158,7 +158,7 @@ def check_tangent(
         move = np.zeros_like(strains)
         move[:, j] = h
         up, down = strains + move, strains - move
-        ahead, behind = (law.respond(e, internal, x).stress for e in (up, down))
+        ahead, behind = (law.respond(e, internal=internal, x=x).stress for e in (up, down))
         sides[0, :, :, j] = (ahead - here.stress) / (up[:, j] - strains[:, j])[:, None]
         sides[1, :, :, j] = (here.stress - behind) / (strains[:, j] - down[:, j])[:, None]
         numeric[:, :, j] = (ahead - behind) / (up[:, j] - down[:, j])[:, None]
@@ -195,10 +195,10 @@ def central_differences(
 
 def check_permutations(law: Law, strains: Array, internal: Array | None = None) -> None:
     """Another order of the axes reorders the answer and changes no bit of it."""
-    here = law.respond(strains, internal)
+    here = law.respond(strains, internal=internal)
     for order in itertools.permutations(range(3)):
         turn = list(order)
-        there = law.respond(np.ascontiguousarray(strains[:, turn]), internal)
+        there = law.respond(np.ascontiguousarray(strains[:, turn]), internal=internal)
         assert (there.strain == here.strain[:, turn]).all()
         assert (there.stress == here.stress[:, turn]).all()
         assert (there.internal == here.internal).all()

@@ -102,7 +102,7 @@ def wall(s, **given):
 
 
 def new_side(s):
-    return mpm.Boundary.from_polygon(s.points, [(2, 0), (2, 1)], False)
+    return mpm.Boundary.from_polygon(s.points, [(2, 0), (2, 1)], closed=False)
 
 
 def footing(s):

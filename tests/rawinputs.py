@@ -49,11 +49,11 @@ RAW = {
     "ball: words": (lambda s: mpm.Ball("ab", 1.0), "centre = 'ab' must be numbers"),
     "disc: radius a word": (lambda s: mpm.Disc((0, 0), "a"), "radius = 'a' must be a number"),
     "polygon: words": (lambda s: mpm.Polygon(["ab", "cd", "ef"]), "vertices = .* must be numbers"),
-    "turned box: words": (lambda s: mpm.TurnedBox("ab", "cd", 0.1), "low = 'ab' must be numbers"),
+    "turned box: words": (lambda s: mpm.TurnedBox("ab", "cd", 5.0), "low = 'ab' must be numbers"),
     "turned box: angle": (lambda s: mpm.TurnedBox((0, 0), (1, 1), "a"), "angle = 'a' must be a n"),
     "plane: words": (lambda s: mpm.Plane("ab", "cd"), "point = 'ab' must be numbers"),
-    "cone: words": (lambda s: mpm.Cone("abc", 1, 0.5, 10), "tip = 'abc' must be numbers"),
-    "wedge: words": (lambda s: mpm.Wedge("ab", 0.5, 10), "tip = 'ab' must be numbers"),
+    "cone: words": (lambda s: mpm.Cone("abc", 1, 30, 10), "tip = 'abc' must be numbers"),
+    "wedge: words": (lambda s: mpm.Wedge("ab", 30, 10), "tip = 'ab' must be numbers"),
     # -- forms
     "gradient: a number": (lambda s: mpm.gradient(s.points, 3.0), r"w = 3\.0 must be a field of U"),
     "gradient: no points": (lambda s: mpm.gradient(None, s.u), "points = None must be material p"),
@@ -90,13 +90,13 @@ RAW = {
         lambda s: mpm.materials.Hencky(s.c, 0.3), r"E = a Constant is an expression of UFL.*float",
     ),
     "law: a function of DOLFINx": (
-        lambda s: mpm.materials.VonMises(1e4, 0.3, s.u), "yield_stress = a Function is an expressi",
+        lambda s: mpm.materials.VonMises(1e4, 0.3, radius=s.u), "radius = a Function is an express",
     ),
     "respond: two strains": (lambda s: s.law.respond([1e-3, 0]), r"strain = \[0\.001, 0\] must be"),
     "respond: words": (lambda s: s.law.respond("ab"), "strain = 'ab' must be three principal"),
     "respond: none": (lambda s: s.law.respond(None), "strain = None must be three principal"),
     "respond: internal": (
-        lambda s: mpm.materials.VonMises(1e4, 0.3, 10.0).respond([0, 0, 0], np.zeros(5)),
+        lambda s: mpm.materials.Tresca(1e4, 0.3, 10.0).respond([0, 0, 0], internal=np.zeros(5)),
         r"internal has the shape \(5,\) and must have a row for each strain: plastic_strain",
     ),
     # -- points
@@ -109,10 +109,11 @@ RAW = {
     "points: near miss": (lambda s: s.fill()["stres"], "did you mean 'stress'"),
     # -- problems
     "newmark: collision": (
-        lambda s: s.motion(contact=mpm.Collision()), "Newmark has no argument contact: .*Explicit",
+        lambda s: s.motion(collision=mpm.Collision()),
+        "Newmark has no argument collision: .*Explicit",
     ),
     "static: collision": (
-        lambda s: s.solver(contact=mpm.Collision()), r"mpm\.contact in the form",
+        lambda s: s.solver(collision=mpm.Collision()), r"mpm\.contact in the form",
     ),
     "newmark: dt": (lambda s: s.motion(dt=0.1), r"Newmark has no argument dt: step\(t\)"),
     "static: near miss": (lambda s: s.solver(toleranc=0.1), "toleranc; did you mean tolerance"),

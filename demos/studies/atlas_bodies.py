@@ -85,13 +85,13 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     u, v = V.increment, V.test
     law, gravity = law_of(p), fem.Constant(grid, (0.0, -GRAVITY))
     K0 = p["nu"] / (1 - p["nu"])
-    mpm.set_stress(points, law, mpm.geostatic_stress(p["top"], DENSITY * GRAVITY, K0))
+    mpm.set_stress(law, points, mpm.geostatic_stress(p["top"], DENSITY * GRAVITY, K0))
     corners = np.array(p["shape"]["corners"])
     centre = np.array([p["x"], p["top"] - corners[:, 1].min() + 0.01 * H])
     steps, way = way_of(p)
     body = mpm.RigidBody(
         shape_of(p["shape"], centre), displacement=way, fillet=p["fillet"], name="body",
-        **({"rotation_increment": p["turns"]} if p["turns"] else {}),
+        **({"rotation_increment": math.degrees(p["turns"])} if p["turns"] else {}),
     )  # fmt: skip
     F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
     F += mpm.contact(body, points, u, v, friction=p["rubs"], penalty=p["penalty"])

@@ -12,7 +12,7 @@ import numpy as np
 from atlas_example import Example, Rigid
 from mpi4py import MPI
 
-__all__ = ["MADE", "Checks", "inside_by"]
+__all__ = ["Checks", "inside_by"]
 
 VOLUME = 0.02  # volume lost beyond what elastic strain takes, by the first volume
 ADMISSIBLE = 1e-6  # elastic strain that a second return mapping would take
@@ -113,7 +113,7 @@ class Checks:
             internal = [points[name][mine] for name in law.internal]
             kept = np.column_stack(internal) if internal else np.empty((len(strain), 0))
             if len(strain):
-                again = law.respond(strain, kept, points["x0"][mine])
+                again = law.respond(strain, internal=kept, x=points["x0"][mine])
                 most = max(most, np.abs(np.sort(again.strain, axis=1) - strain).max())
         most = self._most([most])
         return f"beyond the yield surface by a strain of {most:.2g}" if most > ADMISSIBLE else ""
@@ -132,7 +132,7 @@ def inside_by(rigid: Rigid, x: Any) -> Any:
         rigid: The body.
         x: Positions (m), shape (n, 2).
     """
-    angle = float(rigid.body.angle[0])
+    angle = np.radians(float(rigid.body.angle[0]))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     corners = rigid.corners @ turn.T + rigid.body.position
     ends = np.roll(corners, -1, axis=0)

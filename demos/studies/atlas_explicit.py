@@ -30,7 +30,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     F = mpm.momentum(law, points, V.increment, V.test)
     options: dict[str, Any] = {}
     if p["way"] != "one field" and stabilisation == "none":
-        options["contact"] = mpm.Collision((1, 2), p["friction"])
+        options["collision"] = mpm.Collision((1, 2), friction=p["friction"])
     problem = mpm.Explicit(
         F, V.increment, points, courant=p["courant"], stabilisation=stabilisation, **options
     )

@@ -5,7 +5,7 @@ evenly between these bounds:
 
 - discs, boxes, turned boxes, bars, blobs and convex polygons within circles of 0.2 to 0.35 m; one
   may be up to half its radius aside of the other's line; 2 or 3 points per cell and direction;
-- Hencky, neo-Hookean or von Mises (yield stress of 2 to 10 % of Young's modulus), E from 0.3 to
+- Hencky, neo-Hookean or von Mises (radius of 2 to 10 % of Young's modulus), E from 0.3 to
   3 MPa by its logarithm, ν from 0 to 0.4, 1000 kg/m³; speeds 1 to 5 % of the waves' for each;
 - they fly for 1 to 1.5 times as long as they need to meet, and a wave to cross a body four times;
 - implicit (`impacts`, Newmark): in one field of displacements, with fields of their own
@@ -68,7 +68,7 @@ def law_of(p: dict[str, Any]) -> Any:
         return mpm.materials.NeoHookean(E=p["E"], nu=p["nu"])
     if p["law"] == "Hencky":
         return mpm.materials.Hencky(p["E"], p["nu"])
-    return mpm.materials.VonMises(p["E"], p["nu"], p["strength"])
+    return mpm.materials.VonMises(p["E"], p["nu"], radius=p["strength"])
 
 
 def squares(comm: MPI.Comm) -> mesh.Mesh:

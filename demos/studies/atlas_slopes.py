@@ -93,7 +93,7 @@ def faces(points: Any, inside: Any, width: float) -> list[Any]:
         free = ~inside(beyond.T) & (beyond[:, 0] < width)
         offset = np.where(free[:, None], half * n, 0.0)
         area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-        found.append(mpm.Surface.from_arrays(points, offset, area, name))
+        found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
     return found
 
 
@@ -115,7 +115,7 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
     F -= ufl.inner(points.density * gravity, v) * points.dX
     if p["law"] == "Cam-Clay":
         for face in faces(points, inside_of(p), width):
-            F -= face.pressure(pressure_of(p), u, v)
+            F += face.pressure(pressure_of(p), u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)
 

@@ -16,7 +16,7 @@ def law_of(p: dict[str, Any]) -> Any:
     """The law of a problem."""
     E, nu, c, phi = p["E"], p["nu"], p["cohesion"], p["friction"]
     if p["law"] == "von Mises":
-        return mpm.materials.VonMises(E, nu, math.sqrt(2) * c)
+        return mpm.materials.VonMises(E, nu, radius=math.sqrt(2) * c)
     if p["law"] == "Tresca":
         return mpm.materials.Tresca(E, nu, c)
     if p["law"] == "Mohr-Coulomb":

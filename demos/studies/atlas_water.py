@@ -91,7 +91,7 @@ def ground_of(p: dict[str, Any], comm: MPI.Comm) -> tuple[Any, Any, list[Any]]:
         size = GROUND[0] * CELL, GROUND[1] * CELL
         grid = rectangle(comm, (size[0], size[1] + 2 * CELL), CELL)
         points = mpm.fill(grid, mpm.Box((0, 0), size), p["per_cell"], 1.0)
-        top = mpm.Surface(points, lambda x: x[1] > size[1] * (1 - 1e-9), (0, 1), "top")
+        top = mpm.Surface(points, lambda x: x[1] > size[1] * (1 - 1e-9), (0, 1), name="top")
         return grid, points, [top]
     h, (_, width) = p["h"], atlas_slopes.width_of(p)
     grid = rectangle(comm, (width, p["base"] + p["height"] + h), h)
@@ -114,11 +114,11 @@ def build(p: dict[str, Any], basis: str, stabilisation: str, comm: MPI.Comm) -> 
         modulus=modulus, drained=[(face, held) for face in surface],
     )  # fmt: skip
     if p["law"] == "Mohr-Coulomb":
-        mpm.set_stress(points, law, -suction * np.eye(3))
+        mpm.set_stress(law, points, -suction * np.eye(3))
     if p["footing"]:
         top, across = p["height"] * (1 - 1e-9), p["strip"] * CELL
-        strip = mpm.Surface(points, lambda x: (x[1] > top) & (x[0] < across), (0, 1), "strip")
-        F -= strip.traction(load, v)
+        strip = mpm.Surface(points, lambda x: (x[1] > top) & (x[0] < across), (0, 1), name="strip")
+        F += strip.traction(load, v)
         whole = p["load"] * (2 + math.pi) * undrained(p) * p["cohesion"]
     else:
         F -= ufl.inner(load, v) * points.dX

@@ -144,7 +144,7 @@ def time_laws(args):
         materials = mpm.materials
         elastic = {"E": 1e6, "nu": 0.3}
         for name, law, shift in (
-            ("von Mises", materials.VonMises(**elastic, yield_stress=1e3), 0.0),
+            ("von Mises", materials.VonMises(**elastic, radius=1e3), 0.0),
             ("Tresca", materials.Tresca(**elastic, cohesion=1e3), 0.0),
             (
                 "Mohr–Coulomb",

@@ -21,7 +21,6 @@ from mpi4py import MPI
 from scene import say, stage_seconds
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 
@@ -62,7 +61,7 @@ class Run:
         started = time.process_time()
         try:
             error = go()
-        except DolfinMPMError as stopped:
+        except mpm.errors.DolfinMPMError as stopped:
             # which stabilisation carries a run to its end is part of what is asked
             self.reason = f"{type(stopped).__name__}: {str(stopped)[:160]}"
         else:

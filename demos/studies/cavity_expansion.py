@@ -107,11 +107,11 @@ points = body.points
 V = mpm.Space(points.grid, args.basis, configuration=args.configuration)
 u, v = V.increment, V.test
 pressure = fem.Constant(points.grid, 1.0)
-F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on") - body.inner.pressure(pressure, u, v)
+F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on") + body.inner.pressure(pressure, u, v)
 if infinite:
     stiffness = 2 * exact.k * args.rigidity_index / b
     moved = body.outer.position(u) - points.x0 - body.outer.offset
-    F -= body.outer.traction(-fem.Constant(points.grid, stiffness) * moved, v)
+    F += body.outer.traction(-fem.Constant(points.grid, stiffness) * moved, v)
 growth = args.ratio ** (1 / args.steps) - 1
 problem = mpm.ArcLength(
     F,

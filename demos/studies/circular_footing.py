@@ -73,11 +73,13 @@ ground = mpm.Box((0, 0), (width, depth))
 points = mpm.fill(grid, ground, args.points_per_cell, 1000.0, axisymmetric=True)
 V = mpm.Space(grid, args.basis)
 u, v = V.increment, V.test
-under = mpm.Surface(points, lambda x: np.isclose(x[1], depth) & (x[0] < RADIUS), (0, 1), "under")
+under = mpm.Surface(
+    points, lambda x: np.isclose(x[1], depth) & (x[0] < RADIUS), (0, 1), name="under"
+)
 settlement = fem.Constant(grid, 0.0)
 footing = mpm.RigidFooting(under, settlement, rough=rough, E=args.modulus)
 clay = mpm.materials.Tresca(args.modulus, args.poisson, COHESION)
-F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on") - footing.contact(u, v)
+F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on") + footing.contact(u, v)
 problem = mpm.QuasiStatic(
     F,
     u,

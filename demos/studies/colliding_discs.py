@@ -104,7 +104,9 @@ points.add_field("velocity", (2,), "m/s")
 points["velocity"] = np.where(points["tag"][:, None] == 1, 1.0, -1.0) * args.speed * along
 explicit = {}
 if args.contact in ("grid", "gap"):
-    explicit["contact"] = mpm.Collision((1, 2), args.friction, gap_test=args.contact == "gap")
+    explicit["collision"] = mpm.Collision(
+        (1, 2), friction=args.friction, gap_test=args.contact == "gap"
+    )
 problem = problem_of(args, F, u if own else u[0], points, **explicit)
 
 

@@ -34,7 +34,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, numbers, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 # the surface at rest, and the line of failure (Bui and others 2008), x and y in m
 PLACES = np.array([0.04, 0.08, 0.12, 0.16, 0.20, 0.241, 0.282, 0.322, 0.362, 0.402, 0.442])
@@ -283,12 +282,12 @@ def run(args, integrator, basis, fbar, strain, keep=()):
             if integrator == "explicit":
                 problem.step(t)
             else:
-                for now in mpm.times(t, args.dt, problem.time, label=name):
+                for now in mpm.times(t, args.dt, start=problem.time, label=name):
                     problem.step(now)
             found.append(measure(points, args, problem))
             if t in keep:
                 states.append((t, points.gather(*STATE)))
-    except DolfinMPMError as error:
+    except mpm.errors.DolfinMPMError as error:
         # the run's outcome is what is asked for, good or bad
         reason = f"{type(error).__name__}: {error}"
     seconds = time.perf_counter() - ready

@@ -20,7 +20,6 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 STABILISATIONS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
@@ -49,7 +48,7 @@ def column(elements, basis, stabilisation, per_cell, steps):
         for k in range(steps):
             gravity.value[1] = -g * (k + 1) / steps
             problem.step()
-    except DolfinMPMError:
+    except mpm.errors.DolfinMPMError:
         finished = False
     V0, Y = points["V0"], points["x0"][:, 1]
     deviation = np.abs(points["stress"][:, 1, 1] + rho * g * (height - Y)) @ V0

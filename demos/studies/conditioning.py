@@ -38,7 +38,7 @@ E, NU, RHO = 1.0, 0.0, 1.0
 
 # %%
 def block(args, dimension, offset, angle=0.0):
-    """The block at an offset (cells) and an angle (rad): its conditioning."""
+    """The block at an offset (cells) and an angle (degrees): its conditioning."""
     h = args.spacing
     length, n = (4 * h, 8) if dimension == 1 else (8 * h, 14)
     if dimension == 1:
@@ -113,10 +113,10 @@ else:
     offsets = [float(k * (np.sqrt(5) - 1) / 2 % 1) for k in range(1, int(args.offsets) + 1)]
 angles = [0.0] * len(offsets)
 if args.dimension == 2:
-    angles = [float(k * (np.sqrt(2) - 1) % 1 * np.pi / 2) for k in range(len(offsets))]
+    angles = [float(k * (np.sqrt(2) - 1) % 1 * 90) for k in range(len(offsets))]
 
 rows = study.sweep(
-    lambda place: block(args, args.dimension, *place), list(zip(offsets, angles)), "places"
+    lambda place: block(args, args.dimension, *place), list(zip(offsets, angles)), label="places"
 )
 for row in rows:
     row["offset"], row["angle"] = row.pop("place")
@@ -144,9 +144,11 @@ if not args.no_plot and MPI.COMM_WORLD.rank == 0:
     style = {} if args.dimension == 1 else {"linestyle": "none"}
     steps = {"dt_consistent": "consistent mass", "dt_lumped": "lumped mass"}
     with mpm.figure(args.output / f"{name}.png", 6.5, 2.8, ncols=2) as (_, (left, right)):
-        study.draw_sweep(left, rows, "offset", {"kappa_K": "κ(K)", "kappa_M": "κ(M)"}, **style)
+        study.draw_sweep(
+            left, rows, x="offset", keys={"kappa_K": "κ(K)", "kappa_M": "κ(M)"}, **style
+        )
         left.set(xlabel="offset (cells)", ylabel="condition number")
-        study.draw_sweep(right, rows, "offset", steps, **style)
+        study.draw_sweep(right, rows, x="offset", keys=steps, **style)
         right.set(xlabel="offset (cells)", ylabel="critical step Δt c/h")
 
 finish(args, {"places": rows, "worst": worst, "ranks": MPI.COMM_WORLD.size})

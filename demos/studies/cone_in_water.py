@@ -47,7 +47,13 @@ class Clay:
         c_v = way * diameter / velocity if velocity else 0.0
         self.permeability = c_v * mpm.Fluid().unit_weight * COMPRESSION / PRESSURE
         self.law = mpm.materials.CamClay(
-            SWELLING, COMPRESSION, M, self.shear_modulus, 0.0, PRESSURE, ratio * PRESSURE
+            swelling=SWELLING,
+            compression=COMPRESSION,
+            M=M,
+            mu0=self.shear_modulus,
+            alpha=0.0,
+            reference_pressure=PRESSURE,
+            preconsolidation=ratio * PRESSURE,
         )
 
     @property

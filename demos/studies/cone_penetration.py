@@ -184,16 +184,16 @@ class Scene:
         touched = 0.5 * h / args.points_per_cell
 
         def beside(x):
-            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x, float))
+            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x.T, float))
             # no corner of a domain within the cone
-            return (x[:, -1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
+            return (x[-1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
 
-        ground = mpm.Shape(beside, low, np.append(high[:-1], 0.0))
+        ground = mpm.Where(beside, low=low, high=np.append(high[:-1], 0.0))
         deposit = None
         if args.law == "sand":
             sand = mpm.materials.sand(args.relative_density, nu=args.poisson)
             deposit = mpm.Deposit(0.0, [mpm.Layer.of(sand)])
-            E = deposit.modulus(sand.E_ref, sand.exponent, sand.p_ref)
+            E = deposit.modulus(sand.E_ref, sand.exponent, p_ref=sand.p_ref)
             law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
             density, self.unit = sand.density, 1e3
         elif args.law == "cam-clay":
@@ -217,7 +217,7 @@ class Scene:
         else:
             F = mpm.momentum(law, points, u, v, fbar=args.fbar == "on")
         if deposit is not None:
-            mpm.set_stress(points, law, lambda x: deposit.stress(x))
+            mpm.set_stress(law, points, lambda x: deposit.stress(x))
             F -= ufl.inner(deposit.body_force(points), v) * points.dX
         # in units of E/h with the h of the fine cells, where others are smaller
         penalty = args.penalty * self.finest / h
@@ -250,7 +250,7 @@ class Scene:
         ahead = 0.0, -self.way
         motion = {"fillet": args.fillet * args.h, "name": "cone"}
         if not self.flat:
-            shape = mpm.Cone((0.0, 0.0, tip), R, math.radians(30), long)
+            shape = mpm.Cone((0.0, 0.0, tip), R, 30.0, long)
             return mpm.RigidBody(shape, **{rate: (0.0, *ahead)}, **motion)
         side = [(R, tip + self.height), (R, tip + long)]
         meridian = [(0.0, tip), *side, *((-r, z) for r, z in side[::-1])]

@@ -195,7 +195,7 @@ def column(height=H):
         drained=top, projection=args.projection, theta=args.theta, modulus=modulus,
     )  # fmt: skip
     load = fem.Constant(grid, (0.0, -q))
-    F -= top.traction(load, V.test)
+    F += top.traction(load, V.test)
     if weight:
         F -= fem.Constant(grid, -submerged) * V.test[1] * points.dX
     problem = mpm.Transient(

@@ -54,7 +54,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, numbers, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
 SUCTION = 50e3  # Pa, p0
@@ -125,7 +124,13 @@ class Soil:
             self.strength = least * (args.ratio / 2) ** (1 - SWELLING / COMPRESSION)
             self.G = args.rigidity_index * self.strength
             self.law = mpm.materials.CamClay(
-                SWELLING, COMPRESSION, M, self.G, 0.0, SUCTION, args.ratio * SUCTION
+                swelling=SWELLING,
+                compression=COMPRESSION,
+                M=M,
+                mu0=self.G,
+                alpha=0.0,
+                reference_pressure=SUCTION,
+                preconsolidation=args.ratio * SUCTION,
             )
             self.modulus = SUCTION / SWELLING + 4 / 3 * self.G
         else:
@@ -133,7 +138,7 @@ class Soil:
             self.strength = COHESION * math.cos(phi) + SUCTION * math.sin(phi)
             self.G = args.rigidity_index * self.strength
             self.law = mpm.materials.MohrCoulomb(
-                2 * (1 + nu) * self.G, nu, COHESION, FRICTION, args.dilation
+                2 * (1 + nu) * self.G, nu, COHESION, FRICTION, dilation_angle=args.dilation
             )
             self.modulus = 2 * self.G * (1 - nu) / (1 - 2 * nu)
 
@@ -182,7 +187,7 @@ class Slope:
         # the density is 1, gravity the weight per volume
         F -= ufl.inner(self.points.density * self.gravity, self.v) * self.points.dX
         if args.law == "mohr-coulomb" and way != "undrained":
-            mpm.set_stress(self.points, self.soil.law, -SUCTION * np.eye(3))
+            mpm.set_stress(self.soil.law, self.points, -SUCTION * np.eye(3))
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         kind = mpm.Transient if self.coupled else mpm.QuasiStatic
         stabilisations = [args.stabilisation] * len(fields)
@@ -208,7 +213,7 @@ class Slope:
             free = ~self.inside(beyond.T) & (beyond[:, 0] < WIDTH)
             offset = np.where(free[:, None], half * n, 0.0)
             area = np.where(free, 2 * half[:, 1 - axis], 0.0)[:, None] * n
-            found.append(mpm.Surface.from_arrays(points, offset, area, name))
+            found.append(mpm.Surface.from_arrays(points, offset, area, name=name))
         return found
 
     @property
@@ -243,7 +248,7 @@ class Slope:
             return mpm.momentum(self.soil.total, self.points, self.u, self.v, fbar=True), [self.u]
         F = mpm.momentum(self.soil.law, self.points, self.u, self.v, fbar=self.fbar)
         for face in self.faces():
-            F -= face.pressure(1e3 * self.args.surface_suction, self.u, self.v)
+            F += face.pressure(1e3 * self.args.surface_suction, self.u, self.v)
         return F, [self.u]
 
     def times(self):
@@ -268,7 +273,7 @@ class Slope:
             self.gravity.value[1] = -self.args.load * shares[i] * self.soil.strength / HEIGHT
             try:
                 self.problem.step(*([second * T[i]] if self.coupled else []))
-            except DolfinMPMError as error:
+            except mpm.errors.DolfinMPMError as error:
                 # the run's outcome is what is asked for, good or bad
                 self.reason = f"{type(error).__name__}: {error}"
                 return

@@ -54,7 +54,7 @@ comm = grid.comm
 points = mpm.fill(grid, mpm.Box((0, 0), (SIDE, SIDE)), args.points_per_cell, DENSITY)
 V = mpm.Space(grid, args.basis)
 u, v = V.increment, V.test
-clay = mpm.materials.VonMises(E=E, nu=NU, yield_stress=YIELD)
+clay = mpm.materials.VonMises(E=E, nu=NU, radius=YIELD)
 gravity = fem.Constant(grid, (0.0, 0.0))
 F = mpm.momentum(clay, points, u, v) - ufl.inner(points.density * gravity, v) * points.dX
 problem = mpm.QuasiStatic(
@@ -154,7 +154,7 @@ say(
 
 # %% [markdown]
 # ## Picture
-# Plastic strain and $\rho = \sqrt{2 J_2}$ of the Kirchhoff stress by the yield stress, on the
+# Plastic strain and $\rho = \sqrt{2 J_2}$ of the Kirchhoff stress by its radius, on the
 # deformed body; work and energies over the load.
 
 

@@ -155,7 +155,11 @@ def free_body(args, seed):
         half = np.array([R, rng.uniform(0.3, 0.6)])
         body = mpm.Box(tuple(centre - half), tuple(centre + half))
     materials = mpm.materials
-    laws = materials.Hencky(E, nu), materials.VonMises(E, nu, 10 * E), materials.NeoHookean(E, nu)
+    laws = (
+        materials.Hencky(E, nu),
+        materials.VonMises(E, nu, radius=10 * E),
+        materials.NeoHookean(E, nu),
+    )
     law, basis = laws[rng.integers(3)], ["gimp", "bspline2"][rng.integers(2)]
     grid = squares((0, 0), (4, 4))
     points = mpm.fill(grid, body, int(rng.integers(2, 4)), rho)
@@ -191,12 +195,12 @@ def random_impact(args, seed):
     y = top + gap + R * (1.45 if kind == 2 else 1.0)
     ends = (x - R, y - R), (x + R, y + R)
     angle = rng.uniform(0.1, 0.7)
-    shape = [mpm.Disc((x, y), R), mpm.Box(*ends), mpm.TurnedBox(*ends, angle)][kind]
+    shape = [mpm.Disc((x, y), R), mpm.Box(*ends), mpm.TurnedBox(*ends, math.degrees(angle))][kind]
     m, speed = rng.uniform(0.3, 3) * rho * math.pi * R**2, rng.uniform(0.005, 0.05) * c
     rigid = mpm.RigidBody(
         shape, mass=m, inertia=0.5 * m * R**2,
         velocity=(rng.uniform(-0.5, 0.5) * speed, -speed),
-        angular_velocity=rng.uniform(-0.3, 0.3) * speed / R,
+        angular_velocity=math.degrees(rng.uniform(-0.3, 0.3) * speed / R),
     )  # fmt: skip
     corners, penalty = [None, "material"][rng.integers(2)], float(rng.choice([1.0, 5.0, 20.0]))
     F = mpm.momentum(mpm.materials.Hencky(E, nu), points, V.increment, V.test)

@@ -27,7 +27,6 @@ from mpi4py import MPI
 from scene import finish, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 from dolfinmpm.cut.penalties import GHOST_FACTORS
 
 
@@ -106,7 +105,7 @@ def block(offset):
         dt = args.duration / args.steps
         for t in mpm.times(args.duration, dt=dt, label=f"offset {offset:g}"):
             problem.step(t)
-    except DolfinMPMError as stopped:
+    except mpm.errors.DolfinMPMError as stopped:
         say(f"offset {offset:g} stopped at t = {problem.time:g} s: {stopped}")
         return figures, nodes, None
     X = points["x0"] - centre

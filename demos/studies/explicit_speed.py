@@ -31,7 +31,7 @@ E, NU, DENSITY = 1e6, 0.3, 1000.0
 LAWS = {
     "neo-hookean": lambda: mpm.materials.NeoHookean(E=E, nu=NU),
     "hencky": lambda: mpm.materials.Hencky(E=E, nu=NU),
-    "von-mises": lambda: mpm.materials.VonMises(E=E, nu=NU, yield_stress=20.0),
+    "von-mises": lambda: mpm.materials.VonMises(E=E, nu=NU, radius=20.0),
     "mohr-coulomb": lambda: mpm.materials.MohrCoulomb(
         E=E, nu=NU, cohesion=1.0, friction_angle=20.0, dilation_angle=0.0
     ),

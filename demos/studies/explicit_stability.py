@@ -45,7 +45,6 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, RHO, YIELD = 1e4, 0.3, 1e3, 40.0
 SPEED = np.sqrt(E * (1 - NU) / ((1 + NU) * (1 - 2 * NU)) / RHO)
@@ -123,7 +122,7 @@ def block(args, method, law, offset, kind, travel=0.0):
     V = mpm.Space(grid, basis)
     material = mpm.materials.Hencky(E, NU)
     if law == "elastoplastic":
-        material = mpm.materials.VonMises(E, NU, YIELD)
+        material = mpm.materials.VonMises(E, NU, radius=YIELD)
     F = mpm.momentum(material, points, V.increment, V.test)
     stabilisation = mpm.Stabilisation(stabilisation, E=E, nu=NU)
     if kind == "static":
@@ -184,7 +183,7 @@ def fly(args, method, law, uncut):
             problem.courant, rest.courant = 1e6, 1e6
             problem.step(duration * k / steps)
             rest.step(duration * k / steps)
-        except DolfinMPMError as error:
+        except mpm.errors.DolfinMPMError as error:
             reason = f"{type(error).__name__} at step {k} of {steps}: {str(error)[:120]}"
             break
         e = problem.energies()
@@ -237,7 +236,7 @@ def stay(args, method, uncut):
                 if not largest < 1e3:
                     reason = f"energy {largest:.3g} times the first after {taken} steps"
                     break
-    except DolfinMPMError as error:
+    except mpm.errors.DolfinMPMError as error:
         reason = f"{type(error).__name__} after {taken} steps: {str(error)[:120]}"
     return {
         "long_steps": taken,

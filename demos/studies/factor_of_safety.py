@@ -80,7 +80,7 @@ def slope(factor, args):
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     cohesion, friction = study.reduced_strength(COHESION, FRICTION, factor)
-    soil = mpm.materials.MohrCoulomb(E, NU, cohesion, friction, args.dilation)
+    soil = mpm.materials.MohrCoulomb(E, NU, cohesion, friction, dilation_angle=args.dilation)
     gravity = fem.Constant(grid, (0.0, 0.0))
     F = mpm.momentum(soil, points, u, v, strain=args.strain, fbar=args.fbar == "on")
     F -= ufl.inner(points.density * gravity, v) * points.dX
@@ -116,7 +116,9 @@ say(
 if not args.no_plot:
     study.write_table(found.table(), args.output / "factor_of_safety.csv")
     words = r"largest displacement $E\delta/(\gamma H^2)$"
-    study.plot_reduction(found.table(), args.output / "factor_of_safety.png", SCALE, ylabel=words)
+    study.plot_reduction(
+        found.table(), args.output / "factor_of_safety.png", scale=SCALE, ylabel=words
+    )
 
 finish(
     args,

@@ -54,7 +54,6 @@ from mpi4py import MPI
 from scene import finish, parser, say, solver_figures
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import ConvergenceError
 from dolfinmpm.body.location import destinations
 
 WIDTH, DEPTH, HALF_WIDTH, ROOM = 15.0, 5.0, 2.0, 1.0  # m
@@ -224,19 +223,19 @@ class Scene:
         rough, self.rigid = args.rough == "on", args.footing == "rigid"
 
         F = mpm.momentum(law, points, u, v, strain=args.strain, fbar=args.fbar == "on")
-        F -= top.traction(fem.Constant(grid, (0.0, -surcharge)), v)
+        F += top.traction(fem.Constant(grid, (0.0, -surcharge)), v)
         F -= ufl.inner(points.density * self.gravity, v) * points.dX
         if self.rigid:
             self.footing = mpm.RigidFooting(under, self.settlement, rough=rough, E=args.modulus)
-            F -= self.footing.contact(u, v)
+            F += self.footing.contact(u, v)
         else:
-            F -= under.traction(self.pressure, v)
+            F += under.traction(self.pressure, v)
         if rough and not self.rigid:
             # a stiff one would shorten explicit steps
             stiff = 1e3 if args.integrator == "static" else 4.0
             stiffness = fem.Constant(grid, stiff * args.modulus / args.h)
             slip = moved + ufl.dot(turned, under.offset) + under.at(u)
-            F -= under.traction(ufl.as_vector((-stiffness * slip[0], 0.0)), v)
+            F += under.traction(ufl.as_vector((-stiffness * slip[0], 0.0)), v)
         bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
         updates = {"moved": moved + u, "turned": turned + ufl.dot(ufl.grad(u), points.F)}
         self.problem = mpm.QuasiStatic(
@@ -336,7 +335,7 @@ def run(args):
             residuals.append(scene.press(part))
             names = "centre", "mean", "edge"
             history.record(load=scene.load(), **dict(zip(names, scene.sunk() - first)))
-    except ConvergenceError as error:
+    except mpm.errors.ConvergenceError as error:
         reason = str(error)
         if not len(history):
             # under the weight already

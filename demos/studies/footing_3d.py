@@ -58,16 +58,16 @@ def run(cells: int, permeability: float):
     )
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), args.points_per_cell, 2000.0)
     V, Q = mpm.Space(grid, args.basis), mpm.Space(grid, args.basis, shape=())
-    top = mpm.Surface(points, lambda x: x[2] > 1 - 1e-9, (0, 0, 1), "top")
+    top = mpm.Surface(points, lambda x: x[2] > 1 - 1e-9, (0, 0, 1), name="top")
     square = mpm.Surface(
-        points, lambda x: (x[2] > 1 - 1e-9) & (x[0] < 0.3) & (x[1] < 0.3), (0, 0, 1), "square"
+        points, lambda x: (x[2] > 1 - 1e-9) & (x[0] < 0.3) & (x[1] < 0.3), (0, 0, 1), name="square"
     )
     F = mpm.poromechanics(
         mpm.materials.Hencky(E=E, nu=nu), points, (V.increment, Q.increment), (V.test, Q.test),
         permeability=permeability, porosity=0.4, drained=top,
     )  # fmt: skip
     load = fem.Constant(grid, (0.0, 0.0, 0.0))
-    F -= square.traction(load, V.test)
+    F += square.traction(load, V.test)
     bcs = mpm.rollers(V, "left", "right", "front", "back") + mpm.fixed(V, "bottom")
     own = {"pc_type": "lu", "ksp_type": "preonly"} if args.direct else {}
     problem = mpm.Transient(
@@ -75,7 +75,7 @@ def run(cells: int, permeability: float):
         petsc_options=own,
     )  # fmt: skip
     clocks = [(time.perf_counter(), time.process_time())]
-    for share in mpm.steps(args.steps, f"{cells}³ cells"):
+    for share in mpm.steps(args.steps, label=f"{cells}³ cells"):
         load.value[2] = -args.load * E * share
         problem.step(share * args.steps)
         clocks.append((time.perf_counter(), time.process_time()))

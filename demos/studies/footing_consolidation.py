@@ -71,15 +71,15 @@ grid = mesh.create_rectangle(
 points = mpm.fill(grid, mpm.Box((0, 0), (W, D)), args.points_per_cell, 1.0)
 V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test
-top = mpm.Surface(points, lambda x: x[1] > D * (1 - 1e-9), (0, 1), "top")
-strip = mpm.Surface(points, lambda x: (x[1] > D * (1 - 1e-9)) & (x[0] < B), (0, 1), "strip")
+top = mpm.Surface(points, lambda x: x[1] > D * (1 - 1e-9), (0, 1), name="top")
+strip = mpm.Surface(points, lambda x: (x[1] > D * (1 - 1e-9)) & (x[0] < B), (0, 1), name="strip")
 F = mpm.poromechanics(
     mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
     permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=top, theta=args.theta,
     strain="small",
 )  # fmt: skip
 load = fem.Constant(grid, (0.0, -q))
-F -= strip.traction(load, v)
+F += strip.traction(load, v)
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.Transient(F, [u, Q.increment], points, bcs, stabilisation=[args.stabilisation] * 2)
 # what nodes of the top have moved: increments of all steps together

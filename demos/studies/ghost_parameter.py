@@ -126,11 +126,11 @@ def elastic_constants(pair, args):
 
 # %%
 LAWS = {
-    "von Mises": mpm.materials.VonMises(E=1.0, nu=0.3, yield_stress=1e-3),
-    "von Mises, ν = .49": mpm.materials.VonMises(E=1.0, nu=0.49, yield_stress=1e-3),
+    "von Mises": mpm.materials.VonMises(E=1.0, nu=0.3, radius=1e-3),
+    "von Mises, ν = .49": mpm.materials.VonMises(E=1.0, nu=0.49, radius=1e-3),
     "Tresca, ν = .49": mpm.materials.Tresca(E=1.0, nu=0.49, cohesion=5e-4),
-    "Drucker-Prager, ψ = 0": mpm.materials.DruckerPrager(1.0, 0.3, 5e-4, 30.0, 0.0),
-    "Drucker-Prager, ψ = φ": mpm.materials.DruckerPrager(1.0, 0.3, 5e-4, 30.0, 30.0),
+    "Drucker-Prager, ψ = 0": mpm.materials.DruckerPrager(1.0, 0.3, 5e-4, 30.0, dilation_angle=0.0),
+    "Drucker-Prager, ψ = φ": mpm.materials.DruckerPrager(1.0, 0.3, 5e-4, 30.0, dilation_angle=30.0),
     "Mohr-Coulomb, ψ = 0": mpm.materials.MohrCoulomb(E=1.0, nu=0.3, cohesion=5e-4,
                                                      friction_angle=30.0, dilation_angle=0.0),
     "Mohr-Coulomb, ψ = 10": mpm.materials.MohrCoulomb(E=1.0, nu=0.2, cohesion=5e-4,

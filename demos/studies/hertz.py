@@ -123,7 +123,9 @@ class Scene:
             mpm.Ball(centre, args.radius), name=args.shape,
             increment=lambda t: (0.0,) * (d - 1) + (-self.down[0],),
         )  # fmt: skip
-        top = mpm.Surface(points, lambda x: np.isclose(x[-1], 0.0), (0,) * (d - 1) + (1,), "top")
+        top = mpm.Surface(
+            points, lambda x: np.isclose(x[-1], 0.0), (0,) * (d - 1) + (1,), name="top"
+        )
         F = mpm.momentum(mpm.materials.Hencky(args.modulus, args.poisson), points, u, v)
         F += mpm.contact(
             self.body, points, u, v, friction=args.friction, stiffness_per_area=kappa, surface=top

@@ -233,7 +233,7 @@ class Rigid:
 
     def look(self):
         """Displacement (m) and rotation (rad) so far."""
-        spin = self.body.angle
+        spin = np.radians(self.body.angle)
         return float(self.body.position[0]), float(spin[0] if spin.size == 1 else -spin[1])
 
     def work(self):

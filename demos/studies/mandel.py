@@ -103,7 +103,7 @@ F = mpm.poromechanics(
 tension = fem.Constant(grid, 1e4 * E * a)
 F += top.density * tension * ufl.grad(u)[1, 0] * ufl.grad(v)[1, 0] * points.dX
 load = fem.Constant(grid, (0.0, 0.0))
-F -= top.traction(load, v)
+F += top.traction(load, v)
 load.value[1] = -force / a
 problem = mpm.Transient(
     F, [u, Q.increment], points, mpm.rollers(V, "left", "bottom"),

@@ -42,7 +42,6 @@ from scene import finish, numbers, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 BASES = ("linear", "gimp", "bspline2", "bspline3")
 E, RHO = 1e3, 1.0
@@ -175,7 +174,7 @@ def block(basis, cells, cut=None):
             t.value = share
             problem.step()
         figures |= errors(points, nu)
-    except DolfinMPMError as stopped:
+    except mpm.errors.DolfinMPMError as stopped:
         say(f"{basis} with {cells} cells stopped: {stopped}")
     figures["newton_iterations"] = sum(record.iterations for record in problem.history)
     figures["halvings"] = sum(record.halvings for record in problem.history)
@@ -297,7 +296,7 @@ if not args.no_plot:
         ) as (whole, axes):  # fmt: skip
             for column, (name, by_basis) in zip(axes.T, curves.items()):
                 for ax, key in zip(column, keys):
-                    study.draw_convergence(ax, by_basis, key, orders=(1, 2, 3))
+                    study.draw_convergence(ax, by_basis, key=key, orders=(1, 2, 3))
                 column[0].set_title(name)
                 column[1].set_xlabel("cell size h (m)")
             for ax, key in zip(axes[:, 0], keys):

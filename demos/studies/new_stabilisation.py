@@ -20,7 +20,6 @@ from scene import finish, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, RHO, AMPLITUDE = 1.0, 0.0, 1.0, 0.1
 BUILT_IN = ("none", "ghost", "aggregation")
@@ -115,7 +114,7 @@ def stabilised(form, stabilisation, points, u, v):
 
 # %%
 def conditioning(stabilisation, offset, angle):
-    """Condition numbers and critical step of the block at an offset (cells) and an angle."""
+    """Condition numbers and critical step of the block at an offset (cells), turned (degrees)."""
     n = 10
     grid = mesh.create_rectangle(
         MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
@@ -172,7 +171,7 @@ def error(stabilisation, cells):
         for share in mpm.steps(int(np.ceil(AMPLITUDE / (0.2 * h))), label=f"{cells} cells"):
             t.value = share
             problem.step()
-    except DolfinMPMError as stopped:
+    except mpm.errors.DolfinMPMError as stopped:
         say(f"{stabilisation} with {cells} cells stopped: {stopped}")
         finished = False
     x0, V0 = points["x0"], points["V0"]
@@ -189,7 +188,7 @@ def error(stabilisation, cells):
 
 # %%
 golden = (np.sqrt(5) - 1) / 2
-places = [(k * golden % 1, k * (np.sqrt(2) - 1) % 1 * np.pi / 2) for k in range(args.offsets)]
+places = [(k * golden % 1, k * (np.sqrt(2) - 1) % 1 * 90) for k in range(args.offsets)]
 # places where next to nothing is in the outer cells
 places[: min(3, args.offsets)] = [(1e-6, 0.0), (1e-3, 0.0), (0.02, 0.0)][: args.offsets]
 sizes = [1 / int(n) for n in args.cells.split(",")]
@@ -199,12 +198,12 @@ for stabilisation in stabilisations:
     swept[stabilisation] = study.sweep(
         lambda place, stabilisation=stabilisation: conditioning(stabilisation, *place),
         places,
-        stabilisation,
+        label=stabilisation,
     )
     curves[stabilisation] = study.convergence(
         lambda h, stabilisation=stabilisation: error(stabilisation, round(1 / h)),
         sizes,
-        stabilisation,
+        label=stabilisation,
         errors=["error"],
     )
     worst = study.worst(swept[stabilisation])

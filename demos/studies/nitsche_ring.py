@@ -116,7 +116,7 @@ def ring(cells, offset):
     law = mpm.materials.Hencky(E=E, nu=nu)
     F = mpm.momentum(law, points, u, v, strain="small")
     F += mpm.dirichlet(
-        law, hole, u, v, exact, method=args.method, penalty=args.penalty, strain="small"
+        hole, u, v, exact, law=law, method=args.method, penalty=args.penalty, strain="small"
     )  # fmt: skip
     problem = mpm.QuasiStatic(F, u, points, stabilisation=args.stabilisation)
     return problem, exact, hole, h

@@ -203,7 +203,7 @@ class Scene:
         sand = mpm.materials.sand(args.relative_density)
         ground = mpm.Deposit(0.0, mpm.Layer.of(sand))
         law = LAWS[args.law](E=ground.modulus(sand.E_ref, sand.exponent), **sand.parameters)
-        mpm.set_stress(points, law, ground.stress)
+        mpm.set_stress(law, points, ground.stress)
         grown = {} if args.basis == "linear" else {"domains": args.domains}
         V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
@@ -225,7 +225,7 @@ class Scene:
         stiffness = 100 * float(ground.modulus(sand.E_ref, sand.exponent)(deep)[0]) / h
         for side in ("left", "right"):
             plate = mpm.Boundary.from_side(points, side)
-            F += mpm.signorini(None, plate, u, v, stiffness_per_area=stiffness)
+            F += mpm.signorini(plate, u, v, stiffness_per_area=stiffness)
         bcs = mpm.rollers(V, "front", "back") + mpm.fixed(V, "bottom")
         options = {
             "auto": None, "direct": {"ksp_type": "preonly", "pc_type": "lu"},

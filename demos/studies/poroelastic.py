@@ -76,7 +76,7 @@ def rim(points: mpm.MaterialPoints, radius: float, segments: int = 20000) -> mpm
     share = np.bincount(owner, length, count)[:, None]
     place = np.stack([np.bincount(owner, length * radius * n, count) for n in normal.T], axis=1)
     offset = np.where(share > 0, place / np.where(share > 0, share, 1.0) - points["x"], 0.0)
-    return mpm.Surface.from_arrays(points, offset, area, "rim")
+    return mpm.Surface.from_arrays(points, offset, area, name="rim")
 
 
 def report(args: Any, problem: Any, columns: dict[str, Any], **more: Any) -> None:

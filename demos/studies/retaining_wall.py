@@ -92,10 +92,10 @@ class Scene:
         u, v = V.increment, V.test
         sand = mpm.materials.MohrCoulomb(
             args.modulus, args.poisson, max(args.cohesion, LEAST * args.unit_weight * H),
-            args.friction_angle, args.dilation_angle,
+            args.friction_angle, dilation_angle=args.dilation_angle,
         )  # fmt: skip
         rest = max(1 - math.sin(phi), args.poisson / (1 - args.poisson)) if phi else 1.0
-        mpm.set_stress(points, sand, mpm.geostatic_stress(H, args.unit_weight, rest))
+        mpm.set_stress(sand, points, mpm.geostatic_stress(H, args.unit_weight, rest))
         # strain that makes the ground yield down to its foot, over the whole length
         passive, active = rankine(args)
         missing = abs((passive if sign > 0 else active) - 0.5 * rest * args.unit_weight * H**2)

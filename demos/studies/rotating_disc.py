@@ -20,7 +20,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 # mass, mapping, stages
 ALL = (
@@ -94,7 +93,7 @@ def turn(mass, mapping, order):
         for t in times_of(args, duration, speed, name):
             problem.step(t)
             rows.append((problem.time, *(np.array(state()) / first)))
-    except DolfinMPMError as error:
+    except mpm.errors.DolfinMPMError as error:
         stopped = f"{type(error).__name__}: {error}"
         say(f"{name} stopped at t = {problem.time:.3f} s: {stopped}")
     _, L, kinetic, energy = rows[-1]

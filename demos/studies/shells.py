@@ -121,8 +121,8 @@ def shell(shape, a, b, h, per_cell, room=1.0, even=None, growth=1.0):
     if shape == "cylinder":
         grid = rectangle(lines, np.array([0, h]))
         points = mpm.fill(grid, mpm.Box((a, 0), (b, h)), per_cell, 1.0, axisymmetric=True)
-        inner = mpm.Surface(points, lambda x: np.isclose(x[0], a), (-1, 0), "inner")
-        outer = mpm.Surface(points, lambda x: np.isclose(x[0], b), (1, 0), "outer")
+        inner = mpm.Surface(points, lambda x: np.isclose(x[0], a), (-1, 0), name="inner")
+        outer = mpm.Surface(points, lambda x: np.isclose(x[0], b), (1, 0), name="outer")
         return Shell(shape, a, b, points, inner, outer, ("bottom", "top"))
     grid = rectangle(lines, lines)
     body = mpm.Where(lambda x: (np.hypot(*x[:2]) > a) & (np.hypot(*x[:2]) < b))
@@ -136,14 +136,14 @@ def shell(shape, a, b, h, per_cell, room=1.0, even=None, growth=1.0):
         faces.append(area * (1 if tag == 2 else -1))
         volume = SKIN * h**2 * 2 * np.pi * x[:, 0]
         points = points + mpm.MaterialPoints.from_arrays(
-            grid, x, volume, 1.0, tag, half_length=0.0, id=np.arange(len(x)), axisymmetric=True
+            grid, x, volume, 1.0, tag=tag, half_length=0.0, id=np.arange(len(x)), axisymmetric=True
         )
     # numbers of points that are joined follow those of the ones before
     every = np.concatenate([np.zeros((own, 2)), *faces])[points["id"]]
     surfaces = []
     for tag, name in ((1, "inner"), (2, "outer")):
         area = np.where(points["tag"][:, None] == tag, every, 0.0)
-        surfaces.append(mpm.Surface.from_arrays(points, 0 * area, area, name))
+        surfaces.append(mpm.Surface.from_arrays(points, 0 * area, area, name=name))
     return Shell(shape, a, b, points, *surfaces, ("left", "bottom"))
 
 

@@ -210,7 +210,7 @@ def with_progress(cells: int) -> Block:
 
 def yielding() -> Any:
     """A law all of whose points yield."""
-    return mpm.materials.VonMises(E=1e4, nu=0.3, yield_stress=0.5)
+    return mpm.materials.VonMises(E=1e4, nu=0.3, radius=0.5)
 
 
 FEATURES = (

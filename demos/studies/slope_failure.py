@@ -16,7 +16,7 @@
 # - a grid of squares over 24 m by 9 m.
 #
 # Young's modulus is 1 MPa, Poisson's ratio 0.3, the density 2400 kg/m³, gravity 10 m/s² in $40/h$
-# equal steps ($h$ in m). Von Mises' yield stress $\rho_y$, with $f = \sqrt{2J_2} - \rho_y$, is
+# equal steps ($h$ in m). The radius $\rho_y$ of von Mises' $f = \sqrt{2J_2} - \rho_y$ is
 # 15 kPa, and 7.5 kPa in the weak zone; the undrained strength is $c_u = \rho_y/\sqrt2$. A slope
 # of 45° without a weak zone stands up to a height of about $5.5\,c_u/(\rho g) = 2.4$ m (Taylor's
 # chart): this one is two and a half times as high.
@@ -34,7 +34,6 @@ from mpi4py import MPI
 from scene import draw_points, finish, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
 DENSITY, GRAVITY = 2400.0, 10.0
@@ -115,7 +114,7 @@ def law_of(name):
     if name == "tresca":
         cohesion = np.array([YIELD, WEAK]) / np.sqrt(2)
         return mpm.materials.Tresca(E, NU, lambda x: np.where(in_zone(x), cohesion[1], cohesion[0]))
-    return mpm.materials.VonMises(E, NU, lambda x: np.where(in_zone(x), WEAK, YIELD))
+    return mpm.materials.VonMises(E, NU, radius=lambda x: np.where(in_zone(x), WEAK, YIELD))
 
 
 def run(h, per_cell, stabilisation, args):
@@ -140,7 +139,7 @@ def run(h, per_cell, stabilisation, args):
         gravity.value[1] = -GRAVITY * load
         try:
             problem.step()
-        except DolfinMPMError as error:
+        except mpm.errors.DolfinMPMError as error:
             # the run's outcome is what is asked for, good or bad
             reason = f"{type(error).__name__}: {error}"
             break

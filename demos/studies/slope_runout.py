@@ -24,7 +24,6 @@ from scene import draw_points, finish, numbers, parser, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
 DENSITY, GRAVITY = 2400.0, 10.0
@@ -86,7 +85,7 @@ def run(args, integrator, h):
     points = mpm.fill(grid, mpm.Where(in_body), args.points_per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
-    law = mpm.materials.VonMises(E, NU, lambda x: np.where(in_zone(x), WEAK, YIELD))
+    law = mpm.materials.VonMises(E, NU, radius=lambda x: np.where(in_zone(x), WEAK, YIELD))
     gravity = fem.Constant(grid, (0.0, -GRAVITY))
     F = mpm.momentum(law, points, u, v)
     F -= ufl.inner(points.density * gravity, v) * points.dX
@@ -119,7 +118,7 @@ def run(args, integrator, h):
                     "work": energies.external,
                 }
             )  # fmt: skip
-    except DolfinMPMError as error:
+    except mpm.errors.DolfinMPMError as error:
         # the run's outcome is what is asked for, good or bad
         reason = f"{type(error).__name__}: {error}"
     kinetic = np.array([row["kinetic"] for row in rows])

@@ -132,7 +132,7 @@ def fill_rings(grid, a, b, size):
     points.add_field("corners", (4, 2), "m")
     points["corners"] = corners[mine]
     inner, outer = (
-        mpm.Surface.from_arrays(points, faces[2 * k][mine], faces[2 * k + 1][mine], name)
+        mpm.Surface.from_arrays(points, faces[2 * k][mine], faces[2 * k + 1][mine], name=name)
         for k, name in enumerate(("inner", "outer"))
     )
     return points, inner, outer
@@ -192,9 +192,7 @@ points, inner, outer = fill_rings(grid, a, b, h / args.points_per_cell)
 
 V = mpm.Space(grid, basis=args.basis)
 u, v = V.increment, V.test
-steel = mpm.materials.VonMises(
-    E=args.modulus, nu=args.poisson, yield_stress=np.sqrt(2 / 3) * args.strength
-)
+steel = mpm.materials.VonMises(E=args.modulus, nu=args.poisson, yield_stress=args.strength)
 
 # %% [markdown]
 # ## The weak form, and the pressure as an unknown
@@ -205,7 +203,7 @@ steel = mpm.materials.VonMises(
 # %%
 pressure = fem.Constant(grid, exact.limit)
 options = {"fbar": True} if args.fbar == "on" else {}
-F = mpm.momentum(steel, points, u, v, **options) - inner.pressure(pressure, u, v)
+F = mpm.momentum(steel, points, u, v, **options) + inner.pressure(pressure, u, v)
 length = args.reach * exact.last_displacement / args.steps
 problem = mpm.ArcLength(
     F,

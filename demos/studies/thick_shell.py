@@ -115,13 +115,11 @@ body = shell(args.shape, a, b, h, args.points_per_cell)
 points = body.points
 V = mpm.Space(points.grid, args.basis)
 u, v = V.increment, V.test
-steel = mpm.materials.VonMises(
-    E=args.modulus, nu=args.poisson, yield_stress=np.sqrt(2 / 3) * args.strength
-)
+steel = mpm.materials.VonMises(E=args.modulus, nu=args.poisson, yield_stress=args.strength)
 pressure = fem.Constant(points.grid, exact.limit)
 F = mpm.momentum(steel, points, u, v, strain=args.strain, fbar=args.fbar == "on")
 if args.strain == "large":
-    F -= body.inner.pressure(pressure, u, v)
+    F += body.inner.pressure(pressure, u, v)
 else:
     # on the face as it was, along its normal then
     area = fem.Constant(points.grid, body.inner.total_area)

@@ -44,7 +44,6 @@ from scene import draw_points, finish, numbers, parser, say, stage_seconds
 
 import dolfinmpm as mpm
 from dolfinmpm import study
-from dolfinmpm._platform.errors import DolfinMPMError
 
 E, NU, RHO = 1e3, 0.3, 1e3
 LAMBDA, MU = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
@@ -209,7 +208,7 @@ def ring(args, integrator, basis, cells, steps=None):
     try:
         for now in mpm.times(end, end / steps, label=f"{integrator}, {basis}, {cells} cells"):
             problem.step(now)
-    except DolfinMPMError as stopped:
+    except mpm.errors.DolfinMPMError as stopped:
         say(f"{integrator}, {basis}, {cells} cells stopped: {stopped}")
     else:
         late = end - (0.5 * end / steps if integrator == "explicit" else 0.0)

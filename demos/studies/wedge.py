@@ -123,7 +123,9 @@ class Scene:
         V = mpm.Space(grid, args.basis, **grown)
         u, v = V.increment, V.test
         self.wedge = mpm.RigidBody(
-            mpm.Wedge((0.0, 0.0), theta, 3.0 * c), increment=(0.0, -c / args.steps), name="wedge"
+            mpm.Wedge((0.0, 0.0), args.semi_angle, 3.0 * c),
+            increment=(0.0, -c / args.steps),
+            name="wedge",
         )
         F = mpm.momentum(clay, points, u, v, fbar=args.fbar == "on")
         F += mpm.contact(self.wedge, points, u, v, penalty=args.penalty, corners=args.corners)

@@ -186,10 +186,10 @@ def settle(law, weight, E):
 args = arguments()
 laws = {
     "Swift": (Swift(E=1e6, nu=0.3, A=10e3, first_strain=0.05, exponent=0.3), 25e3, 1e6),
-    "perfect": (mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=10e3), 25e3, 1e6),
+    "perfect": (mpm.materials.VonMises(E=1e6, nu=0.3, radius=10e3), 25e3, 1e6),
     "sand": (
         mpm.materials.EnergyWithYield(
-            sand_energy, cone, flow,
+            sand_energy, cone, potential=flow,
             K=2e6, G=1e6, kappa=0.02, eta=0.4, eta_flow=0.1, k=6e3, a=1e3,
         ),
         25e3,

@@ -10,10 +10,12 @@ from mpi4py import MPI
 from dolfinmpm._platform.checks import number
 from dolfinmpm._platform.errors import DegreesWarning, warn
 
-__all__ = ["friction_coefficient", "turn"]
+__all__ = ["friction_coefficient", "in_radians", "warn_of_radians"]
 
 # Coefficients in this range are none of any materials, and angles of friction in degrees of many
 _DEGREES = 10.0, 60.0
+# an angle below this would be below a degree in radians too, and is meant so
+_LEAST = math.radians(1.0)
 
 
 def friction_coefficient(value: Any) -> float:
@@ -33,24 +35,38 @@ def friction_coefficient(value: Any) -> float:
     return mu
 
 
-def turn(what: str, value: Any) -> float:
-    """An angle by which something is turned (rad); warns if it looks like one in degrees.
-
-    More than a turn does, and so does a whole number beyond half of one.
+def warn_of_radians(what: str, angle: float) -> bool:
+    """Warn on rank 0 if an angle (degrees) is so small that it looks like one in radians.
 
     Args:
         what: What it is the angle of.
-        value: The angle.
+        angle: The angle (degrees).
+
+    Returns:
+        Whether it does.
+    """
+    if not _LEAST <= abs(angle) < 1.0:
+        return False
+    warn(
+        MPI.COMM_WORLD,
+        f"{what} = {angle:g} degrees is below 1 degree; if radians were meant give "
+        f"{math.degrees(angle):.4g}",
+        DegreesWarning,
+    )
+    return True
+
+
+def in_radians(what: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
+    """An angle in radians from one in degrees; warns if it looks like one in radians.
+
+    Args:
+        what: What it is the angle of.
+        value: The angle (degrees).
+        low, high: What it must be between (degrees).
 
     Raises:
-        ParameterError: It is no finite number.
+        ParameterError: It is no finite number, or not between these.
     """
-    angle = number(what, value, unit="rad")
-    if abs(angle) > 2 * math.pi or (abs(angle) > math.pi and angle == round(angle)):
-        warn(
-            MPI.COMM_WORLD,
-            f"{what} = {angle:g} is in radians, and more than half a turn; if {angle:g} degrees "
-            f"were meant give {math.radians(angle):.4g}",
-            DegreesWarning,
-        )
-    return angle
+    angle = number(what, value, low, high, "degrees")
+    warn_of_radians(what, angle)
+    return math.radians(angle)

@@ -118,10 +118,19 @@ def side_of(where: str, gdim: int) -> tuple[str, int, int]:
 
 
 def _side(where: str, gdim: int) -> str:
+    """Name of a side, which may be given by its axis."""
+    by_axis: dict[Any, str] = {}
+    for name, (axis, end) in _sides(gdim).items():
+        by_axis.setdefault(f"{'xyz'[axis]}{'-+'[end]}", name)
+    if isinstance(where, str) and where.lower() in by_axis:
+        return by_axis[where.lower()]
     try:
         return choice("side", where, _sides(gdim))
     except ParameterError as error:
-        raise ParameterError(f"{error}; or a function of positions") from None
+        axes = ", ".join(f'"{side}"' for side in by_axis)
+        raise ParameterError(
+            f"{error}; or a function of positions; or a side by its axis, {axes}"
+        ) from None
 
 
 def node_coordinates(space: Space) -> npt.NDArray[np.float64]:
@@ -190,9 +199,10 @@ def prescribed(
 
     Args:
         space: Space of the field.
-        where: "left", "right" (first axis), "bottom", "top" (last axis), "front",
-            "back" (second axis in 3D), or a function of node positions (m), shape
-            (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`.
+        where: A side, by its axis, "x-", "x+", "y-", ..., or by its name: "left", "right" (first
+            axis), "bottom", "top" (last axis), "front", "back" (second axis in 3D); or a function
+            of node positions (m), shape (gdim, n), that returns n booleans; see
+            `dolfinmpm.grid.positions`.
         component: Component of the field.
         increment: Increment per step (m for a displacement), of a field that moves points: a
             number, a scalar DOLFINx constant, or a function of node positions like `where` that

@@ -244,6 +244,7 @@ class Space:
         self,
         grid: Mesh,
         basis: str = "linear",
+        *,
         shape: tuple[int, ...] | None = None,
         averaged: bool = True,
         configuration: str = "updated",

@@ -1,9 +1,9 @@
 """Marks of forms that a weak form must contain with one sign.
 
-There is one rule for signs. What acts on the body, a load or the contact of a footing, comes as
-its virtual work and is subtracted from the internal forces. What resists its motion, a penalty or
-a condition, is added as internal forces are. These forms carry a mark, by which a solver refuses
-one of the wrong sign.
+There is one rule for signs: all forms that the package makes are added, F += .... A load, the
+contact of a footing, a penalty and a condition come as internal forces do. These forms carry a
+mark, by which a solver refuses a form that was subtracted. A body force in UFL has the sign of
+the weak form, F -= ufl.inner(points.density * g, v) * points.dX.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
-__all__ = ["FACETS", "MARK", "Acting", "acting", "resisting", "unmarked"]
+__all__ = ["FACETS", "MARK", "Acting", "acting", "unmarked"]
 
 # Name of the mark in the metadata of a measure
 MARK = "acting"
@@ -23,18 +23,16 @@ FACETS = "facets"
 
 @dataclass(frozen=True, repr=False)
 class Acting:
-    """The mark of a form: what it is, its integrand as it was made, and its sign.
+    """The mark of a form: what it is, and its integrand as it was made.
 
     Attributes:
         name: What it is, for messages.
         integrand: Its integrand.
-        added: Whether it is added to a weak form; else it is subtracted.
         once: Whether a form may have it once only.
     """
 
     name: str
     integrand: Expr
-    added: bool = False
     once: bool = False
 
     def __repr__(self) -> str:
@@ -47,23 +45,15 @@ class Acting:
 
 
 def acting(integrand: Expr, measure: ufl.Measure, name: str, once: bool = False) -> ufl.Form:
-    """The integral of the virtual work of what acts on a body, with its mark.
+    """The integral of what acts on a body, to be added, with its mark.
 
     Args:
-        integrand: Virtual work per volume or area.
+        integrand: Virtual work of the internal force that stands for it, per volume or area.
         measure: The measure.
         name: What acts, for messages.
         once: Whether a form may have it once only.
     """
-    return _marked(integrand, measure, Acting(name, integrand, once=once))
-
-
-def resisting(integrand: Expr, measure: ufl.Measure, name: str) -> ufl.Form:
-    """The integral of what resists the motion of a body, with its mark; see `acting`."""
-    return _marked(integrand, measure, Acting(name, integrand, added=True))
-
-
-def _marked(integrand: Expr, measure: ufl.Measure, mark: Acting) -> ufl.Form:
+    mark = Acting(name, integrand, once)
     return integrand * measure.reconstruct(metadata={**measure.metadata(), MARK: mark})
 
 

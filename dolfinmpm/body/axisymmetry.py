@@ -102,7 +102,7 @@ def section(points: MaterialPoints, volume: str, x: str) -> Array:
     return V / ring(points[x][:, 0], 1.0) if points.axisymmetric else V
 
 
-def gradient(points: MaterialPoints, w, radius: Expr | None = None) -> Expr:
+def gradient(points: MaterialPoints, w, *, radius: Expr | None = None) -> Expr:
     """Gradient of a displacement or a test function at the points, in UFL.
 
     Of shape (d, d), `ufl.grad(w)`; at axisymmetric points (3, 3), in the axes r, z, θ and with

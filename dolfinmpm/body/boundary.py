@@ -100,6 +100,7 @@ class Boundary:
         points: MaterialPoints,
         x: npt.ArrayLike,
         area: npt.ArrayLike,
+        *,
         follows: bool = True,
         name: str | None = None,
         activates: bool | None = None,
@@ -169,6 +170,7 @@ class Boundary:
         cls,
         points: MaterialPoints,
         vertices: npt.ArrayLike,
+        *,
         closed: bool = True,
         follows: bool = True,
         rule: int = 2,
@@ -206,20 +208,22 @@ class Boundary:
             spacing = smallest_height(points.grid) / 2
         lines = () if lattice is None else lattice.lines
         x, area = along_segments(ends, lines, np.inf if spacing is None else spacing, rule)
-        made = cls(points, *revolved(points, x, area), follows, name, activates)
+        made = cls(
+            points, *revolved(points, x, area), follows=follows, name=name, activates=activates
+        )
         made.tiles = rule == 1
         return made
 
     @classmethod
     @together
     def from_side(
-        cls, points: MaterialPoints, side: str, rule: int = 2, name: str | None = None
+        cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
     ) -> Boundary:
         """A side of a rectangular grid, as a wall: it stays, and activates no cells. Collective.
 
         Args:
             points: Material points of the body.
-            side: "left", "right", "bottom", "top", "front" or "back"; see `prescribed`.
+            side: A side by its axis or name, "x-" or "left"; see `prescribed`.
             rule: Gauss points of a cell's side in each direction.
             name: Name of the boundary; that of the side by default.
 
@@ -243,7 +247,7 @@ class Boundary:
         area = np.prod(np.meshgrid(*lengths, indexing="ij"), axis=0).reshape(-1, 1)
         normal = np.eye(points.gdim)[axis] * (1.0 if end else -1.0)
         x, area = revolved(points, x.reshape(-1, points.gdim), area * normal)
-        return cls(points, x, area, False, name or word, activates=False)
+        return cls(points, x, area, follows=False, name=name or word, activates=False)
 
     @classmethod
     @together
@@ -252,6 +256,7 @@ class Boundary:
         points: MaterialPoints,
         vertices: npt.ArrayLike,
         triangles: npt.ArrayLike,
+        *,
         follows: bool = True,
         name: str | None = None,
         activates: bool | None = None,
@@ -281,7 +286,7 @@ class Boundary:
         corners = triangles_of(vertices, triangles)
         lattice = lattice_of(points.grid)
         x, area = cut_triangles(corners, None if lattice is None else lattice.lines)
-        return cls(points, x, area, follows, name, activates)
+        return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod
     @together
@@ -289,6 +294,7 @@ class Boundary:
         cls,
         points: MaterialPoints,
         phi: Callable[[Array], npt.ArrayLike],
+        *,
         subdivisions: int = 2,
         follows: bool = True,
         rule: int = 2,
@@ -339,7 +345,9 @@ class Boundary:
             raise EmptyShapeError(
                 "phi changes its sign nowhere on the grid; it has no level 0 there"
             )
-        return cls(points, *revolved(points, x, area), follows, name, activates)
+        return cls(
+            points, *revolved(points, x, area), follows=follows, name=name, activates=activates
+        )
 
     # -- of UFL ---------------------------------------------------------------
 
@@ -359,7 +367,7 @@ class Boundary:
         return self.markers.area / self.markers.V
 
     def traction(self, t, v) -> ufl.Form:
-        """Virtual work of a traction, to be subtracted: ∫ t·v da at the start of the step.
+        """Traction, to be added: −∫ t·v da at the start of the step.
 
         Args:
             t: Force per area (Pa), a vector of UFL.
@@ -370,12 +378,12 @@ class Boundary:
         """
         check_displacement(self.points, v=v)
         t = vector_of(self.points, "traction", t)
-        return acting(ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
+        return acting(-ufl.dot(t, v), self.ds, f"the traction on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
-        """Virtual work of a pressure that follows the boundary, to be subtracted.
+        """Pressure that follows the boundary, to be added.
 
-        −∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
+        ∫ p ΔJ ΔF⁻ᵀ n · v da by Nanson's formula, from the start of the step on.
 
         Args:
             p: Pressure (Pa), positive towards the body: a DOLFINx constant or a scalar of UFL.
@@ -389,7 +397,7 @@ class Boundary:
         p = pressure_of(self.points, p)
         dF = ufl.Identity(self.markers.strain_dim) + gradient(self.markers, u)
         back = in_section(self.markers, ufl.inv(dF))
-        work = -p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
+        work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
         return acting(work, self.ds, f"the pressure on '{self.name}'")
 
     @together

@@ -46,6 +46,7 @@ def fill(
     shape: Shape,
     per_cell: int,
     density: Density,
+    *,
     aligned: str = "grid",
     tag: int = 0,
     exact: bool = False,
@@ -132,7 +133,9 @@ def fill(
         # by Pappus, where the centroid is known
         middle = None if shape.centroid is None else shape.centroid[0]
         whole = None if middle is None or whole is None else ring(middle, whole)
-    points = MaterialPoints(grid, x, cell, volume, half, rho, tag, ids, axisymmetric)
+    points = MaterialPoints(
+        grid, x, cell, volume, half, rho, tag=tag, id=ids, axisymmetric=axisymmetric
+    )
     if whole is not None:
         total = grid.comm.allreduce(float(volume.sum()), op=MPI.SUM)
         points.shape_volume = float(whole)

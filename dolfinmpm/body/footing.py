@@ -66,6 +66,7 @@ class RigidFooting(ReadOnce):
         self,
         surface: Surface,
         settlement: fem.Constant,
+        *,
         rough: bool = True,
         E: float | None = None,
         stiffness: float | None = None,
@@ -117,7 +118,7 @@ class RigidFooting(ReadOnce):
         return f"make a new RigidFooting with {name}=..., and a new problem with its contact"
 
     def contact(self, u, v) -> ufl.Form:
-        """Virtual work of the footing on the body, to be subtracted: −∫ k g·v(x_s) dA0.
+        """Contact of the footing with the body, to be added: ∫ k g·v(x_s) dA0.
 
         Args:
             u: Increment of the step, `Space.increment`.
@@ -133,7 +134,7 @@ class RigidFooting(ReadOnce):
         if not self.rough:
             gap = ufl.dot(gap, n) * n
         name = f"the contact of a footing on '{surface.name}'"
-        return surface.virtual_work(-self._k * gap, v, name, once=True)
+        return surface.term(-self._k * gap, v, name, once=True)
 
     def gaps(self) -> Array:
         """What the penalty leaves of the gaps (m), shape (points on this rank, gdim)."""

@@ -56,8 +56,8 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
     if isinstance(b, type(a)):
         a, b = beside(a, None), beside(b, None)
     rows = _rows_of_both(a, b)
-    names = ("x", "cell", "V", "l", "density", "tag", "id")
-    points = type(a)(a.grid, *(rows[name] for name in names), a.axisymmetric)  # type: ignore
+    values = (rows[name] for name in ("x", "cell", "V", "l", "density"))
+    points = type(a)(a.grid, *values, tag=rows["tag"], id=rows["id"], axisymmetric=a.axisymmetric)
     for body in (a, b):
         for name, field in body._ufl.items():
             if name not in points._ufl:

@@ -75,9 +75,16 @@ class MaterialPoints:
     `points["name"]` is a field's array on this rank, `points.name` the same field
     for UFL. Every field moves with its point when the point changes rank.
 
-    Measures for UFL: `points.dX` and `points.dx` sum over the points, with their
-    first volume or that at the start of the step; `points.dS` integrates over the
-    ghost facets and `points.dC` over the whole of the active cells.
+    Measures for UFL; those over points may be of some tags alone, `points.dX(2)`:
+
+    ==========  ==========================================================================
+    measure     integrates over
+    ==========  ==========================================================================
+    points.dX   the points, with their first volume V0
+    points.dx   the points, with their volume V at the start of the step
+    points.dS   the facets of a ghost penalty, between active cells of which one is cut
+    points.dC   the whole of the active cells, of which the body fills a part
+    ==========  ==========================================================================
 
     Fields from the start (n points on this rank, d dimensions):
 
@@ -96,6 +103,9 @@ class MaterialPoints:
     stress       (n, 3, 3)   Pa       Cauchy stress; set before the first step it is the initial
                                       one of the points' law, and later a result: see `set_stress`
     ===========  ==========  =======  =====================================
+
+    Signs: stresses are positive in tension, wherever they are given or told. Pressures are positive
+    in compression: of water, of loads, and of laws' parameters.
 
     e is `strain_dim`, the dimension of tensors that follow from gradients: d, or 3 where
     `axisymmetric`. Axisymmetric points go around the axis x[0] = 0: their volumes are in m³, 2π r
@@ -156,6 +166,7 @@ class MaterialPoints:
         volume: npt.NDArray[np.float64],
         half_length: npt.NDArray[np.float64],
         density: float | npt.NDArray[np.float64],
+        *,
         tag: int | npt.NDArray[np.int32] = 0,
         id: npt.NDArray[np.int64] | None = None,
         axisymmetric: bool = False,
@@ -230,6 +241,7 @@ class MaterialPoints:
         x: npt.ArrayLike,
         volume: npt.ArrayLike,
         density: Density,
+        *,
         tag: npt.ArrayLike = 0,
         half_length: npt.ArrayLike | None = None,
         fields: Mapping[str, npt.ArrayLike] | None = None,
@@ -283,6 +295,7 @@ class MaterialPoints:
         cls,
         grid: Mesh,
         path: str | Path,
+        *,
         density: Density | None = None,
         tag: int = 0,
         delimiter: str = ",",
@@ -317,6 +330,7 @@ class MaterialPoints:
         grid: Mesh,
         mesh: Any,
         density: Density | Mapping[int, float],
+        *,
         points: str = "quadrature",
         degree: int = 2,
         tag: int | None = None,

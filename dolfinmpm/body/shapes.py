@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import turn
+from dolfinmpm._platform.units import in_radians
 
 __all__ = ["Ball", "Box", "Disc", "Polygon", "Shape", "TurnedBox", "Where"]
 
@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Shape:
-    """A region of space.
+    """A region of space, the base of all; make one of your own with `Where`.
 
     Args:
         contains: Function of positions (m), shape (n, gdim), that returns n booleans.
@@ -43,6 +43,7 @@ class Shape:
     def __init__(
         self,
         contains: Callable[[Array], npt.NDArray[np.bool_]],
+        *,
         low: Array | None = None,
         high: Array | None = None,
     ):
@@ -103,7 +104,7 @@ class Shape:
         if self.low is not None and other.low is not None:
             low = np.minimum(self.low, other.low)
             high = np.maximum(self.high, other.high)  # type: ignore[arg-type]
-        return Shape(lambda x: self.contains(x) | other.contains(x), low, high)
+        return Shape(lambda x: self.contains(x) | other.contains(x), low=low, high=high)
 
     def __and__(self, other: Shape) -> Shape:
         other = self._joins(other)
@@ -111,11 +112,11 @@ class Shape:
         highs = [s.high for s in (self, other) if s.high is not None]
         low = np.max(lows, axis=0) if lows else None
         high = np.min(highs, axis=0) if highs else None
-        return Shape(lambda x: self.contains(x) & other.contains(x), low, high)
+        return Shape(lambda x: self.contains(x) & other.contains(x), low=low, high=high)
 
     def __sub__(self, other: Shape) -> Shape:
         other = self._joins(other)
-        return Shape(lambda x: self.contains(x) & ~other.contains(x), self.low, self.high)
+        return Shape(lambda x: self.contains(x) & ~other.contains(x), low=self.low, high=self.high)
 
 
 class Box(Shape):
@@ -139,7 +140,9 @@ class Box(Shape):
                 f"Box needs a lower and a higher corner, got {low} and {high}; "
                 "each coordinate of the second must be larger"
             )
-        super().__init__(lambda x: np.all((x >= lower) & (x <= upper), axis=1), lower, upper)
+        super().__init__(
+            lambda x: np.all((x >= lower) & (x <= upper), axis=1), low=lower, high=upper
+        )
         self.volume, self.centroid = float(np.prod(upper - lower)), 0.5 * (lower + upper)
 
 
@@ -149,14 +152,14 @@ class TurnedBox(Shape):
     Args:
         low: Lower corner (m) before it is turned.
         high: Upper corner (m), likewise.
-        angle: Angle (rad), counter-clockwise.
+        angle: Angle (degrees), counter-clockwise.
 
     Raises:
         ParameterError: The corners are no box, or have fewer than two coordinates, or the angle
             is no finite number.
 
     Warns:
-        DegreesWarning: The angle looks like one in degrees.
+        DegreesWarning: The angle looks like one in radians.
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float], angle: float):
@@ -165,7 +168,7 @@ class TurnedBox(Shape):
         assert self.box.high is not None
         if len(self.box.low) < 2:
             raise ParameterError(f"a turned box needs 2 or 3 coordinates, got {low}")
-        angle = turn("angle", angle)
+        angle = in_radians("angle", angle)
         self.middle = 0.5 * (self.box.low + self.box.high)
         self.rotation = np.eye(len(self.middle))
         self.rotation[:2, :2] = [
@@ -175,8 +178,8 @@ class TurnedBox(Shape):
         reach = np.abs(self.rotation) @ (self.box.high - self.middle)
         super().__init__(
             lambda x: self.box.contains(self.middle + (x - self.middle) @ self.rotation),
-            self.middle - reach,
-            self.middle + reach,
+            low=self.middle - reach,
+            high=self.middle + reach,
         )
         self.volume, self.centroid = self.box.volume, self.middle
 
@@ -203,8 +206,8 @@ class Ball(Shape):
             raise ParameterError(f"centre = {centre} m must be one to three finite coordinates")
         super().__init__(
             lambda x: np.sum((x - middle) ** 2, axis=1) <= radius**2,
-            middle - radius,
-            middle + radius,
+            low=middle - radius,
+            high=middle + radius,
         )
         d = middle.size
         self.volume = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * radius**d
@@ -247,7 +250,7 @@ class Polygon(Shape):
                     inside ^= crosses & (x[:, 0] < x0 + (x[:, 1] - y0) * (x1 - x0) / (y1 - y0))
             return inside
 
-        super().__init__(contains, corners.min(axis=0), corners.max(axis=0))
+        super().__init__(contains, low=corners.min(axis=0), high=corners.max(axis=0))
         # from the first corner, for far from the origin the products would cancel
         a = corners - corners[0]
         b = np.roll(a, -1, axis=0)
@@ -305,8 +308,15 @@ class Where(Shape):
     Args:
         condition: Function of positions in DOLFINx's layout, shape (gdim, n), that
             returns n booleans.
+        low, high: Corners (m) of a box around them, or None if unknown.
     """
 
-    def __init__(self, condition: Callable[[Array], npt.NDArray[np.bool_]]):
+    def __init__(
+        self,
+        condition: Callable[[Array], npt.NDArray[np.bool_]],
+        *,
+        low: Array | None = None,
+        high: Array | None = None,
+    ):
         check_function("condition", condition, "of positions that tells which are inside")
-        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)))
+        super().__init__(lambda x: condition(np.ascontiguousarray(x.T)), low=low, high=high)

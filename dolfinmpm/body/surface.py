@@ -7,8 +7,8 @@ A0 (area times outward normal), both as they are at first. Its own stencil then 
 the motion of the face to first order, u(x_s) = u + ∇ũ·r with r = F_n R, which is
 also how far the point's own material reaches there.
 
-What acts on the body, a load here or the contact of a `RigidFooting`, is subtracted from the
-internal forces, F = momentum(...) − surface.traction(t, v) − footing.contact(u, v); see
+What acts on the body, a load here or the contact of a `RigidFooting`, is added to the internal
+forces, F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see
 `dolfinmpm.body.acting`.
 """
 
@@ -90,6 +90,7 @@ class Surface:
         points: MaterialPoints,
         where: Where,
         normal: Sequence[float],
+        *,
         name: str | None = None,
     ):
         check_points(points)
@@ -133,6 +134,7 @@ class Surface:
         points: MaterialPoints,
         offset: npt.ArrayLike,
         area: npt.ArrayLike,
+        *,
         name: str | None = None,
     ) -> Surface:
         """A surface of any shape, its offsets and areas given point by point. Collective.
@@ -228,7 +230,7 @@ class Surface:
         return start if u is None else start + self.at(u)
 
     def traction(self, t, v) -> ufl.Form:
-        """Virtual work of a dead traction, to be subtracted: ∫ t·v(x_s) dA0.
+        """Dead traction, to be added: −∫ t·v(x_s) dA0.
 
         Args:
             t: Force per area at first (Pa), a vector: a DOLFINx constant, or any UFL
@@ -240,10 +242,10 @@ class Surface:
                 test function.
         """
         t = vector_of(self.points, "traction", t)
-        return self.virtual_work(t, v, f"the traction on '{self.name}'")
+        return self.term(t, v, f"the traction on '{self.name}'")
 
-    def virtual_work(self, t: Expr, v, name: str, once: bool = False) -> ufl.Form:
-        """Virtual work of a traction under a name that messages use; see `traction`.
+    def term(self, t: Expr, v, name: str, once: bool = False) -> ufl.Form:
+        """A traction under a name that messages use, to be added; see `traction`.
 
         Args:
             t: Force per area at first (Pa), a vector of UFL.
@@ -252,22 +254,22 @@ class Surface:
             once: Whether a form may have it once only.
         """
         check_displacement(self.points, v=v)
-        return acting(self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
+        return acting(-self.density * ufl.dot(t, self.at(v)), self.points.dX, name, once)
 
     def force(self, P, v) -> ufl.Form:
-        """Virtual work of a dead force that is spread evenly, to be subtracted.
+        """Dead force that is spread evenly, to be added.
 
         Args:
             P: Force (N; N/m in plane strain), a vector like that of `traction`.
             v: Test function, `Space.test`.
         """
         t = vector_of(self.points, "force", P) / self._total
-        return self.virtual_work(t, v, f"the force on '{self.name}'")
+        return self.term(t, v, f"the force on '{self.name}'")
 
     def pressure(self, p, u, v) -> ufl.Form:
-        """Virtual work of a pressure that follows the face, to be subtracted.
+        """Pressure that follows the face, to be added.
 
-        −∫ p J F⁻ᵀ A0 · v(x_s) with F = (I + ∇ũ) F_n, by Nanson's formula. The tangent is
+        ∫ p J F⁻ᵀ A0 · v(x_s) with F = (I + ∇ũ) F_n, by Nanson's formula. The tangent is
         derived from it, that of the load included. The hoop stretch of a ring is that of the face.
 
         Args:
@@ -284,7 +286,7 @@ class Surface:
         face = ufl.det(F) * ufl.dot(self.area, ufl.inv(F))
         if points.axisymmetric:
             face *= self.position(u)[0] / (points.x0 + self.offset)[0]
-        work = -p * ufl.dot(face, self.at(v)) / points.V0
+        work = p * ufl.dot(face, self.at(v)) / points.V0
         return acting(work, points.dX, f"the pressure on '{self.name}'")
 
     def mean(self, direction, w) -> ufl.Form:

@@ -37,9 +37,14 @@ class Course:
         rate: Its velocity or its increment per step, or None.
         absolute: Whether a rotation is a rotation vector in total.
 
+    Attributes:
+        unit: What it is given in, by m or rad.
+
     Raises:
         ParameterError: Two motions are given, or one is not what it may be.
     """
+
+    unit = 1.0
 
     def __init__(self, size: int, **motions: Any):
         kinds = dict(zip(motions, ("total", "velocity", "increment")))
@@ -87,16 +92,18 @@ class Course:
         """Change from the start of a step, at t, to dt later."""
         if isinstance(self.given, fem.Constant):
             # the solver has set it to what belongs to the part of the step
-            return np.array(self.given.value, float).ravel() - self._first - start
+            return self.unit * (np.array(self.given.value, float).ravel() - self._first) - start
         if self.given is not None:
-            return self.value(self.given, t + dt) - self._first - start
+            return self.unit * (self.value(self.given, t + dt) - self._first) - start
         if self.rate is None or dt == 0.0:
             return np.zeros(self.size)
         first, middle, last = (self.value(self.rate, t + s * dt) for s in (0.0, 0.5, 1.0))
         # Simpson's rule
-        return np.asarray(dt / 6 * (first + 4 * middle + last))
+        return np.asarray(self.unit * dt / 6 * (first + 4 * middle + last))
 
 
 def first_rate(course: Course) -> Array:
     """What a velocity, or an increment, is at first; zero where there is none."""
-    return np.zeros(course.size) if course.rate is None else course.value(course.rate, 0.0)
+    if course.rate is None:
+        return np.zeros(course.size)
+    return course.unit * course.value(course.rate, 0.0)

@@ -49,10 +49,11 @@ class RigidBody(ReadOnce):
             the first step brings about what the constant holds already. One of `increment`,
             `velocity` and `displacement` may be given.
         rotation_increment: Rotation about the centre in every step of a quasi-static problem
-            (rad), counter-clockwise: a number, in 3D a vector of shape (3,); or a function of t.
-        angular_velocity: Its velocity in a problem in time (rad/s), likewise.
-        rotation: How far the body has turned since it was made (rad), as `displacement` is given:
-            an angle, in 3D a rotation vector.
+            (degrees), counter-clockwise: a number, in 3D a vector of shape (3,); or a function
+            of t.
+        angular_velocity: Its velocity in a problem in time (degrees/s), likewise.
+        rotation: How far the body has turned since it was made (degrees), given as `displacement`
+            is: an angle, in 3D a rotation vector.
         centre: What it turns about (m); by default the middle of a box around it, or a plane's
             point.
         fillet: Radius (m) by which convex edges are rounded, so that what slides around them meets
@@ -121,6 +122,7 @@ class RigidBody(ReadOnce):
         )  # fmt: skip
         # a rotation vector is not the sum of small ones
         self._turn.absolute = d == 3 and rotation is not None
+        self._turn.unit = math.radians(1.0)
         loads = mass, inertia, gravity, force, moment
         self.freedom: Freedom | None = None
         if free is not None or any(load is not None for load in loads):
@@ -191,8 +193,8 @@ class RigidBody(ReadOnce):
 
     @property
     def angle(self) -> Array:
-        """How far it has turned (rad), shape (1,), in 3D (3,), see `Pose`."""
-        return self.pose.turn
+        """How far it has turned (degrees), shape (1,), in 3D (3,), see `Pose`."""
+        return np.degrees(self.pose.turn)
 
     @property
     def courses(self) -> tuple[Course, Course]:

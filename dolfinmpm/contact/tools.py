@@ -9,6 +9,7 @@ import numpy as np
 
 from dolfinmpm._platform.checks import coordinates, number
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.units import in_radians
 from dolfinmpm.body.shapes import Polygon, Shape
 
 __all__ = ["Cone", "Plane", "Wedge"]
@@ -43,17 +44,17 @@ class Wedge(Polygon):
 
     Args:
         tip: Its tip (m).
-        semi_angle: Angle between its sides and the vertical (rad).
+        semi_angle: Angle between its sides and the vertical (degrees).
         height: How high it is (m).
 
     Raises:
-        ParameterError: The angle is not between 0 and π/2, or the height not positive.
+        ParameterError: The angle is not between 0 and 90 degrees, or the height not positive.
     """
 
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
-        number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
+        slope = math.tan(in_radians("semi_angle", semi_angle, 0.0, 90.0))
         number("height", height, 0.0, unit="m")
-        at, reach = coordinates("tip", tip), height * math.tan(semi_angle)
+        at, reach = coordinates("tip", tip), height * slope
         if at.shape != (2,):
             raise ParameterError(f"tip = {tip} must be a point in 2D")
         self.tip, self.semi_angle = at, float(semi_angle)
@@ -67,7 +68,7 @@ class Cone(Shape):
     Args:
         tip: Its tip (m).
         radius: Radius of the shaft, and of the cone's base (m).
-        semi_angle: Angle between the cone's side and the axis (rad); 60° at the tip are π/6.
+        semi_angle: Angle between the cone's side and the axis (degrees): 30 of a tip of 60°.
         length: Length from the tip to the upper end of the shaft (m).
         axis: Direction from the tip to the shaft.
 
@@ -81,11 +82,12 @@ class Cone(Shape):
         radius: float,
         semi_angle: float,
         length: float,
+        *,
         axis: Sequence[float] = (0.0, 0.0, 1.0),
     ):
         number("radius", radius, 0.0, unit="m")
-        number("semi_angle", semi_angle, 0.0, 0.5 * math.pi, "rad")
-        base = radius / math.tan(semi_angle)
+        slope = math.tan(in_radians("semi_angle", semi_angle, 0.0, 90.0))
+        base = radius / slope
         number("length", length, base, unit="m")
         self.tip, along = coordinates("tip", tip), coordinates("axis", axis)
         size = float(np.linalg.norm(along))
@@ -96,7 +98,6 @@ class Cone(Shape):
         self.profile = np.array(
             [(0, 0), (radius, base), (radius, length), (-radius, length), (-radius, base)], float
         )
-        slope = math.tan(semi_angle)
 
         def contains(x):
             z = (x - self.tip) @ self.axis
@@ -105,4 +106,4 @@ class Cone(Shape):
 
         ends = self.tip, self.tip + length * self.axis
         across = radius * np.sqrt(np.maximum(1.0 - self.axis**2, 0.0))
-        super().__init__(contains, np.minimum(*ends) - across, np.maximum(*ends) + across)
+        super().__init__(contains, low=np.minimum(*ends) - across, high=np.maximum(*ends) + across)

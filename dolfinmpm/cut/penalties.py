@@ -15,7 +15,7 @@ from ufl.domain import extract_unique_domain
 
 from dolfinmpm._platform.checks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -188,10 +188,10 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    return resisting(jumps, facets, "the ghost penalty (mpm.ghost)")
+    return acting(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
-def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: float) -> ufl.Form:
+def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:
     """Soft stiffness: η times the linear elastic stiffness of the whole of all active cells.
 
     It belongs into the tangent alone, not among the forces (Wang, Vardon, Hicks &
@@ -215,7 +215,7 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, E: float, nu: float, eta: flo
     number("E", E, 0.0, unit="Pa"), number("nu", nu, -1.0, 0.5), number("eta", eta, 0.0, 1.0)
     lmbda, mu = (own_constant(points.grid, eta * modulus) for modulus in lame(E, nu))
     radius = ufl.SpatialCoordinate(points.grid)[0]
-    strain = ufl.sym(gradient(points, u, radius))
+    strain = ufl.sym(gradient(points, u, radius=radius))
     stress = lmbda * ufl.tr(strain) * ufl.Identity(points.strain_dim) + 2 * mu * strain
-    energy = ufl.inner(stress, gradient(points, v, radius))
+    energy = ufl.inner(stress, gradient(points, v, radius=radius))
     return (ring(radius, energy) if points.axisymmetric else energy) * points.dC

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,6 +84,7 @@ class Stabilisation:
     """
 
     kind: str = "none"
+    _: KW_ONLY
     E: float | None = None
     nu: float | None = None
     factor: float | str | None = None
@@ -190,7 +191,9 @@ class Stabilisation:
         if self.kind != "soft":
             return None
         assert self.E is not None
-        return soft(points, u, v, self.E, self.nu or 0.0, 1e-3 if self.eta is None else self.eta)
+        return soft(
+            points, u, v, E=self.E, nu=self.nu or 0.0, eta=1e-3 if self.eta is None else self.eta
+        )
 
     @property
     def ties_nodes(self) -> bool:

@@ -72,6 +72,7 @@ def as_yielded(t: Any, now: float) -> Any:
 def times(
     end: float | Sequence[float],
     dt: float | str = "auto",
+    *,
     start: float = 0.0,
     label: str = "",
     at_once: int = 20,

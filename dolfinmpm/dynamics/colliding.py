@@ -64,7 +64,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     if problem.form.boundaries:
         return FormError(
             f"the form has terms over {problem.form.boundaries[0].boundary}, which Collision has "
-            "no field of velocities for; leave it or contact out"
+            "no field of velocities for; leave it or collision out"
         )
     if not only_momentum(problem.form):
         return FormError(

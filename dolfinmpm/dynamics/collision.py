@@ -26,7 +26,7 @@ velocities, v of the step's begin: they dissipate where bodies meet, and make no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from itertools import combinations
 
 import numpy as np
@@ -61,6 +61,7 @@ class Collision:
     """
 
     tags: Sequence[int | tuple[int, ...]] = (1, 2)
+    _: KW_ONLY
     friction: float = 0.0
     gap_test: bool = True
 

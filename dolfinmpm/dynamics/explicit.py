@@ -97,7 +97,7 @@ class Explicit(Problem):
             strain, loads, contact with rigid bodies, lumped mass, a rectangular grid in two or
             three dimensions, "flip", "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused`
             says why it does not.
-        contact: Bodies that touch each other at the nodes, see `Collision`; without, all points
+        collision: Bodies that touch each other at the nodes, see `Collision`; without, all points
             move in one field of velocities, which cannot slide nor part.
 
     Attributes:
@@ -134,7 +134,7 @@ class Explicit(Problem):
         redistribution: float = 0.0,
         time: fem.Constant | None = None,
         fused: bool = True,
-        contact: Collision | None = None,
+        collision: Collision | None = None,
         **options: Any,
     ):
         mass = choice("mass", mass, KINDS)
@@ -147,13 +147,13 @@ class Explicit(Problem):
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
                 "explicit steps move one field, a displacement of as many components as space has "
-                "dimensions; bodies collide in it with contact=mpm.Collision(tags)"
+                "dimensions; bodies collide in it with collision=mpm.Collision(tags)"
             )
         check_clock(time, points.grid)
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, scheme=Marching(self), **options)
-        refuse_bodies(self.fields, "Explicit", "bodies collide with contact=mpm.Collision(tags)")
+        refuse_bodies(self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)")
         check_boundaries(self.form, mass)
         if points.dt in extract_constants(form):
             raise FormError(
@@ -171,10 +171,10 @@ class Explicit(Problem):
         self._between = CallMemory(Snapshot(points, self.bodies, markers))
         sides = Sides(faces, points, self.bcs)
         self._loop: Colliding | Fused | General
-        if contact is not None:
-            check_kind("contact", contact, Collision, "give mpm.Collision(tags=(1, 2))")
+        if collision is not None:
+            check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")
             raise_together(points.comm, why_it_does_not_collide(self, mass, settings))
-            self._loop = Colliding(self, self.held, self.form.updates, settings, sides, contact)
+            self._loop = Colliding(self, self.held, self.form.updates, settings, sides, collision)
             return
         found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
         if isinstance(found, str):

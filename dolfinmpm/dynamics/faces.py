@@ -130,7 +130,7 @@ def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
 
     Args:
         space: The space.
-        sides: Names of sides; the names themselves are checked elsewhere.
+        sides: The sides, by axis or name.
     """
     check_kind("space", space, Space, "make it with mpm.Space(grid)")
     gdim = space.grid.geometry.dim
@@ -139,7 +139,8 @@ def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
             f"faces act on a displacement; the field has shape {space.increment.ufl_shape}, not "
             f"{(gdim,)}"
         )
-    again = [side for k, side in enumerate(sides) if side in sides[:k]]
+    names = [side_of(side, gdim)[0] for side in sides]
+    again = [side for k, side in enumerate(sides) if names[k] in names[:k]]
     if again:
         raise ParameterError(f"the side {shown(again[0])} is given twice; it would act twice")
 

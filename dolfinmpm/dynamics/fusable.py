@@ -238,15 +238,17 @@ class Laws:
 
     def _parameters(self) -> Array:
         laws, n = self._declarations, len(self._points)
-        width = max(len(d.law.parameters) for d in laws)
+        # as kernels take them, with what follows from the declared ones
+        values = [d.parameters() for d in laws]
+        width = max(own.shape[1] for own in values)
         if not any(d.law.varies for d in laws):
             numbers = np.zeros((len(laws), width))
-            for k, d in enumerate(laws):
-                numbers[k, : len(d.law.parameters)] = d.parameters()[0]
+            for k, own in enumerate(values):
+                numbers[k, : own.shape[1]] = own[0]
             return numbers
         numbers = np.zeros((n, width))
-        for d in laws:
-            numbers[d.rows, : len(d.law.parameters)] = d.parameters()
+        for d, own in zip(laws, values):
+            numbers[d.rows, : own.shape[1]] = own
         return numbers
 
 

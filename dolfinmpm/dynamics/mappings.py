@@ -7,7 +7,7 @@ one it loses a share of what varies from node to node in every step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,7 @@ class Mapping:
     """
 
     kind: str = "flip"
+    _: KW_ONLY
     share: float = 1.0
     order: int = 2
 

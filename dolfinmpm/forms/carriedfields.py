@@ -104,7 +104,7 @@ def acceleration(points: MaterialPoints, u: Any) -> Expr:
 
 
 def carried(
-    points: MaterialPoints, name: str, expression: Any, unit: str = "", first: Any = 0.0
+    points: MaterialPoints, name: str, expression: Any, *, unit: str = "", first: Any = 0.0
 ) -> CarriedField:
     """Value of an expression at the material points at the end of the last step, for UFL.
 

@@ -113,7 +113,7 @@ def _not_a_form(form: Any) -> str:
 
 
 def check_signs(form: ufl.Form) -> None:
-    """Refuse loads that are added, and penalties and conditions that are subtracted.
+    """Refuse loads, penalties and conditions that are subtracted.
 
     The metadata of such terms contain their original integrand, see `dolfinmpm.body.acting`. A
     sign in the form is then a factor of this integrand. Rewritten terms, for example by
@@ -134,16 +134,11 @@ def check_signs(form: ufl.Form) -> None:
             raise FormError(f"the form has {acting.name} twice: leave one out")
         seen.add(acting.name)
         sign = _factor(integral.integrand(), acting.integrand)
-        if sign is None or (sign > 0) == acting.added:
-            continue
-        raise FormError(
-            f"{acting.name} is subtracted from the weak form; it resists the motion like internal "
-            "forces and is added: write F += ..."
-            if acting.added else
-            f"{acting.name} is added to the weak form; loads on the body are subtracted "
-            "from its internal forces: write F -= ..., and give a load in the opposite direction "
-            "a negative value"
-        )  # fmt: skip
+        if sign is not None and sign < 0:
+            raise FormError(
+                f"{acting.name} is subtracted from the weak form; all forces are added: write "
+                "F += ..., and give a load that acts the other way a negative value"
+            )
 
 
 def _factor(term: Expr, part: Expr) -> float | None:

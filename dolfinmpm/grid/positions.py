@@ -1,5 +1,7 @@
 """Calls of users' functions of positions, in one layout of the positions.
 
+Arrays of positions have shape (points, gdim), one row per point, wherever they are given or
+returned.
 dolfinmpm takes functions of positions in many places: places and values of conditions, faces
 of a surface, densities, parameters of laws, stresses, `Where`. All these functions get one array x
 of positions (m) of shape (gdim, n), one row per coordinate as in DOLFINx, and return n values.

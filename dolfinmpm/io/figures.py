@@ -49,6 +49,7 @@ def figure(
     path: str | os.PathLike[str],
     width: float = 3.5,
     height: float = 2.6,
+    *,
     dpi: int = 300,
     **subplots: Any,
 ) -> Iterator[tuple[Any, Any]]:

@@ -92,7 +92,7 @@ class History:
 
         call_together(self._comm, check)
         take_paths(self, [at])
-        write_table(self._rows, path, self._comm)
+        write_table(self._rows, path, comm=self._comm)
 
 
 def _with_components(values: dict[str, Any]) -> dict[str, Any]:

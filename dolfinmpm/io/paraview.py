@@ -89,9 +89,9 @@ class ParaView:
         self,
         path: str | os.PathLike[str],
         points: MaterialPoints,
+        *,
         fields: Sequence[str] | None = None,
         increments: fem.Function | Sequence[fem.Function] = (),
-        *,
         active: bool = False,
         bodies: Sequence[RigidBody] = (),
     ):

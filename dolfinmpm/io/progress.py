@@ -18,7 +18,7 @@ __all__ = ["progress", "progress_to", "steps"]
 Item = TypeVar("Item")
 
 
-def steps(number: int, label: str = "") -> Iterator[float]:
+def steps(number: int, *, label: str = "") -> Iterator[float]:
     """Loads 1/number, 2/number, ..., 1 with a progress bar on rank 0.
 
     The bar is drawn where standard error is a terminal. Under mpirun it usually is

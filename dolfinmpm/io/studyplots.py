@@ -37,9 +37,9 @@ def _check_axes(axes: Any) -> None:
 def plot_sweep(
     rows: Sequence[Row],
     path: PathLike,
+    *,
     x: str | Callable[[Row], float] = "place",
     keys: Sequence[str] | Mapping[str, str] = ("kappa_K", "kappa_M"),
-    *,
     xlabel: str = "",
     ylabel: str = "",
     width: float = 3.5,
@@ -60,13 +60,14 @@ def plot_sweep(
         height: Height (inch).
     """
     with figure(path, width, height) as (_, axes):
-        draw_sweep(axes, rows, x, keys)
+        draw_sweep(axes, rows, x=x, keys=keys)
         axes.set(xlabel=xlabel or (x if isinstance(x, str) else ""), ylabel=ylabel)
 
 
 def draw_sweep(
     axes: Any,
     rows: Sequence[Row],
+    *,
     x: str | Callable[[Row], float] = "place",
     keys: Sequence[str] | Mapping[str, str] = ("kappa_K", "kappa_M"),
     **style: Any,
@@ -107,8 +108,8 @@ def _two_decades(axes: Any) -> None:
 def plot_convergence(
     curves: Mapping[str, Sequence[Row]],
     path: PathLike,
-    key: str = "error",
     *,
+    key: str = "error",
     orders: Sequence[int] = (1, 2),
     xlabel: str = "cell size h (m)",
     ylabel: str = "error",
@@ -130,7 +131,7 @@ def plot_convergence(
         height: Height (inch).
     """
     with figure(path, width, height) as (_, axes):
-        draw_convergence(axes, curves, key, orders)
+        draw_convergence(axes, curves, key=key, orders=orders)
         axes.set(xlabel=xlabel, ylabel=ylabel)
         axes.legend()
 
@@ -138,6 +139,7 @@ def plot_convergence(
 def draw_convergence(
     axes: Any,
     curves: Mapping[str, Sequence[Row]],
+    *,
     key: str = "error",
     orders: Sequence[int] = (1, 2),
     nested: bool = False,
@@ -191,8 +193,8 @@ def draw_convergence(
 def plot_reduction(
     rows: Sequence[Row],
     path: PathLike,
-    scale: float | None = None,
     *,
+    scale: float | None = None,
     ylabel: str = "",
     width: float = 3.5,
     height: float = 2.6,
@@ -210,12 +212,12 @@ def plot_reduction(
         height: Height (inch).
     """
     with figure(path, width, height) as (_, axes):
-        draw_reduction(axes, rows, scale)
+        draw_reduction(axes, rows, scale=scale)
         if ylabel:
             axes.set_ylabel(ylabel)
 
 
-def draw_reduction(axes: Any, rows: Sequence[Row], scale: float | None = None) -> None:
+def draw_reduction(axes: Any, rows: Sequence[Row], *, scale: float | None = None) -> None:
     """Draw largest displacements over the factor that strength was divided by, with a legend.
 
     Runs that failed are crosses; they ended with the step that failed, so that their

@@ -28,7 +28,7 @@ PathLike = str | os.PathLike[str]
 
 
 @together(own=("rows",))
-def write_table(rows: Iterable[Row], path: PathLike, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
+def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Write rows as CSV or as JSON; rank 0 writes them. Collective.
 
     Columns of a CSV file are all the names in the rows, in the order in which they
@@ -65,7 +65,7 @@ def write_table(rows: Iterable[Row], path: PathLike, comm: MPI.Comm = MPI.COMM_W
 
 
 @together
-def read_table(path: PathLike, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str, Any]]:
+def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str, Any]]:
     """Read what `write_table` wrote; rank 0 reads, all ranks get the rows. Collective.
 
     Pairs come back as lists.

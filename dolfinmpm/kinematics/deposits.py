@@ -2,11 +2,12 @@
 
 The effective vertical stress at a height z is the effective weight of the ground above z,
 
-    σ'_v = Σ_layers (γ t_dry + (γ_sat − γ_w) t_wet),
+    σ'_v = −Σ_layers (γ t_dry + (γ_sat − γ_w) t_wet),
 
 with the thicknesses t of the layers above and below the water table. The horizontal stresses are
-K0 σ'_v. Laws of drained ground contain only effective stress. The body force below the water table
-is then γ_sat − γ_w, because the water carries the rest of the weight.
+K0 σ'_v; signs are those of `MaterialPoints`. Laws of drained ground contain only effective stress.
+The body force below the water table is then γ_sat − γ_w, because the water carries the rest of the
+weight.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,7 @@ class Layer:
     bottom: Height
     unit_weight: float
     K0: float
+    _: KW_ONLY
     saturated_unit_weight: float | None = None
 
     def __post_init__(self):
@@ -95,7 +97,12 @@ class Layer:
             ParameterError: The argument is no sand, or a number is out of range.
         """
         check_kind("sand", sand, Sand, "make it with mpm.materials.sand(relative_density)")
-        return cls(bottom, sand.unit_weight, sand.K0, sand.saturated_unit_weight)
+        return cls(
+            bottom,
+            sand.unit_weight,
+            sand.K0,
+            saturated_unit_weight=sand.saturated_unit_weight,
+        )
 
 
 class Deposit:
@@ -121,6 +128,7 @@ class Deposit:
         self,
         surface: Height,
         layers: Sequence[Layer],
+        *,
         water_table: Height | None = None,
         water_weight: float = 9810.0,
     ):
@@ -156,7 +164,7 @@ class Deposit:
     def vertical_stress(self, x: npt.ArrayLike) -> Array:
         """Effective vertical stress at positions x (Pa), shape (n,).
 
-        The stress is positive in compression, and 0 above the surface.
+        The stress is positive in tension, and 0 above the surface.
         """
         at = _places(x)
         z, total = at[-1], np.zeros(at.shape[1])
@@ -171,10 +179,10 @@ class Deposit:
             wet = np.maximum(np.minimum(above, table) - low, 0.0)
             total += layer.unit_weight * (thick - wet) + (_wet(layer) - self.water_weight) * wet
             above = below
-        return total
+        return -total
 
     def horizontal_stress(self, x: npt.ArrayLike) -> Array:
-        """Effective horizontal stress at positions x (Pa), positive in compression, shape (n,)."""
+        """Effective horizontal stress at positions x (Pa), positive in tension, shape (n,)."""
         return self._by_layer(x, [layer.K0 for layer in self.layers]) * self.vertical_stress(x)
 
     def pore_pressure(self, x: npt.ArrayLike) -> Array:
@@ -190,7 +198,7 @@ class Deposit:
         """
         return self._unit_weight(x, self.water_weight)
 
-    def density(self, x: npt.ArrayLike, gravity: float = 9.81) -> Array:
+    def density(self, x: npt.ArrayLike, *, gravity: float = 9.81) -> Array:
         """Mass per volume at positions x (kg/m³), with the water in saturated ground, shape (n,).
 
         Args:
@@ -220,13 +228,13 @@ class Deposit:
         vertical, horizontal = self.vertical_stress(at), self.horizontal_stress(at)
         result = np.zeros((at.shape[1], 3, 3))
         for i in range(3):
-            result[:, i, i] = -(vertical if i == len(at) - 1 else horizontal)
+            result[:, i, i] = vertical if i == len(at) - 1 else horizontal
         return result
 
     def modulus(
-        self, E_ref: float, exponent: float, p_ref: float = 100e3, least: float = _LEAST
+        self, E_ref: float, exponent: float, *, p_ref: float = 100e3, least: float = _LEAST
     ) -> Callable[[npt.ArrayLike], Array]:
-        """Young's modulus by initial stress, E = E_ref (σ'_h/p_ref)^m, as a function of positions.
+        """Young's modulus by initial stress, E = E_ref (−σ'_h/p_ref)^m, as a function of positions.
 
         Give the function to a law as its parameter E. Each point then keeps its first value.
 
@@ -243,7 +251,7 @@ class Deposit:
         number("p_ref", p_ref, 0.0, unit="Pa"), number("least", least, 0.0)
 
         def E(x: npt.ArrayLike) -> Array:
-            share = np.maximum(self.horizontal_stress(x) / p_ref, least)
+            share = np.maximum(-self.horizontal_stress(x) / p_ref, least)
             return E_ref * share**exponent
 
         return E

@@ -181,7 +181,7 @@ def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | 
         f"{law}: the stress {points.fields.read('stress')[p].tolist()} Pa at {points['x'][p]} m "
         f"was set by mpm.set_stress with another law, or changed since. It differs from this law's "
         f"stress for the elastic strain of the point ({int((~same).sum())} such points on this "
-        f'rank): call mpm.set_stress(points, law, stress, strain="{framework.measure}") with the '
+        f'rank): call mpm.set_stress(law, points, stress, strain="{framework.measure}") with the '
         "law of the problem"
     )
 

@@ -157,6 +157,7 @@ def momentum(
     points: MaterialPoints,
     u: fem.Function,
     v: Any,
+    *,
     strain: str = "large",
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
@@ -220,6 +221,7 @@ def stress(
     law: Law | NeoHookean,
     points: MaterialPoints,
     u: fem.Function,
+    *,
     strain: str = "large",
     fbar: bool | str = False,
     tag: int | tuple[int, ...] | None = None,
@@ -295,9 +297,10 @@ def flux(
 
 @together(own=("stress",))
 def set_stress(
-    points: MaterialPoints,
     law: Law | NeoHookean,
+    points: MaterialPoints,
     stress: StressField,
+    *,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
 ) -> None:
@@ -311,8 +314,8 @@ def set_stress(
     must admit the stress at the time of the call.
 
     Args:
-        points: Material points.
         law: The law of the problem.
+        points: Material points.
         stress: Cauchy stress (Pa), positive in tension: shape (3, 3); shape (n, 3, 3) for all
             points of this rank; or a function of the present positions (m) of the law's points,
             shape (gdim, n), that returns shape (n, 3, 3), such as `geostatic_stress` makes.

@@ -34,7 +34,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.checks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
@@ -138,11 +138,12 @@ class WeakCondition:
 
 
 def dirichlet(
-    law: Law | NeoHookean | None,
     boundary: Boundary,
     u: fem.Function,
     v: Any,
     value: Any = 0.0,
+    *,
+    law: Law | NeoHookean | None = None,
     method: str = "nitsche",
     direction: Any = None,
     strain: str = "large",
@@ -228,7 +229,7 @@ def dirichlet(
     mark = {**boundary.ds.metadata(), "condition": condition}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return resisting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+    return acting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
 
 
 def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:

@@ -61,7 +61,7 @@ def check_history(
     done = " and ".join(f"{counts[MARKS[name]]} under {_named(name)}" for name in others)
     advice = (
         "set the state that gives the present stress first, "
-        f'mpm.set_stress(points, law, points["stress"], strain="{measure}")'
+        f'mpm.set_stress(law, points, points["stress"], strain="{measure}")'
         if measure != ENERGY else
         "a stress cannot be set for this law: go on with a law that has a kernel, such as Hencky, "
         "or begin with new points"

@@ -30,7 +30,7 @@ from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.acting import resisting
+from dolfinmpm.body.acting import acting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.markerstate import keys_of, nearest
@@ -141,10 +141,11 @@ class Wall:
 
 @together
 def signorini(
-    law: Law | NeoHookean | None,
     boundary: Boundary,
     u: fem.Function,
     v: Any,
+    *,
+    law: Law | NeoHookean | None = None,
     friction: float = 0.0,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
@@ -161,6 +162,8 @@ def signorini(
             out of the body's room.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
+        law: The law of the body at the wall, whose modulus scales the penalty; None with a
+            stiffness.
         friction: Coefficient μ of Coulomb's friction.
         strain, tag: As for `momentum`; the wall acts where the nearest point has the tag.
         penalty: k in units of M/h; see `dirichlet`, also for what explicit steps bear.
@@ -225,4 +228,4 @@ def signorini(
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return resisting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
+    return acting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

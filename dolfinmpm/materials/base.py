@@ -229,7 +229,7 @@ class Law(Parametrised):
         return internal
 
     def respond(
-        self, strain: npt.ArrayLike, internal: Array | None = None, x: Array | None = None
+        self, strain: npt.ArrayLike, *, internal: Array | None = None, x: Array | None = None
     ) -> Response:
         """Evaluate the law by itself, away from any grid.
 

@@ -271,6 +271,7 @@ class CamClay(Law):
 
     def __init__(
         self,
+        *,
         swelling: Value,
         compression: Value,
         M: Value,

@@ -145,7 +145,8 @@ class DruckerPrager(Law):
         nu: Poisson's ratio, -1 < ν < 0.5.
         cohesion: Cohesion c (Pa), not negative; 0 puts the apex at the origin.
         friction_angle: φ (degrees), 0 ≤ φ ≤ 90; at 0 there is no apex.
-        dilation_angle: ψ (degrees), 0 ≤ ψ ≤ φ; ψ = φ is associated flow.
+        dilation_angle: ψ (degrees), 0 ≤ ψ ≤ φ; 0 by default, as for `MohrCoulomb`;
+            ψ = φ is associated flow.
         fit: How the cone fits the pyramid, see above.
         hardening: Slope H of the cohesion over ε̄ᵖ (Pa), not negative.
 
@@ -172,7 +173,8 @@ class DruckerPrager(Law):
         nu: Value,
         cohesion: Value,
         friction_angle: Value,
-        dilation_angle: Value,
+        *,
+        dilation_angle: Value = 0.0,
         fit: str = "compression",
         hardening: Value = 0.0,
     ):

@@ -278,6 +278,7 @@ class MohrCoulomb(Law):
         nu: Value,
         cohesion: Value,
         friction_angle: Value,
+        *,
         dilation_angle: Value = 0.0,
         residual_cohesion: Value | None = None,
         residual_friction_angle: Value | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -32,6 +32,7 @@ class Parameter:
     """
 
     unit: str
+    _: KW_ONLY
     low: float = -math.inf
     high: float = math.inf
     closed: bool = False

@@ -55,7 +55,7 @@ class Sand:
         return {name: getattr(self, name) for name in names}
 
 
-def sand(relative_density: float, nu: float = 0.3, cohesion: float = 300.0) -> Sand:
+def sand(relative_density: float, *, nu: float = 0.3, cohesion: float = 300.0) -> Sand:
     """Parameters of a quartz sand by empirical formulas of its relative density.
 
     E_ref = 60 MPa RD at 100 kPa, m = 0.7 − RD/3.2, φ = 28 + 12.5 RD and ψ = 12.5 RD − 2 degrees,

@@ -64,6 +64,7 @@ class Tresca(Law):
         E: Value,
         nu: Value,
         cohesion: Value,
+        *,
         ultimate_cohesion: Value | None = None,
         rate: Value = _RATE,
     ):

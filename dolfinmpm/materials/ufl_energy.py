@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -27,9 +28,13 @@ HARDENING = "plastic_strain"
 
 
 def mises(stress: Expr, yield_stress: Expr) -> Expr:
-    """Von Mises' yield function f = √(2 J₂) − ρ_y of principal stresses (Pa), in UFL."""
+    """Von Mises' yield function of principal stresses (Pa), in UFL; see `VonMises`.
+
+    f = √(2 J₂) − √(2/3) σ_y, σ_y being the uniaxial yield stress.
+    """
     a, b, c = stress
-    return ufl.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 3) - yield_stress
+    size = ufl.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 3)
+    return size - math.sqrt(2.0 / 3.0) * yield_stress
 
 
 class EnergyWithYield(Law):
@@ -54,7 +59,7 @@ class EnergyWithYield(Law):
         yield_function: Function of the principal Kirchhoff stresses, a UFL vector of
             three (Pa), and of parameters by their names; it yields where this is
             positive. One named `plastic_strain` is α. By default `mises` if a
-            `yield_stress` is given, else the law is elastic.
+            `yield_stress` is given, the uniaxial one (Pa), else the law is elastic.
         potential: g, likewise; f by default, that is associated flow.
         ranges: What a parameter may be, by name; any finite number by default.
         values: Every parameter that the functions name: a number, or as for any `Law`
@@ -72,6 +77,7 @@ class EnergyWithYield(Law):
         self,
         energy: Callable[..., Expr],
         yield_function: Callable[..., Expr] | None = None,
+        *,
         potential: Callable[..., Expr] | None = None,
         ranges: Mapping[str, Parameter] | None = None,
         **values: Value,

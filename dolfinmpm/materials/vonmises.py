@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel
 from dolfinmpm.materials.parametrised import Array, Parameter, Value
@@ -19,8 +22,10 @@ _ROOT = math.sqrt(2.0 / 3.0)
 @law_kernel
 def _vonmises(parameters, strain, old, new, stress, tangent):
     lmbda, mu = moduli(parameters[0], parameters[1])
-    first, linear = parameters[2], parameters[3]
-    rise, rate = parameters[4] - first, parameters[5]
+    # radii of the yield surface in the deviatoric plane
+    share = parameters[6]
+    first, linear = share * parameters[2], share * parameters[3]
+    rise, rate = share * parameters[4] - first, parameters[5]
     a, b, c = strain[0], strain[1], strain[2]
     # all sums in the order of size, so that they do not depend on the order of the axes
     high, low = max(a, b), min(a, b)
@@ -104,73 +109,100 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
 
 
 class VonMises(Law):
-    """Von Mises' law: f = √(2 J₂) − ρ_y(α), associated, on Hencky's elasticity.
+    """Von Mises' law: f = √(2 J₂) − √(2/3) σ_y(α), associated, on Hencky's elasticity.
 
-    ρ_y(α) = ρ_y0 + H α + (ρ_∞ − ρ_y0)(1 − e^(−δα)). The accumulated plastic strain
-    α grows by √(2/3) ‖Δεᵖ‖, so that it is the plastic strain of a bar in tension.
-    The bar yields at σ_y = √(3/2) ρ_y, its stress rises by √(3/2) H, and the
-    undrained shear strength is c_u = ρ_y/√2. After Simo & Hughes, Computational
-    Inelasticity (1998), box 3.2, with ρ_y as in AMPLE (Coombs & Augarde 2020, doi
-    10.1016/j.advengsoft.2020.102748).
+    σ_y(α) = σ_0 + H α + (σ_∞ − σ_0)(1 − e^(−δα)) is the stress at which a bar in tension yields.
+    The accumulated plastic strain α grows by √(2/3) ‖Δεᵖ‖: it is the bar's plastic strain. The
+    undrained shear strength is c_u = σ_y/√3. After Simo & Hughes, Computational Inelasticity
+    (1998), box 3.2.
 
-    A negative hardening is allowed up to where a strain has one stress only: nowhere may ρ_y
-    fall faster than √6 μ by α. A point whose strength is used up has no stress.
+    AMPLE (Coombs & Augarde 2020, doi 10.1016/j.advengsoft.2020.102748) gives the radius
+    ρ = √(2/3) σ_y = √2 c_u of the yield surface in the deviatoric plane. With `radius`, hardening
+    and saturation are of the radius, too.
+
+    A negative hardening is allowed up to where a strain has one stress only: σ_y may not
+    fall faster than 3 μ by α, the radius not faster than √6 μ. A point whose strength is used up
+    has no stress.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
-        yield_stress: Radius ρ_y0 of the first yield surface (Pa), positive.
+        yield_stress: Uniaxial yield stress σ_0 (Pa), positive.
+        radius: Radius of the first yield surface (Pa), positive; in place of `yield_stress`.
         hardening: Linear part H (Pa), negative where strength falls.
-        saturation: Radius ρ_∞ (Pa), positive, to which the exponential part tends; that
-            of first yield by default, that is no exponential part.
+        saturation: σ_∞ (Pa), positive, to which the exponential part tends; by default the first
+            value, without exponential part.
         rate: Rate δ of the exponential part, not negative.
 
     Raises:
-        ParameterError: A parameter is outside its range, or the fall of strength too steep.
+        ParameterError: A parameter is outside its range, both strengths or none are given, or
+            strength falls too fast.
     """
 
-    parameters = ELASTIC | {
-        "yield_stress": Parameter("Pa", low=0.0),
-        "hardening": Parameter("Pa"),
-        "saturation": Parameter("Pa", low=0.0),
-        "rate": Parameter("", low=0.0, closed=True),
-    }
     internal = {"plastic_strain": ("", 0.0)}
     kernel = _vonmises
-    strengths = ("yield_stress", "hardening", "saturation")
     symmetric = True
 
     def __init__(
         self,
         E: Value,
         nu: Value,
-        yield_stress: Value,
+        *,
+        yield_stress: Value | None = None,
+        radius: Value | None = None,
         hardening: Value = 0.0,
         saturation: Value | None = None,
         rate: Value = 0.0,
     ):
+        if (yield_stress is None) == (radius is None):
+            raise ParameterError(
+                f"VonMises: yield_stress = {shown(yield_stress)} and radius = {shown(radius)}; "
+                "give exactly one: the uniaxial yield stress (Pa), or the radius of the yield "
+                "surface, √(2/3) of it"
+            )
+        first: Any = yield_stress if radius is None else radius
+        name = "yield_stress" if radius is None else "radius"
+        self.strengths = (name, "hardening", "saturation")
+        self.parameters = ELASTIC | {
+            name: Parameter("Pa", low=0.0),
+            "hardening": Parameter("Pa"),
+            "saturation": Parameter("Pa", low=0.0),
+            "rate": Parameter("", low=0.0, closed=True),
+        }
         if saturation is None:
             self._refuse_rate(rate, "saturation")
         super().__init__(
             E=E,
             nu=nu,
-            yield_stress=yield_stress,
             hardening=hardening,
-            saturation=yield_stress if saturation is None else saturation,
+            saturation=first if saturation is None else saturation,
             rate=rate,
+            **{name: first},
         )
+
+    @property
+    def _first(self) -> tuple[str, float]:
+        """Name of the first strength, and the radius by it."""
+        return ("radius", 1.0) if "radius" in self.parameters else ("yield_stress", _ROOT)
 
     def admissible(self, values: dict[str, Array]) -> None:
         """Raise ParameterError where a strain has more than one stress."""
-        self._check_rate(values, (("yield_stress", "saturation"),))
-        rise = values["rate"] * (values["saturation"] - values["yield_stress"])
+        first, share = self._first
+        self._check_rate(values, ((first, "saturation"),))
+        rise = values["rate"] * (values["saturation"] - values[first])
         steepest = values["hardening"] + np.minimum(rise, 0.0)
-        limit = math.sqrt(1.5) * values["E"] / (1.0 + values["nu"])
-        self._bound_softening("the yield stress", -steepest, limit, "√6 μ")
+        limit = math.sqrt(1.5) / share * values["E"] / (1.0 + values["nu"])
+        symbol = "√6 μ" if first == "radius" else "3 μ"
+        self._bound_softening(f"the {first.replace('_', ' ')}", -steepest, limit, symbol)
+
+    def completed(self, parameters: Array) -> Array:
+        """The parameters as the kernel takes them: the declared ones, then the share of radii."""
+        return np.column_stack([parameters, np.full(len(parameters), self._first[1])])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:
         """Yield function f of principal Kirchhoff stresses (Pa), shape (n,)."""
-        _, _, first, linear, last, rate = parameters.T
+        _, _, first, linear, last, rate, share = parameters.T
+        first, linear, last = share * first, share * linear, share * last
         alpha = internal[:, 0]
         a, b, c = stress.T
         size = np.sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 3.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ class Fluid:
     """
 
     density: float = 1000.0
+    _: KW_ONLY
     gravity: float = 9.81
     bulk_modulus: float = math.inf
 

@@ -178,8 +178,10 @@ def poromechanics(
     K0 = _permeability(permeability, 1.0, n0, points) / weight
     b = _gravity(gravity, points)
     M = _modulus(modulus, soil, points)
-    pressure = carried(points, "pressure", p, "Pa")
-    keeps: list[CarriedField] = [carried(points, "porosity", n_end, "", _first(porosity))]
+    pressure = carried(points, "pressure", p, unit="Pa")
+    keeps: list[CarriedField] = [
+        carried(points, "porosity", n_end, unit="", first=_first(porosity))
+    ]
     keeps[0].bounds = 0.0, 1.0
 
     # both equations in newtons: M/h times q, so that solvers see equations of similar size
@@ -205,18 +207,18 @@ def poromechanics(
     flow = at.J * _times(K, drive)
     terms = -at.J * acts * div + storage * q + theta * dt * ufl.dot(flow, at.grad(q))
     if theta < 1:
-        # flow at the start of the step: gradients on the grid are spatial gradients there
-        before = carried(points, "flow", flow, "Pa m/s", np.zeros(gdim))
+        # flow at the start of the step, whose gradients are those of the grid
+        before = carried(points, "flow", flow, unit="Pa m/s", first=np.zeros(gdim))
         terms += (1 - theta) * dt * ufl.dot(before, ufl.grad(q))
     if b is not None:
         refuse_hollow(points, fluid, n0, as_tags(tag))
         mass = points.density + at.growth * water
         terms -= mass * ufl.dot(b, v)
         mass = points.density + end.growth * water
-        keeps.append(carried(points, "density", mass, "kg/m^d"))
+        keeps.append(carried(points, "density", mass, unit="kg/m^d"))
     factor = factor_of(projection, u, p)
     if factor:
-        slope = carried(points, "pressure_gradient", at.grad(p), "Pa/m", np.zeros(gdim))
+        slope = carried(points, "pressure_gradient", at.grad(p), unit="Pa/m", first=np.zeros(gdim))
         change, share = at.grad(p) - slope, theta
         if level is not None:
             slope.update = end.spatial(level.end(slope, ufl.grad(p)))
@@ -245,7 +247,7 @@ def poromechanics(
     for surface, level in surfaces("ponded", ponded, points, "m"):
         depth = ufl.max_value(level - surface.position(u)[gdim - 1], 0.0)
         form += held(through, surface, weight * depth)
-        form -= surface.pressure(weight * depth, u, v)
+        form += surface.pressure(weight * depth, u, v)
     return form
 
 

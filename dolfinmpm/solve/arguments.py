@@ -50,7 +50,7 @@ _KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
 
 # What is said of arguments that some problems have, or that belong elsewhere
 ELSEWHERE = {
-    "contact": "mpm.Collision is of mpm.Explicit; rigid bodies touch by mpm.contact in the form, "
+    "collision": "mpm.Collision is of mpm.Explicit; rigid bodies touch by mpm.contact in the form, "
     "bodies with fields of their own by mpm.contact_between",
     "dt": "step(t) is told where a step ends, see mpm.times",
     "gravity": "it is a term of the form, F -= ufl.inner(points.density * g, v) * points.dX",

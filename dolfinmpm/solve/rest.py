@@ -32,7 +32,7 @@ __all__ = ["equilibrate"]
 
 
 @together
-def equilibrate(problem: QuasiStatic, tolerance: float = 1e-9, most: int = 20) -> int:
+def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 
     Steps are taken as usual, and each time the points are put back to where they were at first,

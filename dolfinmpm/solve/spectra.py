@@ -100,7 +100,7 @@ def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
 
 
 @together(own=("kernel",))
-def condition_number(matrix: PETSc.Mat, kernel: Array | None = None) -> float:
+def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
     Args:
@@ -170,7 +170,7 @@ def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
 
 
 @together
-def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, lumped: bool = False) -> float:
+def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False) -> float:
     """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
 
     Args:

@@ -59,8 +59,8 @@ class StepRecord:
             ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
             are all of it but what looks at loads and chooses the length of steps. Of this
             process, as `seconds` are. Empty unless `measure_stages` or PETSc's log asked for it.
-        bodies: Of each rigid body by its name: "position" of its centre (m), "angle" (rad), "force"
-            (N) and "moment" (N m) of the points on it. Of each contact between bodies that
+        bodies: Of each rigid body by its name: "position" of its centre (m), "angle" (degrees),
+            "force" (N) and "moment" (N m) of the points on it. Of each contact between bodies that
             deform the "force" (N) on the first of them.
     """
 

@@ -87,7 +87,7 @@ def conditioning(
     K, M = stiffness.stiffness(), inertia.stiffness()
     assert stiffness.here is not None
     return Conditioning(
-        condition_number(K, rigid_modes(stiffness.here)),
+        condition_number(K, kernel=rigid_modes(stiffness.here)),
         condition_number(M),
         critical_step(K, M),
         critical_step(K, _lumped(points, stiffness.here).petsc),

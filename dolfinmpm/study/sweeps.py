@@ -58,7 +58,7 @@ def _several(what: str, given: Any) -> list[Any]:
     return found
 
 
-def sweep(scene: Callable[..., Any], places: Sequence[Any], label: str = "") -> list[Row]:
+def sweep(scene: Callable[..., Any], places: Sequence[Any], *, label: str = "") -> list[Row]:
     """Run a scene for many places of its body, with a progress bar. Collective.
 
     Args:
@@ -81,6 +81,7 @@ def sweep(scene: Callable[..., Any], places: Sequence[Any], label: str = "") -> 
 def convergence(
     scene: Callable[[float], Any],
     sizes: Sequence[float],
+    *,
     label: str = "",
     errors: Sequence[str] | None = None,
 ) -> list[Row]:

@@ -73,7 +73,7 @@ ALONE = {
     "fixed": (problem, lambda one: mpm.fixed(one.form.spaces[0], "left")),
     "set_stress": (
         problem,
-        lambda one: mpm.set_stress(one.points, mpm.materials.Hencky(1e6, 0.3), lambda x: 0 * x),
+        lambda one: mpm.set_stress(mpm.materials.Hencky(1e6, 0.3), one.points, lambda x: 0 * x),
     ),
 }
 

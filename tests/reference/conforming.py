@@ -270,7 +270,7 @@ class Body:
             strain, Q = np.linalg.eigh(trial)
             strain = np.concatenate([strain, old.across[:, None]], axis=1)
             gradients = mesh.gradients
-        answer = self.law.respond(strain, old.internal)
+        answer = self.law.respond(strain, internal=old.internal)
         tau, D = answer.stress, answer.tangent
         left = np.exp(2 * answer.strain) if self.large else answer.strain
         turned = np.swapaxes(Q, 1, 2)

@@ -161,7 +161,7 @@ def test_two_loads_of_which_one_follows_the_face():
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 2.6), (0, 1))
     p, t = fem.Constant(grid, 200.0), fem.Constant(grid, (0.0, -100.0))
     F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, u, v)
-    F -= top.pressure(p, u, v) + top.traction(t, v)
+    F += top.pressure(p, u, v) + top.traction(t, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     problem = mpm.ArcLength(
         F, u, points, bcs, load=[p, t], control=top.mean((0, -1), v), length=0.1, max_length=0.1
@@ -185,7 +185,7 @@ def test_a_load_that_the_factor_enters_with_its_square():
     u, v = V.increment, V.test
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 2.6), (0, 1))
     p = fem.Constant(grid, 20.0)
-    F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, u, v) - top.pressure(p**2, u, v)
+    F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.0), points, u, v) + top.pressure(p**2, u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     # at a factor of 0 the load does not grow with it
     problem = mpm.ArcLength(F, u, points, bcs, load=p, first=0.2, factor=0.01)

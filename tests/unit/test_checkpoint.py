@@ -28,7 +28,7 @@ def block(law=None, basis="gimp", cells=(6, 4), kind=QUADRILATERAL, width=6.0, l
     points = mpm.fill(grid, mpm.Box((0, 0), (3, 2.7)), 2, 1000.0)
     V = mpm.Space(grid, basis)
     g = fem.Constant(grid, (0.0, 0.0))
-    law = law or mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 5e3 + 1e3 * x[1])
+    law = law or mpm.materials.VonMises(E=1e6, nu=0.3, radius=lambda x: 5e3 + 1e3 * x[1])
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     options = {"stabilisation": mpm.Stabilisation("ghost", E=1e6), **options}
@@ -71,8 +71,8 @@ def pressed():
     grid = mesh.create_rectangle(COMM, [(0, 0), (6, 4)], (12, 8), QUADRILATERAL)
     points = mpm.fill(grid, mpm.Box((0, 0), (6, 2)), 2, 1000.0)
     V = mpm.Space(grid, "gimp")
-    law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4)
-    shape = mpm.Wedge((2.4, 1.95), 0.7, 1.5)
+    law = mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4)
+    shape = mpm.Wedge((2.4, 1.95), np.degrees(0.7), 1.5)
     tool = mpm.RigidBody(shape, increment=(0.0, -0.05), name="tool")
     F = mpm.momentum(law, points, V.increment, V.test)
     F += mpm.contact(tool, points, V.increment, V.test, friction=0.3, penalty=25.0)
@@ -170,7 +170,7 @@ def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
         foot = mpm.RigidFooting(top, s, E=1e3)
         temperature = points.add_field("temperature", (2,), "K", 280.0)
         F = mpm.momentum(mpm.materials.NeoHookean(E=1e3, nu=0.3), points, u, v)
-        F -= foot.contact(u, v)
+        F += foot.contact(u, v)
         bcs = mpm.rollers(V, "bottom") + mpm.prescribed(V, "left", 0, increment=push)
         updates = {"temperature": temperature + u}
         return mpm.QuasiStatic(F, u, points, bcs, updates=updates), foot, s, push
@@ -332,12 +332,12 @@ def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
     """A next stage may differ in it; nothing is said where nothing does."""
     path, _, _ = saved
     block()[0].load(path)
-    soft = mpm.materials.VonMises(E=5e5, nu=0.3, yield_stress=lambda x: 5e3 + 1e3 * x[1])
-    weak = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 4e3 + 1e3 * x[1])
+    soft = mpm.materials.VonMises(E=5e5, nu=0.3, radius=lambda x: 5e3 + 1e3 * x[1])
+    weak = mpm.materials.VonMises(E=1e6, nu=0.3, radius=lambda x: 4e3 + 1e3 * x[1])
     ghost = mpm.Stabilisation("ghost", E=2e6)
     for options, words in (
         ({"law": soft}, r"law 1: VonMises\(E=1000000\.0, .* there, VonMises\(E=500000\.0,"),
-        ({"law": weak}, r"yield_stress=varying about .* there, .*yield_stress=varying about"),
+        ({"law": weak}, r"radius=varying about .* there, .*radius=varying about"),
         ({"basis": "linear"}, 'basis of field 1: "gimp", averaged .* there, "linear"'),
         ({"stabilisation": ghost}, r"stabilisation of field 1: .*E=1000000\.0.*E=2000000\.0"),
     ):

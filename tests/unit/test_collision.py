@@ -66,7 +66,7 @@ def blocks(kind="quadrilateral", basis="gimp", fbar=False, extra=None, tags=(1, 
     F = mpm.momentum(law, points, V.increment, V.test, fbar=fbar)
     if extra is not None:
         F += extra(points, V.increment, V.test)
-    return mpm.Explicit(F, V.increment, points, contact=mpm.Collision(tags), **options)
+    return mpm.Explicit(F, V.increment, points, collision=mpm.Collision(tags), **options)
 
 
 def following_pressure(points, u, v):
@@ -112,7 +112,7 @@ def test_neither_a_rigid_body_nor_anything_else_is_a_collision():
     V = mpm.Space(grid, "gimp")
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.2), points, V.increment, V.test)
     with pytest.raises(ParameterError, match="Collision"):
-        mpm.Explicit(F, V.increment, points, contact=(1, 2))
+        mpm.Explicit(F, V.increment, points, collision=(1, 2))
     np.testing.assert_array_equal(mpm.Explicit(F, V.increment, points).collision_force, 0.0)
 
 
@@ -126,7 +126,7 @@ def between_walls(contact=(1, 2), sides=(), velocity=0.0, **options):
     F = mpm.momentum(law, points, V.increment, V.test)
     bcs = [*mpm.rollers(V, "bottom"), *sides(V)]
     if contact:
-        options["contact"] = mpm.Collision(contact)
+        options["collision"] = mpm.Collision(contact)
     problem = mpm.Explicit(F, V.increment, points, bcs, **options)
     points["velocity"][:, 0] = velocity
     return problem

@@ -26,11 +26,11 @@ L_SHAPE = [(0, 0), (2, 0), (2, 2), (1, 0.5), (0, 2)]
         (mpm.Disc((0.2, 0.1), 1), 0.0, (-2, -2), (2, 2)),
         (mpm.Polygon(L_SHAPE), 0.0, (-1, -1), (3, 3)),
         (mpm.Polygon(L_SHAPE[::-1]), 0.1, (-1, -1), (3, 3)),
-        (mpm.Wedge((0, 0), 0.5, 1), 0.05, (-1, -1), (1, 2)),
-        (mpm.TurnedBox((0, 0, 0), (1, 2, 3), 0.3), 0.0, (-1, -1, -1), (2, 3, 4)),
+        (mpm.Wedge((0, 0), 30.0, 1), 0.05, (-1, -1), (1, 2)),
+        (mpm.TurnedBox((0, 0, 0), (1, 2, 3), 17.0), 0.0, (-1, -1, -1), (2, 3, 4)),
         (mpm.Box((0, 0, 0), (1, 2, 3)), 0.2, (-1, -1, -1), (2, 3, 4)),
-        (mpm.Cone((0, 0, 0), 0.4, np.pi / 6, 2, (1, 1, 1)), 0.0, (-1, -1, -1), (2, 2, 2)),
-        (mpm.Cone((0, 0, 0), 0.4, np.pi / 6, 2), 0.05, (-1, -1, -1), (1, 1, 3)),
+        (mpm.Cone((0, 0, 0), 0.4, 30.0, 2, axis=(1, 1, 1)), 0.0, (-1, -1, -1), (2, 2, 2)),
+        (mpm.Cone((0, 0, 0), 0.4, 30.0, 2), 0.05, (-1, -1, -1), (1, 1, 3)),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, mpm.Shape) else None,
 )
@@ -61,7 +61,7 @@ def test_normal_and_curvature_are_derivatives_of_the_gap(shape, fillet, low, hig
 
 def test_a_fillet_that_does_not_fit_is_refused():
     with pytest.raises(mpm.errors.ParameterError, match="whole edge"):
-        surface_of(mpm.Wedge((0, 0), 0.5, 1), 0.5)
+        surface_of(mpm.Wedge((0, 0), 30.0, 1), 0.5)
     with pytest.raises(mpm.errors.ParameterError, match="half of the box"):
         surface_of(mpm.Box((0, 0), (1, 2)), 0.5)
 
@@ -118,7 +118,10 @@ def pressed(basis="gimp", d=2, friction=0.3, kind=None, **options):
     u, v = V.increment, V.test
     middle = (0.45,) * (d - 1) + (2 / 3 + 0.5,)
     turn = 0.03 if d == 2 else (0.02, 0.03, 0.05)
-    motion = {"increment": (0.01,) + (0,) * (d - 2) + (-0.04,), "rotation_increment": turn}
+    motion = {
+        "increment": (0.01,) + (0,) * (d - 2) + (-0.04,),
+        "rotation_increment": np.degrees(turn),
+    }
     body = mpm.RigidBody(mpm.Ball(middle, 0.5), **(motion | options))
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
     F += mpm.contact(body, points, u, v, friction=friction, penalty=50.0 * smallest_height(grid))
@@ -262,7 +265,7 @@ def test_motion_is_prescribed_by_functions_and_constants():
     turn = np.array([0.3, -0.2, 0.5])
     ball = mpm.RigidBody(
         mpm.Box((0, 0, 0), (1, 1, 1)), displacement=lambda t: (t, 0, t**2), centre=(0, 0, 0),
-        rotation=lambda t: t * turn,
+        rotation=lambda t: t * np.degrees(turn),
     )  # fmt: skip
     for dt in (0.5, 1.0):
         ball.begin(dt)
@@ -271,7 +274,9 @@ def test_motion_is_prescribed_by_functions_and_constants():
         ball.commit(np.zeros(3), np.zeros(3))
     np.testing.assert_allclose(ball.position, [1.5, 0, 2.25], atol=1e-14)
     np.testing.assert_allclose(ball.pose.rotation, rotation_of(1.5 * turn, 3), atol=1e-14)
-    again = mpm.RigidBody(mpm.Box((0, 0, 0), (1, 1, 1)), centre=(0, 0, 0), rotation=lambda t: turn)
+    again = mpm.RigidBody(
+        mpm.Box((0, 0, 0), (1, 1, 1)), centre=(0, 0, 0), rotation=lambda t: np.degrees(turn)
+    )
     again.set_state(ball.state())
     np.testing.assert_array_equal(again.pose.rotation, ball.pose.rotation)
     assert again.time == 1.5
@@ -287,7 +292,7 @@ def test_what_a_constant_holds_at_first_the_first_step_brings_about(when):
 
     def put(now):
         if when == now:
-            place.value[:], angle.value = (0.02, -0.06), 0.1
+            place.value[:], angle.value = (0.02, -0.06), 6.0
 
     put("before the body")
     body = mpm.RigidBody(mpm.Disc((0.5, 2 / 3 + 0.5), 0.5), displacement=place, rotation=angle)
@@ -300,7 +305,7 @@ def test_what_a_constant_holds_at_first_the_first_step_brings_about(when):
     problem.share = 0.5
     assert problem.step().parts == 2
     np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
-    np.testing.assert_allclose(body.angle, 0.1)
+    np.testing.assert_allclose(body.angle, 6.0)
     assert body.force[1] == pytest.approx(0.60625, rel=1e-4)
     with pytest.raises(mpm.errors.ParameterError, match=r"displacement = .* its own constant"):
         mpm.RigidBody(mpm.Disc((0.5, 2), 0.5), displacement=place)
@@ -319,10 +324,10 @@ def test_a_constant_moves_a_body_and_is_scaled_as_a_load_is():
     F = mpm.momentum(mpm.materials.Hencky(E=10.0, nu=0.2), points, u, v)
     F += mpm.contact(body, points, u, v, friction=0.3, penalty=12.5)
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"))
-    place.value[:], angle.value = (0.02, -0.06), 0.1
+    place.value[:], angle.value = (0.02, -0.06), 6.0
     record = problem.step()
     np.testing.assert_allclose(body.position, [0.52, 2 / 3 + 0.44], atol=1e-14)
-    np.testing.assert_allclose(body.angle, 0.1)
+    np.testing.assert_allclose(body.angle, 6.0)
     assert record.parts >= 1
     free = mpm.RigidBody(mpm.Disc((0.5, 2), 0.5), force=(0, -1), free=(False, True, False))
     load = fem.Constant(grid, (0.0, -1e-3))
@@ -355,8 +360,8 @@ def test_penalties_in_units_of_the_modulus_are_told_in_pascals_per_metre():
     F += mpm.contact(body, points, u, v, penalty=3.0)
     with pytest.raises(mpm.errors.ParameterError, match="before a problem is made"):
         mpm.stiffness_per_area(F)
-    F += mpm.signorini(law, side, u, v, penalty=7.0)
-    F += mpm.dirichlet(None, side, u, v, method="penalty", stiffness_per_area=11.0)
+    F += mpm.signorini(side, u, v, law=law, penalty=7.0)
+    F += mpm.dirichlet(side, u, v, method="penalty", stiffness_per_area=11.0)
     mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom")).step()
     found = dict(mpm.stiffness_per_area(F))
     M = 10.0 * (1 - 0.2) / ((1 + 0.2) * (1 - 2 * 0.2))

@@ -100,8 +100,8 @@ def test_bodies_that_cannot_be():
         (lambda: mpm.RigidBody(disc, gravity=(0, -1)), "acts on a mass"),
         (lambda: mpm.RigidBody(disc, free=(True, False), force=(0, 1)), "3 components"),
         (lambda: mpm.Plane((0, 0), (0, 0)), "point and a normal"),
-        (lambda: mpm.Wedge((0, 0), 2.0, 1.0), "semi_angle = 2 rad"),
-        (lambda: mpm.Cone((0, 0, 0), 1.0, 0.5, 1.0), "length = 1 m"),
+        (lambda: mpm.Wedge((0, 0), 95.0, 1.0), "semi_angle = 95 degrees"),
+        (lambda: mpm.Cone((0, 0, 0), 1.0, 30.0, 1.0), "length = 1 m"),
     ):
         with pytest.raises((ParameterError, OSError), match=words):
             call()

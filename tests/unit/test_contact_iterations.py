@@ -92,7 +92,7 @@ def wedged(**options):
     points = mpm.fill(grid, mpm.Box((0, -1.5), (4, 0)), 2, 1000.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
-    tool = mpm.RigidBody(mpm.Wedge((2.03, 0), 0.6, 3.0), increment=(0.0, -0.03))
+    tool = mpm.RigidBody(mpm.Wedge((2.03, 0), np.degrees(0.6), 3.0), increment=(0.0, -0.03))
     F = mpm.momentum(mpm.materials.Tresca(5e6, 0.33, 1e4), points, u, v)
     F += mpm.contact(tool, points, u, v, corners="material", penalty=12.5)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")

@@ -162,7 +162,7 @@ def test_half_of_a_thickness():
         (mpm.Box((3, 1), (103, 1.1)), 0.0, 0.05),
         (mpm.Box((3, 1), (103, 1.1)), 0.02, 0.05),
         (mpm.Box((3, 1, 2), (1003, 1001, 2.1)), 0.0, 0.05),
-        (mpm.Cone((0, 0, 0), 0.1, 0.5, 1000.0), 0.0, 0.1),
+        (mpm.Cone((0, 0, 0), 0.1, np.degrees(0.5), 1000.0), 0.0, 0.1),
         (mpm.Plane((0, 0), (0, 1)), 0.0, np.inf),
         (meshio.Mesh(3 * cube + 7, [("triangle", facets)]), 0.0, 0.5),
     ):
@@ -181,6 +181,6 @@ def test_paths_through_bodies_are_told_from_paths_beside_and_along_them():
         assert (passes(blade, half, *path, gap) is not None) == passing
     assert [bool(entered(blade, half, *path)[0]) for path in (through, beside)] == [True, False]
     # around a tip corners come to the other side without harm
-    wedge = surface_of(mpm.Wedge((0, 0), 0.3, 1.0), 0.0)
+    wedge = surface_of(mpm.Wedge((0, 0), np.degrees(0.3), 1.0), 0.0)
     path = np.array([[-0.001, 0.01]]), np.array([[0.001, 0.01]])
     assert passes(wedge, half_thickness(wedge), *path, wedge.probe(path[1])[0]) is None

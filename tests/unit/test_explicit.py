@@ -302,7 +302,7 @@ def test_a_node_that_points_see_with_no_weight_is_not_accelerated():
         points.locate()
         V = mpm.Space(grid, "linear")
         law = mpm.materials.Hencky(E=1.0, nu=0.3)
-        mpm.set_stress(points, law, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
+        mpm.set_stress(law, points, lambda x: np.tile(-1e-3 * np.eye(3), (x.shape[1], 1, 1)))
         F = mpm.momentum(law, points, V.increment, V.test)
         problem = mpm.Explicit(F, V.increment, points, fused=fused, courant=0.01, scheme="usl")
         assert (problem.unfused == "") == fused
@@ -325,7 +325,7 @@ def test_a_body_under_stress_is_not_taken_for_an_unstable_one():
     F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.3), points, u, v)
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 5.0), (0, 1))
     pressure = fem.Constant(grid, (0.0, 0.0))
-    F -= top.traction(pressure, v)
+    F += top.traction(pressure, v)
     bcs = mpm.rollers(V, "left", "right", "bottom")
     static = mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation")
     for part in mpm.steps(10):
@@ -443,7 +443,7 @@ def test_strain_before_forces_keeps_all_internal_forces(what):
         if what == "pressure":
             top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.0), (0, 1))
             F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, u, v)
-            F -= top.pressure(fem.Constant(grid, 1e3), u, v)
+            F += top.pressure(fem.Constant(grid, 1e3), u, v)
         else:
             points["velocity"][:, 1] = -points["x"][:, 1]
             Fdef = (ufl.Identity(2) + ufl.grad(u)) * points.F

@@ -29,14 +29,14 @@ def block(low=(0.53, 0.54), kind="penalty", n=4, basis="gimp", law=LAW, space=No
     if kind == "wall":
         box = [(a, 1.9), (a, b), (c, b), (c, 1.9)]
         line = mpm.Boundary.from_polygon(points, box, closed=False, follows=False)
-        F += mpm.signorini(law, line, u, v, **{"penalty": 10.0, **options})
+        F += mpm.signorini(line, u, v, law=law, **{"penalty": 10.0, **options})
     else:
         box = [(a, d), (a, b), (c, b), (c, d)]
         line = mpm.Boundary.from_polygon(points, box, closed=False)
         options = {"direction": "normal", "method": kind, **options}
         if kind == "penalty":
             options.setdefault("penalty", 10.0)
-        F += mpm.dirichlet(law, line, u, v, **options)
+        F += mpm.dirichlet(line, u, v, law=law, **options)
     return points, V, F, line
 
 
@@ -154,7 +154,7 @@ def test_a_slab_falls_onto_an_incline_and_slides(friction):
     ends = [start - 0.3 * down, start + 1.5 * down]
     slope = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
     F = mpm.momentum(law, points, u, v)
-    F += mpm.signorini(law, slope, u, v, friction=friction, penalty=10.0)
+    F += mpm.signorini(slope, u, v, law=law, friction=friction, penalty=10.0)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -g)), v) * points.dX
     problem = mpm.Explicit(F, u, points)
     points["velocity"] = np.zeros(2)
@@ -187,7 +187,7 @@ def test_what_is_prescribed_moves_by_the_clock():
     foot = mpm.Boundary.from_polygon(points, [(0.53, 0.54), (1.53, 0.54)], closed=False)
     way = ufl.as_vector((0.0, 0.2 * clock))
     F = mpm.momentum(LAW, points, V.increment, V.test)
-    F += mpm.dirichlet(LAW, foot, V.increment, V.test, way, method="penalty", penalty=10.0)
+    F += mpm.dirichlet(foot, V.increment, V.test, way, law=LAW, method="penalty", penalty=10.0)
     points.add_field("velocity", (2,), "m/s")
     points["velocity"] = [0.0, 0.2]
     problem = mpm.Explicit(F, V.increment, points, time=clock)
@@ -209,7 +209,7 @@ def test_other_configurations(what):
     law = mpm.materials.Hencky(E=1000.0, nu=0.0)
     foot = mpm.Boundary.from_polygon(points, [(a, b), (c, b)], closed=False)
     F = mpm.momentum(law, points, u, v)
-    F += mpm.dirichlet(law, foot, u, v, method="penalty", direction=(0, 1), penalty=10.0)
+    F += mpm.dirichlet(foot, u, v, law=law, method="penalty", direction=(0, 1), penalty=10.0)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
     problem = mpm.Explicit(F, u, points, mpm.rollers(V, "left") if rings else [], damping=0.6,
                            stabilisation="aggregation")  # fmt: skip

@@ -49,7 +49,7 @@ def everywhere(grid):
 def problem_of(grid, basis, term, shape=None, **options):
     """A problem with a term over facets, its blocks ready; the term is a function of its own."""
     points = mpm.fill(grid, everywhere(grid), per_cell=2, density=1.0)
-    V = mpm.Space(grid, basis, shape, averaged=basis == "gimp")
+    V = mpm.Space(grid, basis, shape=shape, averaged=basis == "gimp")
     u, v = V.increment, V.test
     F = ufl.inner(ufl.grad(u), ufl.grad(v)) * points.dx + term(points, u, v)
     problem = mpm.QuasiStatic(F, u, points, **options)

@@ -81,7 +81,9 @@ def test_tangent_in_every_basis(kind, basis, strain):
 
 @pytest.mark.parametrize("kind", ["quadrilateral", "hexahedron"])
 @pytest.mark.parametrize("basis", ["linear", "gimp"])
-@pytest.mark.parametrize("law", [VonMises(10.0, 0.48, 0.3, 1.0), Tresca(10.0, 0.48, 0.2)])
+@pytest.mark.parametrize(
+    "law", [VonMises(10.0, 0.48, radius=0.3, hardening=1.0), Tresca(10.0, 0.48, 0.2)]
+)
 def test_tangent_where_points_yield(kind, basis, law):
     grid = unit_grid(kind)
     points = mpm.fill(grid, box(grid), 2, 1.0)
@@ -380,7 +382,9 @@ def test_pressure_is_that_of_the_mean_volume(basis):
 
 
 @pytest.mark.parametrize("basis", BASES)
-@pytest.mark.parametrize("law", [Hencky(20.0, 0.49), VonMises(20.0, 0.49, 1.0, 10.0)])
+@pytest.mark.parametrize(
+    "law", [Hencky(20.0, 0.49), VonMises(20.0, 0.49, radius=1.0, hardening=10.0)]
+)
 def test_newton_converges_quadratically(basis, law):
     problem = bent(basis, law, load=1.0)
     for record in problem.history:
@@ -477,8 +481,8 @@ def test_what_f_bar_cannot_do_is_refused():
 @pytest.mark.parametrize(
     ("law", "angle"),
     [
-        (mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 5.0), "5"),
-        (mpm.materials.MohrCoulomb(10.0, 0.3, 1.0, 30.0, lambda x: 10 * x[0]), "9"),
+        (mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, dilation_angle=5.0), "5"),
+        (mpm.materials.MohrCoulomb(10.0, 0.3, 1.0, 30.0, dilation_angle=lambda x: 10 * x[0]), "9"),
     ],
 )
 def test_dilation_is_refused(law, angle, strain):
@@ -491,5 +495,5 @@ def test_dilation_is_refused(law, angle, strain):
         mpm.QuasiStatic(mpm.momentum(law, points, u, v, strain=strain, fbar=True), u, points)
     mpm.QuasiStatic(mpm.momentum(law, points, u, v, strain=strain), u, points)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 1, 1.0)
-    plain = mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, 0.0)
+    plain = mpm.materials.DruckerPrager(10.0, 0.3, 1.0, 20.0, dilation_angle=0.0)
     mpm.QuasiStatic(mpm.momentum(plain, points, u, v, strain=strain, fbar=True), u, points)

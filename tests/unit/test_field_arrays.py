@@ -15,8 +15,8 @@ from dolfinmpm.dynamics.fusable import FusedLoads
 from dolfinmpm.materials import Hencky, NeoHookean, VonMises
 
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "plastic_strain")
-STIFF, SOFT = VonMises(E=2e5, nu=0.3, yield_stress=500.0), NeoHookean(E=1e5, nu=0.3)
-VARYING = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, yield_stress=500.0)
+STIFF, SOFT = VonMises(E=2e5, nu=0.3, radius=500.0), NeoHookean(E=1e5, nu=0.3)
+VARYING = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, radius=500.0)
 
 
 def arrays():
@@ -196,7 +196,7 @@ def tags(scene, folder):
 
 def stresses(scene, folder):
     s = np.diag([-100.0, -50.0, -70.0])
-    mpm.set_stress(scene.points, scene.law, np.broadcast_to(s, (len(scene.points), 3, 3)))
+    mpm.set_stress(scene.law, scene.points, np.broadcast_to(s, (len(scene.points), 3, 3)))
 
 
 def plastic(scene, folder):

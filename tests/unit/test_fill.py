@@ -59,7 +59,7 @@ def box_grid(kind, n=8):
         ("distorted", mpm.Disc((0.01, 0.02), 0.7)),
         ("triangle", mpm.Disc((0.01, 0.02), 0.7)),
         ("quadrilateral", mpm.Polygon([(-0.9, -0.9), (0.8, -0.7), (0.1, 0.75), (-0.1, -0.4)])),
-        ("quadrilateral", mpm.TurnedBox((-0.5, -0.3), (0.5, 0.3), 0.3)),
+        ("quadrilateral", mpm.TurnedBox((-0.5, -0.3), (0.5, 0.3), np.degrees(0.3))),
         # parts are cut by less than a tenth of their width, and by less than a sample's
         ("quadrilateral", mpm.TurnedBox((-0.74, -0.51), (0.74, 0.26), 0.0)),
         ("quadrilateral", mpm.TurnedBox((-0.75, -0.5), (0.751, 0.25), 0.0)),
@@ -113,7 +113,7 @@ def test_volumes_and_centroids_of_shapes():
     x = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     for shape in (
         mpm.Box((-0.3, 0.1), (0.4, 0.8)),
-        mpm.TurnedBox((-0.5, -0.3), (0.5, 0.2), 0.7),
+        mpm.TurnedBox((-0.5, -0.3), (0.5, 0.2), np.degrees(0.7)),
         mpm.Disc((0.1, -0.2), 0.6),
         mpm.Polygon([(-0.9, -0.9), (-0.1, -0.4), (0.1, 0.75), (-0.6, 0.1)]),
     ):

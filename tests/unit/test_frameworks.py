@@ -28,11 +28,19 @@ from dolfinmpm.materials.base import lame
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
 LAWS = {
     "Hencky": mpm.materials.Hencky(1e6, 0.3),
-    "VonMises": mpm.materials.VonMises(1e6, 0.3, 2e4, 1e5),
+    "VonMises": mpm.materials.VonMises(1e6, 0.3, radius=2e4, hardening=1e5),
     "Tresca": mpm.materials.Tresca(1e6, 0.33, 1e4),
-    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, 8.0),
-    "DruckerPrager": mpm.materials.DruckerPrager(1e6, 0.3, 5e3, 25.0, 8.0),
-    "CamClay": mpm.materials.CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4),
+    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
+    "DruckerPrager": mpm.materials.DruckerPrager(1e6, 0.3, 5e3, 25.0, dilation_angle=8.0),
+    "CamClay": mpm.materials.CamClay(
+        swelling=0.018,
+        compression=0.13,
+        M=1.05,
+        mu0=5.4e6,
+        alpha=0.0,
+        reference_pressure=2e4,
+        preconsolidation=4e4,
+    ),
 }
 MEASURES = ("large", "small", "jaumann")
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
@@ -273,7 +281,7 @@ def test_commit_goes_with_evaluate(law, strain):
 
 def test_plane_strain_keeps_elastic_strain_across():
     """Plastic flow across a plane leaves elastic strain there, opposite to the plastic one."""
-    law = mpm.materials.VonMises(1e6, 0.3, 1e4)
+    law = mpm.materials.VonMises(1e6, 0.3, radius=1e4)
     points = some_points(2, 1, 2)
     operator = bound(law, points, "small")
     H = np.broadcast_to([0.05, 0.0, 0.0, 0.0], (len(points), 4))
@@ -407,7 +415,7 @@ def test_trial_strain_is_what_the_law_sees(strain):
 def test_a_law_without_stress_names_the_point_and_its_state(strain, all_prescribed):
     """A step that cannot be halved further tells trial strains, internal variables, parameters."""
     # strength is used up: it falls linearly with plastic strain
-    law = mpm.materials.VonMises(1e5, 0.3, 1e3, hardening=-2e4)
+    law = mpm.materials.VonMises(1e5, 0.3, radius=1e3, hardening=-2e4)
     grid = unit_grid("quadrilateral", 4)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
     V = mpm.Space(grid, "linear")

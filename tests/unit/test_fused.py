@@ -18,9 +18,17 @@ from dolfinmpm.materials import CamClay, Hencky, MohrCoulomb, NeoHookean, VonMis
 LONG = pytest.mark.long
 FIELDS = ("x", "velocity", "acceleration", "F", "stress", "V", "l")
 HENCKY, NEO = Hencky(E=1e5, nu=0.3), NeoHookean(E=1e5, nu=0.3)
-STEEL = VonMises(E=1e5, nu=0.3, yield_stress=2e3)
+STEEL = VonMises(E=1e5, nu=0.3, radius=2e3)
 LOOSE = MohrCoulomb(1e5, 0.3, 0.0, 22.0)
-CLAY = CamClay(0.018, 0.13, 1.05, 5400.0, 0.0, 20.0, 2e4)
+CLAY = CamClay(
+    swelling=0.018,
+    compression=0.13,
+    M=1.05,
+    mu0=5400.0,
+    alpha=0.0,
+    reference_pressure=20.0,
+    preconsolidation=2e4,
+)
 
 
 def lattice(d=2, n=8, power=1.0):
@@ -59,7 +67,7 @@ def problem(
     b = g if load is None else load(points, g)
     F -= ufl.inner(points.density * b, v) * points.dX
     if start is not None:
-        mpm.set_stress(points, law, start)
+        mpm.set_stress(law, points, start)
     points.add_field("velocity", (d,), "m/s")
     x = points["x"]
     points["velocity"] = 0.1 * x
@@ -106,8 +114,8 @@ def compare(times=(0.006, 0.02), tolerance=1e-11, **scene):
     return one
 
 
-LIGHT, GRITTY = VonMises(E=1e5, nu=0.3, yield_stress=50.0), MohrCoulomb(1e5, 0.3, 20, 25)
-VARYING = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, yield_stress=80.0)
+LIGHT, GRITTY = VonMises(E=1e5, nu=0.3, radius=50.0), MohrCoulomb(1e5, 0.3, 20, 25)
+VARYING = VonMises(E=lambda x: 1e5 * (1 + 0.5 * x[0]), nu=0.3, radius=80.0)
 TWO_NEO = [NEO, NeoHookean(E=3e5, nu=0.2)]
 CORNER, EDGES = mpm.Box((-1, -1), (0.6, 0.43)), mpm.Box((-1, -1), (1, 0.3))
 PUSHED = {"push": 0.01, "damping": 0.1, "mass_scaling": 4.0}

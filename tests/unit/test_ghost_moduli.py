@@ -215,7 +215,7 @@ def test_domains_share_their_moduli_out(basis):
 
 
 def test_the_penalty_follows_soil_that_yields():
-    soil = mpm.materials.VonMises(E=1e3, nu=0.3, yield_stress=1.5, hardening=50.0)
+    soil = mpm.materials.VonMises(E=1e3, nu=0.3, radius=1.5, hardening=50.0)
     points = {}
     for load in (0.5, 3.0):
         problem = block(law=soil, factor="adaptive", load=load)

@@ -81,7 +81,7 @@ def evenly(grid):
 def problem_on(grid, points, basis, stabilisation, fbar=False, kind=mpm.QuasiStatic):
     V = mpm.Space(grid, basis)
     u, v = V.increment, V.test
-    law = mpm.materials.VonMises(E=1e5, nu=0.3, yield_stress=3e3)
+    law = mpm.materials.VonMises(E=1e5, nu=0.3, radius=3e3)
     g = fem.Constant(grid, (0.5, -2.0))
     F = mpm.momentum(law, points, u, v, fbar=fbar)
     F -= ufl.inner(points.density * g, v) * points.dX
@@ -137,7 +137,7 @@ def test_a_zone_follows_what_presses():
     law = mpm.materials.Hencky(E=1e5, nu=0.3)
     base = mpm.Boundary.from_polygon(points, [(0.0, 0.0), (4.0, 0.0)], closed=False, follows=False)
     g = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, base, u, v)
+    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(base, u, v, law=law)
     F -= ufl.inner(points.density * g, v) * points.dX
     problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "right"), stabilisation="ghost")
     g.value[1] = -1.0

@@ -90,7 +90,7 @@ def test_scalars_components_and_slopes_along_a_vector_have_no_hoop_term():
     along = fem.Constant(points.grid, (0.1, 0.2))
     F += ufl.dot(ufl.dot(ufl.grad(u), along), v) * points.dX
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.0), (0, 1))
-    F -= top.traction((0.0, -0.01), v) + top.pressure(0.01, u, v)
+    F += top.traction((0.0, -0.01), v) + top.pressure(0.01, u, v)
     mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "bottom"))
 
 
@@ -101,7 +101,7 @@ def test_rings_of_ufl_move_as_they_must():
     F -= 0.01 * V.test[1] * points.dX
     tension = fem.Constant(points.grid, 0.01)
     side = mpm.Surface(points, lambda x: np.isclose(x[0], 1.0), (1, 0))
-    F -= side.traction(ufl.as_vector((tension, 0.0)), V.test)
+    F += side.traction(ufl.as_vector((tension, 0.0)), V.test)
     mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left", "bottom")).step()
     # λ = μ = 1: σ_r = σ_θ = 4 e_r + e_z, σ_z = 2 e_r + 3 e_z = 0
     radial = 0.01 / (4 - 2 / 3)

@@ -14,9 +14,17 @@ from dolfinmpm.kinematics import Framework, framework
 
 LAWS = {
     "Hencky": mpm.materials.Hencky(1e6, 0.3),
-    "VonMises": mpm.materials.VonMises(1e6, 0.3, 2e4, 1e5),
-    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, 0.0),
-    "CamClay": mpm.materials.CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4),
+    "VonMises": mpm.materials.VonMises(1e6, 0.3, radius=2e4, hardening=1e5),
+    "MohrCoulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 5e3, 25.0, dilation_angle=0.0),
+    "CamClay": mpm.materials.CamClay(
+        swelling=0.018,
+        compression=0.13,
+        M=1.05,
+        mu0=5.4e6,
+        alpha=0.0,
+        reference_pressure=2e4,
+        preconsolidation=4e4,
+    ),
 }
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
 
@@ -28,11 +36,18 @@ def problem_of(law, d=2, strain="large", fbar=False, tag=None, **options):
     V = mpm.Space(grid, "linear")
     u, v = V.increment, V.test
     load = fem.Constant(grid, (0.0,) * d)
-    F = mpm.momentum(law, points, u, v, strain, fbar, tag) - ufl.inner(load, v) * points.dX
+    F = (
+        mpm.momentum(law, points, u, v, strain=strain, fbar=fbar, tag=tag)
+        - ufl.inner(load, v) * points.dX
+    )
     if tag is not None:
-        F += mpm.momentum(LAWS["Hencky"], points, u, v, strain, tag=1 - tag)
+        F += mpm.momentum(LAWS["Hencky"], points, u, v, strain=strain, tag=1 - tag)
         # a law's stress over all points: it is asked at some of a chunk
-        F += 0.1 * ufl.inner(mpm.stress(law, points, u, strain, tag=tag), ufl.grad(v)) * points.dX
+        F += (
+            0.1
+            * ufl.inner(mpm.stress(law, points, u, strain=strain, tag=tag), ufl.grad(v))
+            * points.dX
+        )
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "left"), **options)
     return problem, load
 

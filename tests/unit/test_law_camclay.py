@@ -17,7 +17,16 @@ SWELLING, COMPRESSION, M = 0.018, 0.13, 1.05
 
 
 def clay(mu0=5.4e6, alpha=0.0, pc=2e4, p0=2e4, **more):
-    return CamClay(SWELLING, COMPRESSION, M, mu0, alpha, p0, pc, **more)
+    return CamClay(
+        swelling=SWELLING,
+        compression=COMPRESSION,
+        M=M,
+        mu0=mu0,
+        alpha=alpha,
+        reference_pressure=p0,
+        preconsolidation=pc,
+        **more,
+    )
 
 
 LAWS = [
@@ -67,11 +76,11 @@ def test_rounding_does_not_say_whether_a_tangent_is_elastic(law):
     moved = first.internal[:, 0] != law.values["preconsolidation"]
     strain, internal = first.strain[moved], first.internal[moved]
     assert moved.sum() > 100
-    on = law.respond(strain, internal)
+    on = law.respond(strain, internal=internal)
     # well within the surface
-    within = law.respond(strain, internal * (1 + 1e-6))
+    within = law.respond(strain, internal=internal * (1 + 1e-6))
     for share in (-1e-15, 0.0, 1e-15):
-        again = law.respond(strain * (1 + share), internal)
+        again = law.respond(strain * (1 + share), internal=internal)
         size = np.abs(on.tangent).max(axis=(1, 2), keepdims=True)
         assert (np.abs(again.tangent - within.tangent) <= 1e-9 * size).all()
         f = law.yield_function(again.stress, again.internal, law.parameter_array())
@@ -162,7 +171,7 @@ def test_hydrostatic_limit():
 def test_states_on_the_surface_stay():
     law = LAWS[1]
     first = law.respond(states(20_000) - 0.005)
-    again = law.respond(first.strain, first.internal)
+    again = law.respond(first.strain, internal=first.internal)
     assert again.internal == pytest.approx(first.internal, rel=1e-12)
     size = np.maximum(np.abs(first.stress).max(axis=1), first.internal[:, 0])
     assert (np.abs(again.stress - first.stress).max(axis=1) <= 1e-12 * size).all()
@@ -192,8 +201,9 @@ def test_all_parameters(swelling, ratio, slope, mu0, alpha, mixed, overconsolida
     """No set of parameters leaves the return without a solution."""
     swelling = 10**swelling
     law = CamClay(
-        swelling, swelling * (1 + 10**ratio), slope, mixed[0] * 10**mu0, mixed[1] * 10**alpha,
-        2e4, 2e4 * 10**overconsolidation,
+        swelling=swelling, compression=swelling * (1 + 10**ratio), M=slope,
+        mu0=mixed[0] * 10**mu0, alpha=mixed[1] * 10**alpha,
+        reference_pressure=2e4, preconsolidation=2e4 * 10**overconsolidation,
     )  # fmt: skip
     strain = states(500, seed)
     # pressures within 1e±43 of the first one, so that squares are doubles too
@@ -209,7 +219,7 @@ def test_all_parameters(swelling, ratio, slope, mu0, alpha, mixed, overconsolida
 
 def shear_undrained(law, strain, internal, steps, size):
     for _ in range(steps):
-        answer = law.respond(strain + size * np.array([-1.0, 0.5, 0.5]), internal)
+        answer = law.respond(strain + size * np.array([-1.0, 0.5, 0.5]), internal=internal)
         strain, internal = answer.strain, answer.internal
         yield answer
 
@@ -221,7 +231,7 @@ def shear_drained(law, answer, steps, size):
     for _ in range(steps):
         old, internal = answer.strain, answer.internal
         for k in range(30):
-            answer = law.respond(old + np.array([-size, lateral, lateral]), internal)
+            answer = law.respond(old + np.array([-size, lateral, lateral]), internal=internal)
             off = answer.stress[0, 1] - hold
             assert k < 12, "the tangent does not converge quadratically"
             if abs(off) < 1e-10 * abs(hold):
@@ -244,10 +254,10 @@ def test_isotropic_compression_and_unloading(alpha):
     # in steps to the same state, as the hardening is exact; then back along κ̂
     state, internal = np.zeros((1, 3)), None
     for _ in range(60):
-        answer = law.respond(state - 0.3 / 180, internal)
+        answer = law.respond(state - 0.3 / 180, internal=internal)
         state, internal = answer.strain, answer.internal
     assert pq(answer.stress)[0][0] == pytest.approx(p[-1], rel=1e-10)
-    back = law.respond(state + 0.02 / 3, internal)
+    back = law.respond(state + 0.02 / 3, internal=internal)
     assert pq(back.stress)[0][0] == pytest.approx(p[-1] * np.exp(-0.02 / SWELLING), rel=1e-10)
     assert np.array_equal(back.internal, internal)
 
@@ -318,7 +328,15 @@ def test_parameters_may_vary():
 
 def test_errors():
     with pytest.raises(ParameterError, match=r"compression = 0.01 must be larger than swelling"):
-        CamClay(0.018, 0.01, M, 1e6, 0.0, 2e4, 2e4)
+        CamClay(
+            swelling=0.018,
+            compression=0.01,
+            M=M,
+            mu0=1e6,
+            alpha=0.0,
+            reference_pressure=2e4,
+            preconsolidation=2e4,
+        )
     with pytest.raises(ParameterError, match="mu0 = 0 must not be 0 together with alpha"):
         clay(mu0=0.0)
     with pytest.raises(ParameterError, match="preconsolidation = 10000 must be at least the first"):

@@ -18,7 +18,7 @@ from dolfinmpm.materials import DruckerPrager
 E, NU = 1e7, 0.3
 G, K = E / (2 * (1 + NU)), E / (3 * (1 - 2 * NU))
 LAWS = [
-    DruckerPrager(E, NU, c, 30.0, psi, fit, hardening)
+    DruckerPrager(E, NU, c, 30.0, dilation_angle=psi, fit=fit, hardening=hardening)
     for c, psi, fit, hardening in (
         (1e3, 10.0, "compression", 0.0),
         (1e3, 30.0, "extension", 1e5),
@@ -28,7 +28,7 @@ LAWS = [
         (0.0, 20.0, "inner", 1e5),
     )
 ]
-TRESCA_LIKE = DruckerPrager(E, NU, 1e3, 0.0, 0.0)
+TRESCA_LIKE = DruckerPrager(E, NU, 1e3, 0.0, dilation_angle=0.0)
 ANY = pytest.mark.parametrize("law", [*LAWS, TRESCA_LIKE], ids=repr)
 
 
@@ -152,7 +152,7 @@ def test_fits_touch_the_pyramid():
     extended = pressed + np.array([-1.0, -1.0, 2.0]) * 0.05
 
     def f(fit, strain):
-        law = DruckerPrager(E, NU, c, friction, 0.0, fit)
+        law = DruckerPrager(E, NU, c, friction, dilation_angle=0.0, fit=fit)
         stress = law.respond(strain).stress
         assert (root_of(stress) > 0).all()
         return mohr_coulomb(stress, c, friction) / np.abs(stress).max()
@@ -165,7 +165,9 @@ def test_fits_touch_the_pyramid():
     inside = f("inner", pressed + 0.05 * turned)
     assert -1e-4 < inside.max() < 1e-12
     tan = np.tan(np.radians(friction))
-    P = DruckerPrager(E, NU, c, friction, 0.0, "plane strain").parameter_array()[0]
+    P = DruckerPrager(E, NU, c, friction, dilation_angle=0.0, fit="plane strain").parameter_array()[
+        0
+    ]
     assert P[6] == pytest.approx(3 * tan / np.sqrt(9 + 12 * tan**2), rel=1e-14)
     assert P[7] == pytest.approx(3 / np.sqrt(9 + 12 * tan**2), rel=1e-14)
     assert P[8] == 0.0
@@ -174,13 +176,13 @@ def test_fits_touch_the_pyramid():
 def test_plane_strain_limit_of_associated_flow():
     """Flow without strain out of plane ends on Mohr–Coulomb's line."""
     c, friction = 1e3, 25.0
-    law = DruckerPrager(E, NU, c, friction, friction, "plane strain")
+    law = DruckerPrager(E, NU, c, friction, dilation_angle=friction, fit="plane strain")
     stress, strain, internal = np.zeros((1, 3)), np.zeros((1, 3)), None
     for _ in range(400):
         # the mean stress in the plane is held by the tangent, as in a biaxial test
         trial = strain + np.array([2e-5, -2e-5, 0.0])
         for _ in range(30):
-            answer = law.respond(trial, internal)
+            answer = law.respond(trial, internal=internal)
             off = answer.stress[0, :2].sum() + 2e4
             if abs(off) < 1e-8:
                 break
@@ -196,11 +198,11 @@ def test_without_friction_it_is_von_mises():
 
 
 def test_hardening_is_linear_in_pure_shear():
-    law = DruckerPrager(E, NU, 1e3, 0.0, 0.0, hardening=2e5)
+    law = DruckerPrager(E, NU, 1e3, 0.0, dilation_angle=0.0, hardening=2e5)
     answer = law.respond([[0.01, -0.01, 0.0]])
     plastic = answer.internal[0, 0]
     assert root_of(answer.stress)[0] == pytest.approx(2 / np.sqrt(3) * (1e3 + 2e5 * plastic))
-    again = law.respond(answer.strain, answer.internal)
+    again = law.respond(answer.strain, internal=answer.internal)
     assert again.stress == pytest.approx(answer.stress, rel=1e-13)
     assert again.internal == pytest.approx(answer.internal, rel=1e-12)
 
@@ -223,23 +225,25 @@ def test_order_does_not_matter(strain, law):
 
 
 def test_parameters_may_vary():
-    law = DruckerPrager(E, NU, lambda x: 1e3 * (1 + x[0]), np.array([20.0, 30.0]), 10.0)
+    law = DruckerPrager(
+        E, NU, lambda x: 1e3 * (1 + x[0]), np.array([20.0, 30.0]), dilation_angle=10.0
+    )
     strain = np.array([[0.01, -0.02, 0.003]] * 2)
     answer = law.respond(strain, x=np.array([[0.0, 0.0], [1.0, 0.0]]))
     for k, (c, friction) in enumerate(((1e3, 20.0), (2e3, 30.0))):
-        alone = DruckerPrager(E, NU, c, friction, 10.0).respond(strain[:1])
+        alone = DruckerPrager(E, NU, c, friction, dilation_angle=10.0).respond(strain[:1])
         assert np.array_equal(alone.stress[0], answer.stress[k])
 
 
 def test_errors():
     with pytest.raises(ParameterError, match="dilation_angle = 31 degrees must not be larger than"):
-        DruckerPrager(E, NU, 0.0, 30.0, 31.0)
+        DruckerPrager(E, NU, 0.0, 30.0, dilation_angle=31.0)
     with pytest.raises(ParameterError, match='"inner"'):
-        DruckerPrager(E, NU, 0.0, 30.0, 0.0, "outer")
+        DruckerPrager(E, NU, 0.0, 30.0, dilation_angle=0.0, fit="outer")
     with pytest.raises(ParameterError, match="cohesion = -1"):
-        DruckerPrager(E, NU, -1.0, 30.0, 0.0)
+        DruckerPrager(E, NU, -1.0, 30.0, dilation_angle=0.0)
     with pytest.raises(ParameterError, match="friction_angle = 91"):
-        DruckerPrager(E, NU, 1.0, 91.0, 0.0)
+        DruckerPrager(E, NU, 1.0, 91.0, dilation_angle=0.0)
     for bad in (np.inf, -np.inf, np.nan):
         with pytest.raises(StateError, match="DruckerPrager finds no stress at point 1"):
             LAWS[0].respond([[0.0, 0.0, 0.0], [0.0, bad, 0.0]])

@@ -22,29 +22,53 @@ from dolfinmpm.materials.base import lame
 
 ROOT = math.sqrt(2 / 3)
 LAWS = {
-    "vonmises": VonMises(1e6, 0.3, 2e4),
-    "vonmises-linear": VonMises(1e6, 0.2, 2e4, hardening=3e5),
-    "vonmises-softening": VonMises(1e6, 0.3, 2e4, 0.0, 5e3, 20.0),
-    "vonmises-saturating": VonMises(1e6, 0.45, 2e4, 1e4, 3e4, 50.0),
-    "vonmises-weak": VonMises(1e6, 0.3, 1.0),
+    "vonmises": VonMises(1e6, 0.3, radius=2e4),
+    "vonmises-linear": VonMises(1e6, 0.2, radius=2e4, hardening=3e5),
+    "vonmises-softening": VonMises(1e6, 0.3, radius=2e4, hardening=0.0, saturation=5e3, rate=20.0),
+    "vonmises-saturating": VonMises(
+        1e6, 0.45, radius=2e4, hardening=1e4, saturation=3e4, rate=50.0
+    ),
+    "vonmises-weak": VonMises(1e6, 0.3, radius=1.0),
     "tresca": Tresca(1e6, 0.33, 1e4),
-    "tresca-hardening": Tresca(1e6, 0.33, 1e4, 1.5e4),
-    "tresca-softening": Tresca(1e6, 0.49, 1e4, 4e3, 30.0),
+    "tresca-hardening": Tresca(1e6, 0.33, 1e4, ultimate_cohesion=1.5e4),
+    "tresca-softening": Tresca(1e6, 0.49, 1e4, ultimate_cohesion=4e3, rate=30.0),
     "tresca-weak": Tresca(1e6, 0.0, 1.0),
     "clay": MohrCoulomb(1e6, 0.4, 1e4, 0.0),
-    "associated": MohrCoulomb(1e6, 0.3, 1e3, 30.0, 30.0),
-    "dilating": MohrCoulomb(1e6, 0.3, 1e3, 35.0, 8.0),
+    "associated": MohrCoulomb(1e6, 0.3, 1e3, 30.0, dilation_angle=30.0),
+    "dilating": MohrCoulomb(1e6, 0.3, 1e3, 35.0, dilation_angle=8.0),
     "isochoric": MohrCoulomb(1e6, 0.2, 2e3, 25.0),
     "sand": MohrCoulomb(5.84e6, 0.3, 0.0, 21.9),
-    "auxetic": MohrCoulomb(1e6, -0.5, 1e3, 40.0, 20.0),
-    "weak": MohrCoulomb(1e6, 0.3, 1.0, 30.0, 10.0),
-    "smooth": MohrCoulomb(1e6, 0.3, 1e3, 0.01, 0.005),
-    "steep": MohrCoulomb(1e6, 0.3, 1e3, 80.0, 10.0),
-    "cohesion-softening": MohrCoulomb(1e6, 0.3, 1e4, 25.0, 5.0, 2e3, rate=15.0),
-    "cohesion-lost": MohrCoulomb(1e6, 0.3, 5e3, 30.0, 0.0, 0.0, rate=10.0),
-    "friction-hardening": MohrCoulomb(1e6, 0.3, 1e3, 20.0, 10.0, 2e3, 35.0, 10.0),
+    "auxetic": MohrCoulomb(1e6, -0.5, 1e3, 40.0, dilation_angle=20.0),
+    "weak": MohrCoulomb(1e6, 0.3, 1.0, 30.0, dilation_angle=10.0),
+    "smooth": MohrCoulomb(1e6, 0.3, 1e3, 0.01, dilation_angle=0.005),
+    "steep": MohrCoulomb(1e6, 0.3, 1e3, 80.0, dilation_angle=10.0),
+    "cohesion-softening": MohrCoulomb(
+        1e6, 0.3, 1e4, 25.0, dilation_angle=5.0, residual_cohesion=2e3, rate=15.0
+    ),
+    "cohesion-lost": MohrCoulomb(
+        1e6, 0.3, 5e3, 30.0, dilation_angle=0.0, residual_cohesion=0.0, rate=10.0
+    ),
+    "friction-hardening": MohrCoulomb(
+        1e6,
+        0.3,
+        1e3,
+        20.0,
+        dilation_angle=10.0,
+        residual_cohesion=2e3,
+        residual_friction_angle=35.0,
+        rate=10.0,
+    ),
     # so gentle that it stays unique under the largest pressure tried here
-    "friction-softening": MohrCoulomb(1e6, 0.3, 1e4, 32.0, 4.0, 5e3, 30.0, 3.0),
+    "friction-softening": MohrCoulomb(
+        1e6,
+        0.3,
+        1e4,
+        32.0,
+        dilation_angle=4.0,
+        residual_cohesion=5e3,
+        residual_friction_angle=30.0,
+        rate=3.0,
+    ),
 }
 PERFECT = [
     "vonmises", "vonmises-weak", "tresca", "tresca-weak", "clay", "associated"
@@ -124,7 +148,7 @@ def test_flow_is_normal_to_the_potential(name):
     assert inside.mean() > 0.5
     E, nu = law.values["E"], law.values["nu"]
     cohesion = level[inside] / (2 * math.cos(math.radians(psi)))
-    potential = MohrCoulomb(E, nu, cohesion, psi, psi)
+    potential = MohrCoulomb(E, nu, cohesion, psi, dilation_angle=psi)
     found = potential.respond(strains[inside], x=np.zeros((inside.sum(), 2)))
     size = E * np.abs(strains[inside]).max(axis=1)
     assert (np.abs(found.stress - stress[inside]).max(axis=1) <= 1e-11 * size).all()
@@ -132,8 +156,10 @@ def test_flow_is_normal_to_the_potential(name):
 
 def test_tresca_is_mohr_coulomb_without_friction():
     strains = random_strains(5_000, seed=8)
-    one = Tresca(1e6, 0.3, 1e4, 2e4, 7.0).respond(strains)
-    other = MohrCoulomb(1e6, 0.3, 1e4, 0.0, 0.0, 2e4, rate=7.0).respond(strains)
+    one = Tresca(1e6, 0.3, 1e4, ultimate_cohesion=2e4, rate=7.0).respond(strains)
+    other = MohrCoulomb(
+        1e6, 0.3, 1e4, 0.0, dilation_angle=0.0, residual_cohesion=2e4, rate=7.0
+    ).respond(strains)
     assert (one.stress == other.stress).all()
     assert (one.tangent == other.tangent).all()
 
@@ -146,13 +172,33 @@ def test_a_bar_in_tension_yields_at_its_yield_stress():
     plastic = 0.01
     sigma = math.sqrt(1.5) * (rho + H * plastic)
     axial, lateral = sigma / E + plastic, -nu * sigma / E - plastic / 2
-    found = VonMises(E, nu, rho, H).respond([[lateral, axial, lateral]])
-    assert found.stress[0] == pytest.approx([0, sigma, 0], rel=1e-12, abs=1e-8)
-    assert found.internal[0, 0] == pytest.approx(plastic, rel=1e-12)
+    root = math.sqrt(1.5)
+    for strengths in (
+        {"radius": rho, "hardening": H},
+        {"yield_stress": root * rho, "hardening": root * H},
+    ):
+        found = VonMises(E, nu, **strengths).respond([[lateral, axial, lateral]])
+        assert found.stress[0] == pytest.approx([0, sigma, 0], rel=1e-12, abs=1e-8)
+        assert found.internal[0, 0] == pytest.approx(plastic, rel=1e-12)
+
+
+def test_strengths_of_the_bar_are_those_of_the_radius():
+    strains, root = random_strains(1_000, seed=4), math.sqrt(1.5)
+    radii = {"radius": 2e4, "hardening": 1e4, "saturation": 3e4}
+    one = VonMises(1e6, 0.3, rate=50.0, **radii)
+    other = VonMises(
+        1e6, 0.3, rate=50.0, yield_stress=root * 2e4, hardening=root * 1e4, saturation=root * 3e4
+    )
+    for name in ("stress", "tangent", "internal"):
+        expected = getattr(one.respond(strains), name)
+        assert getattr(other.respond(strains), name) == pytest.approx(expected, rel=1e-9, abs=1e-3)
+    stress, internal = one.respond(strains).stress, one.respond(strains).internal
+    f = [law.yield_function(stress, internal, law.parameter_array()) for law in (one, other)]
+    assert f[0] == pytest.approx(f[1], rel=1e-9, abs=1e-6)
 
 
 def test_saturating_strength_follows_its_curve():
-    law = VonMises(1e6, 0.3, 2e4, 1e4, 3e4, 50.0)
+    law = VonMises(1e6, 0.3, radius=2e4, hardening=1e4, saturation=3e4, rate=50.0)
     found = law.respond([[0.1, -0.1, 0.0]])
     alpha = found.internal[0, 0]
     radius = 2e4 + 1e4 * alpha + 1e4 * (1 - math.exp(-50 * alpha))
@@ -160,7 +206,7 @@ def test_saturating_strength_follows_its_curve():
 
 
 def test_tresca_in_pure_shear():
-    law = Tresca(1e6, 0.33, 1e4, 1.5e4)
+    law = Tresca(1e6, 0.33, 1e4, ultimate_cohesion=1.5e4)
     mu = 1e6 / 2.66
     multiplier = 0.02
     alpha = 2 / math.sqrt(3) * multiplier
@@ -183,7 +229,7 @@ def test_triaxial_strength_with_friction():
 
 @pytest.mark.parametrize("dilation", [0.0, 1e-9, 10.0, 30.0])
 def test_apex(dilation):
-    law = MohrCoulomb(1e6, 0.3, 1e3, 30.0, dilation)
+    law = MohrCoulomb(1e6, 0.3, 1e3, 30.0, dilation_angle=dilation)
     pressure = 1e3 / math.tan(math.radians(30))
     strains = np.array([[0.01, 0.01, 0.01], [0.02, 0.018, 0.019], [0.5, 0.4, 0.45]])
     found = law.respond(strains)
@@ -213,12 +259,30 @@ def test_strains_that_are_not_numbers_are_refused(law, bad):
     ("law", "strain"),
     [
         # strength used up
-        (VonMises(1e6, 0.3, 2e4, -1e5), [0.3, -0.3, 0.0]),
-        (VonMises(1e6, 0.3, 2e4, -1e5, 3e4, 5.0), [0.5, -0.5, 0.0]),
+        (VonMises(1e6, 0.3, radius=2e4, hardening=-1e5), [0.3, -0.3, 0.0]),
+        (
+            VonMises(1e6, 0.3, radius=2e4, hardening=-1e5, saturation=3e4, rate=5.0),
+            [0.5, -0.5, 0.0],
+        ),
         # friction that falls faster under this pressure than elasticity unloads
-        (MohrCoulomb(1e6, 0.3, 0.0, 35.0, 0.0, 0.0, 20.0, 50.0), [-0.5, 0.2, -0.1]),
+        (
+            MohrCoulomb(
+                1e6,
+                0.3,
+                0.0,
+                35.0,
+                dilation_angle=0.0,
+                residual_cohesion=0.0,
+                residual_friction_angle=20.0,
+                rate=50.0,
+            ),
+            [-0.5, 0.2, -0.1],
+        ),
         # apex of a cohesion that falls, far out for so little friction
-        (MohrCoulomb(1e6, 0.3, 1e3, 1.0, 0.0, 0.0, rate=50.0), [0.2, 0.2, 0.2]),
+        (
+            MohrCoulomb(1e6, 0.3, 1e3, 1.0, dilation_angle=0.0, residual_cohesion=0.0, rate=50.0),
+            [0.2, 0.2, 0.2],
+        ),
     ],
 )
 def test_states_without_one_stress_are_refused(law, strain):
@@ -229,18 +293,40 @@ def test_states_without_one_stress_are_refused(law, strain):
 @pytest.mark.parametrize(
     ("make", "match"),
     [
-        (lambda: VonMises(1e6, 0.3, 0.0), "yield_stress"),
-        (lambda: VonMises(1e6, 0.3, 1e4, -1e7), "√6 μ"),
-        (lambda: VonMises(1e6, 0.3, 1e5, 0.0, 1e3, 20.0), "√6 μ"),
+        (lambda: VonMises(1e6, 0.3, radius=0.0), "radius = 0.0 Pa"),
+        (lambda: VonMises(1e6, 0.3, yield_stress=0.0), "yield_stress = 0.0 Pa"),
+        (lambda: VonMises(1e6, 0.3, yield_stress=1e4, hardening=-2e6), "3 μ"),
+        (lambda: VonMises(1e6, 0.3), "give exactly one"),
+        (lambda: VonMises(1e6, 0.3, yield_stress=1e4, radius=1e4), "give exactly one"),
+        (lambda: VonMises(1e6, 0.3, radius=1e4, hardening=-1e7), "√6 μ"),
+        (lambda: VonMises(1e6, 0.3, radius=1e5, hardening=0.0, saturation=1e3, rate=20.0), "√6 μ"),
         (lambda: Tresca(1e6, 0.3, -1.0), "cohesion"),
-        (lambda: Tresca(1e6, 0.3, 1e5, 1e4, 10.0), "3/2 μ"),
+        (lambda: Tresca(1e6, 0.3, 1e5, ultimate_cohesion=1e4, rate=10.0), "3/2 μ"),
         (lambda: MohrCoulomb(1e6, 0.3, 1e3, 95.0), "friction"),
-        (lambda: MohrCoulomb(1e6, 0.3, 1e3, 20.0, 21.0), "dilation_angle = 21"),
-        (lambda: MohrCoulomb(1e6, 0.3, 1e3, 30.0, 10.0, None, 5.0, 1.0), "dilation_angle = 10"),
+        (lambda: MohrCoulomb(1e6, 0.3, 1e3, 20.0, dilation_angle=21.0), "dilation_angle = 21"),
+        (
+            lambda: MohrCoulomb(
+                1e6, 0.3, 1e3, 30.0, dilation_angle=10.0, residual_friction_angle=5.0, rate=1.0
+            ),
+            "dilation_angle = 10",
+        ),
         (lambda: MohrCoulomb(1e6, 0.3, 0.0, 0.0), "cohesion must be positive"),
-        (lambda: MohrCoulomb(1e6, 0.3, 1e3, 0.0, 0.0, 0.0, rate=1.0), "must be positive"),
-        (lambda: MohrCoulomb(1e6, 0.3, 1e3, 30.0, 0.0, 1.0), "positive rate"),
-        (lambda: MohrCoulomb(1e6, 0.3, 1e5, 30.0, 0.0, 1.0, rate=20.0), "cohesion falls"),
+        (
+            lambda: MohrCoulomb(
+                1e6, 0.3, 1e3, 0.0, dilation_angle=0.0, residual_cohesion=0.0, rate=1.0
+            ),
+            "must be positive",
+        ),
+        (
+            lambda: MohrCoulomb(1e6, 0.3, 1e3, 30.0, dilation_angle=0.0, residual_cohesion=1.0),
+            "positive rate",
+        ),
+        (
+            lambda: MohrCoulomb(
+                1e6, 0.3, 1e5, 30.0, dilation_angle=0.0, residual_cohesion=1.0, rate=20.0
+            ),
+            "cohesion falls",
+        ),
     ],
 )
 def test_parameters_that_make_no_law_are_refused(make, match):
@@ -252,8 +338,10 @@ def test_the_limits_of_softening_are_those_of_the_kernel():
     # just inside the bound an edge still returns; just outside the law refuses itself
     mu = lame(1e6, 0.3)[1]
     for make in (
-        lambda fall: Tresca(1e6, 0.3, 1e4 + fall, 1e4, 1.0),
-        lambda fall: MohrCoulomb(1e6, 0.3, 1e4 + fall, 0.0, 0.0, 1e4, rate=1.0),
+        lambda fall: Tresca(1e6, 0.3, 1e4 + fall, ultimate_cohesion=1e4, rate=1.0),
+        lambda fall: MohrCoulomb(
+            1e6, 0.3, 1e4 + fall, 0.0, dilation_angle=0.0, residual_cohesion=1e4, rate=1.0
+        ),
     ):
         law = make(1.499 * mu)
         yields = law.values["cohesion"] / mu
@@ -272,7 +360,7 @@ def test_parameters_may_vary_from_point_to_point():
     varying = [
         (Tresca(1e6, 0.3, cohesion), lambda c: Tresca(1e6, 0.3, c)),
         (MohrCoulomb(1e6, 0.3, cohesion, 30.0), lambda c: MohrCoulomb(1e6, 0.3, c, 30.0)),
-        (VonMises(1e6, 0.3, cohesion), lambda c: VonMises(1e6, 0.3, c)),
+        (VonMises(1e6, 0.3, radius=cohesion), lambda c: VonMises(1e6, 0.3, radius=c)),
         (Tresca(1e6, 0.3, cohesion(x.T)), lambda c: Tresca(1e6, 0.3, c)),
     ]
     for law, single in varying:
@@ -280,7 +368,7 @@ def test_parameters_may_vary_from_point_to_point():
         for p, c in enumerate(cohesion(x.T)):
             assert (single(c).respond(strains[p : p + 1]).stress == result.stress[p]).all()
     with pytest.raises(ParameterError, match="dilation"):
-        MohrCoulomb(1e6, 0.3, 1e3, lambda x: 40 * x[0], 20.0).parameter_array(x)
+        MohrCoulomb(1e6, 0.3, 1e3, lambda x: 40 * x[0], dilation_angle=20.0).parameter_array(x)
 
 
 def sizes(low: float, high: float):
@@ -305,7 +393,16 @@ def made(make) -> Law:
 def test_any_vonmises(elasticity, ratio, hardening, growth, rate, seed):
     E, nu = elasticity
     # no linear softening: its strength ends
-    law = made(lambda: VonMises(E, nu, ratio * E, hardening * E, growth * ratio * E, rate))
+    law = made(
+        lambda: VonMises(
+            E,
+            nu,
+            radius=ratio * E,
+            hardening=hardening * E,
+            saturation=growth * ratio * E,
+            rate=rate,
+        )
+    )
     check_any(law, seed)
 
 
@@ -313,7 +410,10 @@ def test_any_vonmises(elasticity, ratio, hardening, growth, rate, seed):
 @given(moduli, sizes(1e-6, 0.1), sizes(0.01, 10), st.floats(0, 300), seeds)
 def test_any_tresca(elasticity, ratio, growth, rate, seed):
     E, nu = elasticity
-    check_any(made(lambda: Tresca(E, nu, ratio * E, growth * ratio * E, rate)), seed)
+    check_any(
+        made(lambda: Tresca(E, nu, ratio * E, ultimate_cohesion=growth * ratio * E, rate=rate)),
+        seed,
+    )
 
 
 @pytest.mark.filterwarnings("ignore::dolfinmpm._platform.errors.DegreesWarning")
@@ -337,7 +437,16 @@ def test_any_mohrcoulomb(elasticity, ratio, friction, dilation, growth, more, ra
         rate * math.radians(last - friction) * growth * c / math.sin(math.radians(friction)) ** 2
     )
     assume(lowered < 0.3 * min(E / (1 - 2 * nu), lame(E, nu)[1]))
-    law = MohrCoulomb(E, nu, c, friction, dilation * friction, growth * c, last, rate)
+    law = MohrCoulomb(
+        E,
+        nu,
+        c,
+        friction,
+        dilation_angle=dilation * friction,
+        residual_cohesion=growth * c,
+        residual_friction_angle=last,
+        rate=rate,
+    )
     check_any(law, seed)
 
 

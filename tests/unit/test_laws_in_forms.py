@@ -53,7 +53,7 @@ def held(points):
     "law",
     [
         Hencky(1e3, 0.3),
-        VonMises(1e3, 0.3, lambda x: 10 + x[0]),
+        VonMises(1e3, 0.3, radius=lambda x: 10 + x[0]),
         NeoHookean(1e3, 0.3),
         NeoHookean(lambda x: 1e3 + x[0], 0.3),
     ],
@@ -147,12 +147,30 @@ def test_each_law_keeps_its_variables_at_its_own_points():
     u, v = V.increment, V.test
     upper = points["tag"] == 1
     clays = (
-        CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4),
-        (CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, lambda x: 6e4 + x[0])),
+        CamClay(
+            swelling=0.018,
+            compression=0.13,
+            M=1.05,
+            mu0=5.4e6,
+            alpha=0.0,
+            reference_pressure=2e4,
+            preconsolidation=4e4,
+        ),
+        (
+            CamClay(
+                swelling=0.018,
+                compression=0.13,
+                M=1.05,
+                mu0=5.4e6,
+                alpha=0.0,
+                reference_pressure=2e4,
+                preconsolidation=lambda x: 6e4 + x[0],
+            )
+        ),
     )
     for tag, law in enumerate(clays):
         mpm.set_stress(
-            points, law, lambda x: np.tile(-2e4 * np.eye(3), (x.shape[1], 1, 1)), tag=tag
+            law, points, lambda x: np.tile(-2e4 * np.eye(3), (x.shape[1], 1, 1)), tag=tag
         )
     first = np.where(upper, 6e4 + points["x0"][:, 0], 4e4)
     np.testing.assert_array_equal(points["preconsolidation_pressure"], first)
@@ -163,7 +181,7 @@ def test_each_law_keeps_its_variables_at_its_own_points():
     mpm.QuasiStatic(terms, u, points, mpm.fixed(V, "bottom"))
     np.testing.assert_array_equal(points["preconsolidation_pressure"], 1.5 * first)
     points, V = block()
-    law = VonMises(1e3, 0.3, 10.0, 500.0)
+    law = VonMises(1e3, 0.3, radius=10.0, hardening=500.0)
     terms = mpm.momentum(law, points, V.increment, V.test, tag=0)
     terms += mpm.momentum(Hencky(1e3, 0.3), points, V.increment, V.test, tag=1)
     settle(points, V, terms, load=0.4)
@@ -189,7 +207,7 @@ def test_two_laws_of_one_name_that_vary_do_not_share_parameters():
 def test_two_laws_on_the_same_points_are_refused():
     points, V = block()
     u, v = V.increment, V.test
-    one, other = Hencky(1e3, 0.3), VonMises(2e3, 0.3, 1.0)
+    one, other = Hencky(1e3, 0.3), VonMises(2e3, 0.3, radius=1.0)
 
     def refused(form, *match):
         fields = held(points)
@@ -257,7 +275,9 @@ def test_measures_of_points_take_tags():
 # --- a law is a value ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", [Hencky(1e3, 0.3), NeoHookean(1e3, 0.3), VonMises(1e3, 0.3, 5.0)])
+@pytest.mark.parametrize(
+    "law", [Hencky(1e3, 0.3), NeoHookean(1e3, 0.3), VonMises(1e3, 0.3, radius=5.0)]
+)
 def test_parameters_are_read_and_not_assigned(law):
     assert (law.E, law.nu) == (1e3, 0.3)
     with pytest.raises(ParameterError, match=r"E = 5000000.0: .*E=1000.* make a new law"):
@@ -319,7 +339,7 @@ def test_a_body_goes_on_under_its_own_measure_only(first, second):
         mpm.QuasiStatic(form, u, points, bcs)
     if second == "energy":
         return
-    mpm.set_stress(points, law, points["stress"], strain=strain)
+    mpm.set_stress(law, points, points["stress"], strain=strain)
     mpm.QuasiStatic(form, u, points, bcs, stabilisation=GHOST).step()
     # nothing settles a second time; small strain takes the balance on first volumes
     assert np.abs(points["x"] - alone["x"]).max() < 0.1 * settled
@@ -331,13 +351,21 @@ def test_elastic_gravity_then_plasticity():
     u, v = V.increment, V.test
     largest = np.abs(points["stress"]).max()
     assert "plastic_strain" not in points.fields
-    law = VonMises(1e3, 0.3, 10 * largest)
+    law = VonMises(1e3, 0.3, radius=10 * largest)
     settle(points, V, mpm.momentum(law, points, u, v), load=0.4, steps=1)
     alone, _, problem = moved_under("large")
     problem.step()
     agree(points, alone, rtol=1e-9)
     assert (points["plastic_strain"] == 0).all()
-    clay = CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4)
+    clay = CamClay(
+        swelling=0.018,
+        compression=0.13,
+        M=1.05,
+        mu0=5.4e6,
+        alpha=0.0,
+        reference_pressure=2e4,
+        preconsolidation=4e4,
+    )
     mpm.QuasiStatic(mpm.momentum(clay, points, u, v), u, points)
     assert (points["preconsolidation_pressure"] == 4e4).all()
 
@@ -353,7 +381,7 @@ def test_only_the_law_s_own_points_count():
         mpm.QuasiStatic(form, u, points)
     be = points["be"].copy()
     law = Hencky(1e3, 0.3)
-    mpm.set_stress(points, law, points["stress"], strain="small", tag=1)
+    mpm.set_stress(law, points, points["stress"], strain="small", tag=1)
     np.testing.assert_array_equal(points["be"], be)
     assert (points["elastic_strain"][lower] == 0).all()
     assert np.abs(points["elastic_strain"][~lower]).max() > 1e-4

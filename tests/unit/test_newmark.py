@@ -214,7 +214,7 @@ def confined_block(rule, dt, law, driven=False, **options):
 LAWS = {
     "hencky": mpm.materials.Hencky(E=2e5, nu=0.3),
     "neo-hookean": mpm.materials.NeoHookean(E=2e5, nu=0.3),
-    "yielding": mpm.materials.VonMises(E=2e5, nu=0.3, yield_stress=5e3),
+    "yielding": mpm.materials.VonMises(E=2e5, nu=0.3, radius=5e3),
 }
 
 

@@ -70,7 +70,7 @@ def moved(terms, kind=mpm.QuasiStatic, axisymmetric=False, steps=2, **options):
     F = terms(points, u, v)
     F -= ufl.inner(points.density * fem.Constant(points.grid, (3.0, -60.0)), v) * points.dX
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.2), (0, 1))
-    F -= top.traction((5.0, -20.0), v)
+    F += top.traction((5.0, -20.0), v)
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
     problem = kind(F, u, points, bcs, **options)
     for k in range(steps):
@@ -127,7 +127,7 @@ def test_of_two_parts_one_may_have_a_law():
     F = mpm.momentum(LAW, points, u, v, tag=0) + ufl.derivative(energy(points, u) * dX, u, v)
     F -= ufl.inner(points.density * fem.Constant(points.grid, (3.0, -60.0)), v) * points.dX
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.2), (0, 1))
-    F -= top.traction((5.0, -20.0), v)
+    F += top.traction((5.0, -20.0), v)
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
     mpm.QuasiStatic(F, u, points, bcs, stabilisation="aggregation").step()
     other, _ = moved(as_law, stabilisation="aggregation", steps=1)

@@ -252,7 +252,7 @@ def test_excavation_and_fill_between_steps():
 
 def test_new_points_have_the_first_state_of_the_law():
     lower, upper = lower_and_upper()
-    law = mpm.materials.VonMises(E=lambda x: 1e3 + x[1], nu=0.2, yield_stress=1e3)
+    law = mpm.materials.VonMises(E=lambda x: 1e3 + x[1], nu=0.2, radius=1e3)
     problem = column(lower, law)
     problem.step()
     lower.add(upper)

@@ -29,7 +29,7 @@ def block(u="gimp", p="linear", height=0.7, n=4, law=LAW, drained=True, density=
     grid = unit_grid("quadrilateral", n)
     points = mpm.fill(grid, mpm.Box((0, 0), (1, height)), 2, density, exact=True)
     V, Q = mpm.Space(grid, u), mpm.Space(grid, p, shape=())
-    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1), "top")
+    top = mpm.Surface(points, lambda x: x[1] > height - 1e-12, (0, 1), name="top")
     if drained is True:
         options["drained"] = top
     elif drained:
@@ -99,7 +99,7 @@ def test_tangent_is_the_derivative_of_the_residual(options):
 def test_a_sealed_body_carries_an_even_load_by_its_water(u):
     """k = 0: p = q at every node, J = 1, in any measure."""
     F, points, V, Q, top = block(u, permeability=0.0, drained=False)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -500.0)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -500.0)), V.test)
     problem = mpm.QuasiStatic(F, [V.increment, Q.increment], points, held(V))
     problem.step()
     np.testing.assert_allclose(points["pressure"], 500.0, rtol=1e-6)
@@ -136,7 +136,7 @@ def test_a_first_step_does_not_overshoot(u, cuts, shares, stabilisation):
                 mpm.materials.Hencky(E=E, nu=0.0), points, (V.increment, Q.increment),
                 (V.test, Q.test), permeability=k, porosity=0.4, fluid=WATER, drained=top,
             )  # fmt: skip
-            F -= top.traction(fem.Constant(grid, (0.0, -q)), V.test)
+            F += top.traction(fem.Constant(grid, (0.0, -q)), V.test)
             problem = problem_of(F, points, V, Q, stabilisation=stabilisation)
             problem.step(share * h**2 / (k * E / WATER.unit_weight))
             worst = max(worst, points["pressure"].max() / q - 1)
@@ -147,7 +147,7 @@ def test_volumes_of_water_balance():
     """What the pores lose in a step leaves where the pressure is held; grains stay."""
     law = mpm.kozeny_carman(1, 0.4)
     F, points, V, Q, top = block(height=1.0, drained=False, permeability=law)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -300.0)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -300.0)), V.test)
     problem = problem_of(F, points, V, Q, held(V) + mpm.fixed(Q, "right"))
     through, finish = [], problem.scheme.finish
 
@@ -171,12 +171,12 @@ def test_volumes_of_water_balance():
 def test_a_drained_body_ends_where_the_dry_one_does():
     F, points, V, Q, top = block("linear", height=0.75)
     load = fem.Constant(points.grid, (0.0, -200.0))
-    F -= top.traction(load, V.test)
+    F += top.traction(load, V.test)
     problem_of(F, points, V, Q).step(1e9)
     dry = mpm.fill(points.grid, mpm.Box((0, 0), (1, 0.75)), 2, 2000.0, exact=True)
     W = mpm.Space(points.grid, "linear")
     face = mpm.Surface(dry, lambda x: x[1] > 0.75 - 1e-12, (0, 1))
-    G = mpm.momentum(LAW, dry, W.increment, W.test) - face.traction(load, W.test)
+    G = mpm.momentum(LAW, dry, W.increment, W.test) + face.traction(load, W.test)
     mpm.QuasiStatic(G, W.increment, dry, held(W)).step()
     np.testing.assert_allclose(points["x"], dry["x"], atol=1e-7)
     assert np.abs(points["pressure"]).max() < 1e-3
@@ -210,7 +210,7 @@ def test_water_leaves_through_a_seepage_face_and_does_not_enter(sign):
         LAW, points, (V.increment, Q.increment), (V.test, Q.test), permeability=1e-2,
         porosity=0.4, fluid=WATER, seepage=side,
     )  # fmt: skip
-    F -= top.traction(fem.Constant(grid, (0.0, -100.0 * sign)), V.test)
+    F += top.traction(fem.Constant(grid, (0.0, -100.0 * sign)), V.test)
     problem_of(F, points, V, Q).step(1e6)
     change = points["V"].sum() - 1
     if sign > 0:
@@ -223,7 +223,7 @@ def test_water_leaves_through_a_seepage_face_and_does_not_enter(sign):
 
 def test_steps_are_chosen_by_their_error():
     F, points, V, Q, top = block("linear", height=0.75)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -20.0)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -20.0)), V.test)
     problem = problem_of(F, points, V, Q, error=0.02)
     problem.step(1e-3)
     for t in mpm.times(20.0, dt="auto", start=1e-3):
@@ -236,7 +236,7 @@ def test_steps_are_chosen_by_their_error():
 def test_a_run_goes_on_from_a_file(tmp_path):
     def made():
         F, points, V, Q, top = block(gravity=(0.0, -9.81), theta=0.5)
-        F -= top.traction(fem.Constant(points.grid, (0.0, -200.0)), V.test)
+        F += top.traction(fem.Constant(points.grid, (0.0, -200.0)), V.test)
         return problem_of(F, points, V, Q, stabilisation="ghost", error=0.1)
 
     whole, stopped, later = made(), made(), made()
@@ -262,7 +262,7 @@ def test_iterations_on_blocks_find_what_factors_do(monkeypatch, stabilisation, p
         monkeypatch.setattr(method, "_CROSSOVER", {2: crossover})
         F, points, V, Q, top = block(u="gimp", height=0.82, n=12, permeability=permeability)
         half = ufl.conditional(points.x[0] < 0.5, 1.0, 0.0)
-        F -= top.traction(half * fem.Constant(points.grid, (0.0, -500.0)), V.test)
+        F += top.traction(half * fem.Constant(points.grid, (0.0, -500.0)), V.test)
         problem = problem_of(F, points, V, Q, stabilisation=stabilisation, tolerance=1e-10)
         for t in (0.1, 0.2):
             record = problem.step(t)
@@ -276,7 +276,7 @@ def test_iterations_on_blocks_find_what_factors_do(monkeypatch, stabilisation, p
 
 def test_soil_cannot_be_compressed_beyond_its_grains():
     F, points, V, Q, top = block(height=0.75, porosity=0.05, permeability=1.0)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -9e3)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -9e3)), V.test)
     with pytest.raises(ConvergenceError, match=r"porosity = -?0\.\d+ of the point"):
         problem_of(F, points, V, Q, max_halvings=2).step(1e4)
 
@@ -367,7 +367,7 @@ def nested(cut=0.3, basis="gimp", coarse="p", h=0.125, stabilisation="none", **o
         mpm.materials.Hencky(E=1e6, nu=0.0), points, (V.increment, Q.increment),
         (V.test, Q.test), permeability=1e-3, porosity=0.4, fluid=WATER, drained=top, **options,
     )  # fmt: skip
-    F -= top.traction(fem.Constant(grid, (0.0, -1e3)), V.test)
+    F += top.traction(fem.Constant(grid, (0.0, -1e3)), V.test)
     return problem_of(F, points, V, Q, stabilisation=stabilisation), h**2 * WATER.unit_weight / 1e3
 
 
@@ -409,7 +409,7 @@ def test_a_field_is_carried_under_a_name_once():
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 0.5)), 2, 1.0)
     V = mpm.Space(grid, "linear")
     u, v = V.increment, V.test
-    last = mpm.carried(points, "last", u, "m")
+    last = mpm.carried(points, "last", u, unit="m")
     F = mpm.momentum(LAW, points, u, v) + 5.0 * ufl.inner(u - 0.5 * last, v) * points.dX
     F -= ufl.inner(fem.Constant(grid, (0.0, -3.0)), v) * points.dX
     assert "last" not in points.fields
@@ -417,7 +417,7 @@ def test_a_field_is_carried_under_a_name_once():
     problem.step()
     before = points["x"] - points["x0"]
     np.testing.assert_allclose(points["last"], before, atol=1e-15)
-    other = mpm.carried(points, "last", 2 * u, "m")
+    other = mpm.carried(points, "last", 2 * u, unit="m")
     with pytest.raises(Exception, match="two expressions are carried"):
         mpm.QuasiStatic(F + ufl.inner(other, v) * points.dX, u, points, mpm.fixed(V, "bottom"))
     with pytest.raises(ParameterError, match="identifier"):
@@ -460,7 +460,7 @@ def fail_first_part(problem):
 
 def test_water_that_enters_swells_the_body_by_its_volume():
     F, points, V, Q, top = block(height=1.0, drained=False, permeability=1e-2)
-    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0), "side")
+    side = mpm.Surface(points, lambda x: x[0] > 1 - 1e-12, (1, 0), name="side")
     given = {"permeability": 1e-2, "porosity": 0.4, "fluid": WATER, "inflow": [(side, 2e-2)]}
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)
     F = mpm.poromechanics(LAW, points, fields, tests, **given)

@@ -87,7 +87,7 @@ def test_soil_that_its_water_holds_stays_at_rest(rho_inf):
     problem = time_stepping(rho_inf, gravity=None, permeability=0.0, drained=False)
     points = problem.points
     points["pressure"] = 50.0
-    mpm.set_stress(points, LAW, (50.0 * np.eye(3)).tolist())
+    mpm.set_stress(LAW, points, (50.0 * np.eye(3)).tolist())
     for t in (0.01, 0.02, 0.05):
         problem.step(t)
     assert np.abs(problem.motion.nodes[0].A).max() < 1e-9

@@ -36,7 +36,7 @@ EXPLICIT = [
     "mass_scaling",
     "bulk_viscosity",
     "fused",
-    "contact",
+    "collision",
 ]
 
 

@@ -69,7 +69,7 @@ def test_turned_bodies_beside_each_other(angle):
     for side in (-0.25, 0.25):
         middle = np.array([1.0, 1.0]) + side * along
         half = np.array([0.25, 0.4])
-        box = mpm.TurnedBox(middle - half, middle + half, angle)
+        box = mpm.TurnedBox(middle - half, middle + half, np.degrees(angle))
         made.append(mpm.fill(grid, box, 2, 1.0, aligned="body"))
     problem_of(made[0] + made[1])
 
@@ -112,9 +112,9 @@ def test_bodies_that_collide_do_not_overlap_at_first():
     tag = np.repeat([1, 2], len(x) // 2)
     points = mpm.MaterialPoints.from_arrays(grid, x, 0.01, 1.0, tag=tag)
     with pytest.raises(ParameterError, match=MATCH):
-        problem_of(points, mpm.Explicit, contact=mpm.Collision((1, 2)))
+        problem_of(points, mpm.Explicit, collision=mpm.Collision((1, 2)))
     points.overlapping = True
-    problem_of(points, mpm.Explicit, contact=mpm.Collision((1, 2)))
+    problem_of(points, mpm.Explicit, collision=mpm.Collision((1, 2)))
 
 
 def test_what_has_moved_may_be_dense():

@@ -152,6 +152,33 @@ def test_conflicting_conditions():
         mpm.prescribed(V, "left", 0, increment=float("nan"))
 
 
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [("quadrilateral", {"x-": "left", "X+": "right", "y-": "bottom", "y+": "top"}),
+     ("hexahedron", {"x-": "left", "x+": "right", "y-": "front", "y+": "back", "z-": "bottom",
+                     "z+": "top"})],
+)  # fmt: skip
+def test_sides_by_axis_are_those_by_name(kind, named):
+    grid = unit_grid(kind)
+    points = mpm.fill(grid, mpm.Box(*np.array([[0.0], [1.0]]).repeat(len(named) // 2, 1)), 2, 1.0)
+    V = mpm.Space(grid)
+    for axis, name in named.items():
+        for found, expected in zip(
+            mpm.rollers(V, axis) + mpm.frictional(V, axis, friction=0.1),
+            mpm.rollers(V, name) + mpm.frictional(V, name, friction=0.1),
+        ):
+            assert found.where == expected.where == name
+            assert np.array_equal(found.nodes, expected.nodes)
+        walls = [mpm.Boundary.from_side(points, side) for side in (axis, name)]
+        assert np.array_equal(walls[0].markers["x"], walls[1].markers["x"])
+    with pytest.raises(ParameterError, match="is given twice"):
+        mpm.frictional(V, "left", "x-", friction=0.1)
+    with pytest.raises(
+        ParameterError, match=r'side = .w-. must be one of "left".* by its axis, "x-", "x\+"'
+    ):
+        mpm.fixed(V, "w-")
+
+
 def test_only_active_unknowns_are_solved_on_a_large_grid():
     sizes = []
     for n in (1, 10):

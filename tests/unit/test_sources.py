@@ -109,7 +109,9 @@ def test_a_table(tmp_path):
     assert tag.tolist() == [1, 2, 2]
     assert water.tolist() == [5.5, 0, -1]
     path.write_text("x;y;volume;id\n0.1;0.2;0.1;7\n", encoding="utf-8")
-    points = mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, 3.0, tag=4, delimiter=";")
+    points = mpm.MaterialPoints.from_csv(
+        unit_grid("triangle"), path, density=3.0, tag=4, delimiter=";"
+    )
     assert points["id"].tolist() == [7]
     assert points["tag"].tolist() == [4]
 
@@ -142,10 +144,10 @@ def test_tables_that_are_not_there(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("x,y,volume\n", encoding="utf-8")
     with pytest.raises(EmptyShapeError, match="no rank gave a point"):
-        mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, 1.0)
+        mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, density=1.0)
     path.write_text(TABLE, encoding="utf-8")
     with pytest.raises(ParameterError, match="has a column 'density'"):
-        mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, 1.0)
+        mpm.MaterialPoints.from_csv(unit_grid("triangle"), path, density=1.0)
 
 
 # -- meshes -------------------------------------------------------------------

@@ -19,28 +19,37 @@ from dolfinmpm.study import reduced_strength
 MAKE = mpm.materials
 C, PHI, PSI, F = 7e3, 30.0, 20.0, 1.4
 C_F, PHI_F = reduced_strength(C, PHI, F)
+C_R, PHI_R = reduced_strength(0.4 * C, 25.0, F)
 LAWS = {
     "MohrCoulomb": (
-        MAKE.MohrCoulomb(1e6, 0.3, C, PHI, PSI), MAKE.MohrCoulomb(1e6, 0.3, C_F, PHI_F, PSI),
+        MAKE.MohrCoulomb(1e6, 0.3, C, PHI, dilation_angle=PSI),
+        MAKE.MohrCoulomb(1e6, 0.3, C_F, PHI_F, dilation_angle=PSI),
     ),
     # a dilation angle is never larger than the friction angle
     "associated": (
-        MAKE.MohrCoulomb(1e6, 0.3, C, PHI, PHI), MAKE.MohrCoulomb(1e6, 0.3, C_F, PHI_F, PHI_F),
+        MAKE.MohrCoulomb(1e6, 0.3, C, PHI, dilation_angle=PHI),
+        MAKE.MohrCoulomb(1e6, 0.3, C_F, PHI_F, dilation_angle=PHI_F),
     ),
     "softening": (
-        MAKE.MohrCoulomb(1e6, 0.3, C, PHI, 0.0, 0.4 * C, 25.0, 3.0),
         MAKE.MohrCoulomb(
-            1e6, 0.3, C_F, PHI_F, 0.0, *reduced_strength(0.4 * C, 25.0, F), 3.0,
+            1e6, 0.3, C, PHI, residual_cohesion=0.4 * C, residual_friction_angle=25.0, rate=3.0,
         ),
+        MAKE.MohrCoulomb(1e6, 0.3, C_F, PHI_F, residual_cohesion=C_R, residual_friction_angle=PHI_R,
+                         rate=3.0),
     ),
     "DruckerPrager": (
-        MAKE.DruckerPrager(1e6, 0.3, C, PHI, PSI, "plane strain", 1e4),
-        MAKE.DruckerPrager(1e6, 0.3, C_F, PHI_F, PSI, "plane strain", 1e4 / F),
+        MAKE.DruckerPrager(1e6, 0.3, C, PHI, dilation_angle=PSI, fit="plane strain", hardening=1e4),
+        MAKE.DruckerPrager(
+            1e6, 0.3, C_F, PHI_F, dilation_angle=PSI, fit="plane strain", hardening=1e4 / F,
+        ),
     ),
-    "Tresca": (MAKE.Tresca(1e6, 0.3, C, 0.5 * C), MAKE.Tresca(1e6, 0.3, C_F, 0.5 * C_F)),
+    "Tresca": (
+        MAKE.Tresca(1e6, 0.3, C, ultimate_cohesion=0.5 * C),
+        MAKE.Tresca(1e6, 0.3, C_F, ultimate_cohesion=0.5 * C_F),
+    ),
     "VonMises": (
-        MAKE.VonMises(1e6, 0.3, C, 1e4, 2 * C, 3.0),
-        MAKE.VonMises(1e6, 0.3, C_F, 1e4 / F, 2 * C_F, 3.0),
+        MAKE.VonMises(1e6, 0.3, radius=C, hardening=1e4, saturation=2 * C, rate=3.0),
+        MAKE.VonMises(1e6, 0.3, radius=C_F, hardening=1e4 / F, saturation=2 * C_F, rate=3.0),
     ),
     "Hencky": (MAKE.Hencky(1e6, 0.3), MAKE.Hencky(1e6, 0.3)),
 }  # fmt: skip
@@ -72,7 +81,15 @@ def test_a_law_in_ufl():
 
 
 def test_what_does_not_tell_its_strength():
-    clay = MAKE.CamClay(0.018, 0.13, 1.05, 5.4e6, 0.0, 2e4, 4e4)
+    clay = MAKE.CamClay(
+        swelling=0.018,
+        compression=0.13,
+        M=1.05,
+        mu0=5.4e6,
+        alpha=0.0,
+        reference_pressure=2e4,
+        preconsolidation=4e4,
+    )
     with pytest.raises(ParameterError, match="CamClay does not tell what its strength is"):
         weakened(clay, clay.parameter_array(), 1.5)
 
@@ -124,7 +141,7 @@ def heap(law=None, weight=10.0, rule=mpm.QuasiStatic, **options):
     points = mpm.fill(grid, shape, 2, 2000.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
-    law = law or MAKE.MohrCoulomb(1e7, 0.3, 8e3, 25.0, 0.0)
+    law = law or MAKE.MohrCoulomb(1e7, 0.3, 8e3, 25.0, dilation_angle=0.0)
     g = fem.Constant(grid, (0.0, -weight))
     F = mpm.momentum(law, points, u, v) - ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom") + options.pop("bcs", [])
@@ -205,12 +222,12 @@ def test_strength_at_boundaries_that_do_not_fit_the_grid():
     """Laws there are the same, numbers or not; what is kept of the points is not left behind."""
     found = []
     for cohesion in (8e3, lambda x: np.full(x.shape[1], 8e3)):
-        law = MAKE.MohrCoulomb(1e7, 0.3, cohesion, 25.0, 0.0)
+        law = MAKE.MohrCoulomb(1e7, 0.3, cohesion, 25.0, dilation_angle=0.0)
         problem, _ = heap(law)
         points, V = problem.points, problem.form.spaces[0]
         base = mpm.Boundary.from_polygon(points, [(0, 0.02), (4, 0.02)], closed=False)
         F = problem.form.given
-        F += mpm.dirichlet(law, base, V.increment, V.test)
+        F += mpm.dirichlet(base, V.increment, V.test, law=law)
         weak = mpm.QuasiStatic(F, V.increment, points, mpm.rollers(V, "left", "bottom"))
         weak.step()
         fields = set(base.markers.fields)

@@ -21,7 +21,7 @@ MEASURES = ("large", "small", "jaumann")
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
 LAWS = {
     "Hencky": mpm.materials.Hencky(E, NU),
-    "VonMises": mpm.materials.VonMises(E, NU, 0.3, 2.0),
+    "VonMises": mpm.materials.VonMises(E, NU, radius=0.3, hardening=2.0),
     "NeoHookean": mpm.materials.NeoHookean(E, NU),
     "NeoHookean varies": mpm.materials.NeoHookean(lambda x: E + x[0], NU),
 }

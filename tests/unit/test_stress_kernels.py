@@ -11,11 +11,19 @@ from dolfinmpm.materials.lawkernel import law_kernel, respond_at_points
 
 LAWS = [
     Hencky(E=1e5, nu=0.3),
-    VonMises(E=1e5, nu=0.3, yield_stress=50.0, saturation=80.0, rate=10.0),
+    VonMises(E=1e5, nu=0.3, radius=50.0, saturation=80.0, rate=10.0),
     Tresca(1e5, 0.3, 60.0),
-    MohrCoulomb(1e5, 0.3, 20.0, 25.0, 5.0, residual_cohesion=10.0, rate=5.0),
-    DruckerPrager(1e5, 0.3, 20.0, 25.0, 0.0, fit="plane strain"),
-    CamClay(0.018, 0.13, 1.05, 5400.0, 0.0, 20.0, 2e4),
+    MohrCoulomb(1e5, 0.3, 20.0, 25.0, dilation_angle=5.0, residual_cohesion=10.0, rate=5.0),
+    DruckerPrager(1e5, 0.3, 20.0, 25.0, dilation_angle=0.0, fit="plane strain"),
+    CamClay(
+        swelling=0.018,
+        compression=0.13,
+        M=1.05,
+        mu0=5400.0,
+        alpha=0.0,
+        reference_pressure=20.0,
+        preconsolidation=2e4,
+    ),
 ]
 
 

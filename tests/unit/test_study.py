@@ -109,10 +109,10 @@ def test_pictures(tmp_path):
         {"place": (a, 0.0), "kappa_K": 10 / a, "kappa_M": np.inf if a > 1 else 3}
         for a in (2, 1, 0.1)
     ]
-    study.plot_sweep(sweep, tmp_path / "sweep.png", lambda row: row["place"][0], xlabel="offset")
+    study.plot_sweep(sweep, tmp_path / "sweep.png", x=lambda row: row["place"][0], xlabel="offset")
     rows = study.convergence(lambda h: {"error": h**2, "other": None}, [0.25, 0.125, 0.0625])
     study.plot_convergence({"one": rows, "two": rows[:1]}, tmp_path / "convergence.png")
-    study.plot_convergence({"none": rows}, tmp_path / "empty.png", "other")
+    study.plot_convergence({"none": rows}, tmp_path / "empty.png", key="other")
     for name in ("sweep", "convergence", "empty"):
         assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
 
@@ -269,12 +269,12 @@ def test_a_run_that_leaves_the_line_has_failed():
 
 def test_safety_is_drawn(tmp_path):
     rows = study.factor_of_safety(functools.partial(load_spring, softness=100.0)).table()
-    study.plot_reduction(rows, tmp_path / "new" / "safety.png", 1e-3, ylabel="$d$")
+    study.plot_reduction(rows, tmp_path / "new" / "safety.png", scale=1e-3, ylabel="$d$")
     study.plot_reduction(rows[:1], tmp_path / "one.png")
     for name in ("new/safety", "one"):
         assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
     with mpm.figure(tmp_path / "drawn.png") as (_, axes):
-        study.draw_reduction(axes, rows, 1e-3)
+        study.draw_reduction(axes, rows, scale=1e-3)
         stands, fails = (line.get_ydata() for line in axes.lines)
         assert stands.max() == pytest.approx(
             max(r["displacement"] for r in rows if r["stands"]) * 1e3

@@ -61,7 +61,7 @@ def test_force_and_moment_are_those_of_the_face(basis):
     right = face(points, 0, 4.3, (1, 0))
     assert right.total_area == pytest.approx(2.6)
     t = fem.Constant(grid, (3.0, -2.0))
-    force, moment = resultants(problem_of(points, V, -right.traction(t, V.test)))
+    force, moment = resultants(problem_of(points, V, right.traction(t, V.test)))
     np.testing.assert_allclose(force, 2.6 * t.value, rtol=1e-12)
     at = points["x"] + right.offset.array @ shear.T
     size = np.linalg.norm(right.area.array, axis=1)
@@ -74,7 +74,7 @@ def test_force_is_spread_over_the_area():
     top = face(points, 2, 1.7, (0, 0, 1), name="top")
     assert top.total_area == pytest.approx(4.3 * 2.6)
     P = fem.Constant(grid, (1.0, 2.0, -5.0))
-    force, moment = resultants(problem_of(points, V, -top.force(P, V.test)))
+    force, moment = resultants(problem_of(points, V, top.force(P, V.test)))
     np.testing.assert_allclose(force, P.value, rtol=1e-12)
     np.testing.assert_allclose(moment, np.outer([2.15, 1.3, 1.7], P.value), rtol=1e-12)
 
@@ -87,7 +87,7 @@ def test_arrays_on_triangles():
     R = np.where(top[:, None], np.column_stack([0 * top, 2 - points["x"][:, 1]]), 0.0)
     A = np.where(top[:, None], np.array([0.0, 4 / top.sum()]), 0.0)
     surface = mpm.Surface.from_arrays(points, R, A)
-    force, moment = resultants(problem_of(points, V, -surface.traction((0, -1.0), V.test)))
+    force, moment = resultants(problem_of(points, V, surface.traction((0, -1.0), V.test)))
     np.testing.assert_allclose(force, [0, -4.0], atol=1e-12)
     assert moment[1, 1] == pytest.approx(-8.0)
 
@@ -98,7 +98,7 @@ def test_uniform_dead_traction_is_exact():
     top = face(points, 1, 2.6, (0, 1))
     t = fem.Constant(grid, (0.0, -300.0))
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    problem = problem_of(points, V, -top.traction(t, V.test), bcs)
+    problem = problem_of(points, V, top.traction(t, V.test), bcs)
     problem.step()
     lmbda, mu = lame(1e3, 0.3)
     stretch = brentq(lambda s: (lmbda + 2 * mu) * np.log(s) / s + 300, 0.5, 1)
@@ -114,7 +114,7 @@ def test_follower_pressure_all_around_is_exact(basis):
     u, v = V.increment, V.test
     load = face(points, 0, 4.3, (1, 0)).pressure(p, u, v)
     load += face(points, 1, 2.6, (0, 1)).pressure(p, u, v)
-    problem = problem_of(points, V, -load, mpm.rollers(V, "left", "bottom"))
+    problem = problem_of(points, V, load, mpm.rollers(V, "left", "bottom"))
     problem.step()
     lmbda, mu = lame(1e3, 0.3)
     strain = brentq(lambda e: 2 * (lmbda + mu) * e + 400 * np.exp(2 * e), -1, 0)
@@ -132,7 +132,7 @@ def test_tangent_of_a_follower_pressure(basis):
     surface = face(points, 0, 4.3, (1, 0))
     p = fem.Constant(grid, 200.0)
     # not constant in space either
-    problem = problem_of(points, V, -surface.pressure(p * surface.position(u)[1], u, v))
+    problem = problem_of(points, V, surface.pressure(p * surface.position(u)[1], u, v))
     linearised = Linearised(problem)
     rng = np.random.default_rng(1)
     at = 0.02 * rng.standard_normal(linearised.size)
@@ -153,7 +153,7 @@ def footing(stiffness=None, rough=True, width=6.0, basis="gimp", first=0.0, **op
     under = mpm.Surface(points, lambda x: np.isclose(x[1], 2.6) & (x[0] < width), (0, 1))
     foot = mpm.RigidFooting(under, s, rough=rough, E=1e3, stiffness=stiffness)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
-    F = -foot.contact(V.increment, V.test)
+    F = foot.contact(V.increment, V.test)
     return problem_of(points, V, F, bcs, **options), foot, s
 
 
@@ -229,10 +229,10 @@ def test_footing_on_what_has_settled_already():
     t, s = fem.Constant(grid, (0.0, -100.0)), fem.Constant(grid, 0.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     u, v = V.increment, V.test
-    problem_of(points, V, -top.traction(t, v), bcs).step()
+    problem_of(points, V, top.traction(t, v), bcs).step()
     foot = mpm.RigidFooting(top, s, E=1e3)
     assert np.abs(foot.gaps()).max() < 1e-14
-    problem = problem_of(points, V, -foot.contact(u, v) - top.traction(t, v), bcs)
+    problem = problem_of(points, V, foot.contact(u, v) + top.traction(t, v), bcs)
     problem.step()
     assert abs(foot.load()) < 1.0
 
@@ -271,7 +271,7 @@ def test_follower_pressure_in_1d_and_3d(basis):
     V = mpm.Space(grid, basis)
     p = fem.Constant(grid, 300.0)
     load = face(points, 0, 3.7, (1.0,)).pressure(p, V.increment, V.test)
-    problem_of(points, V, -load, mpm.fixed(V, "left")).step()
+    problem_of(points, V, load, mpm.fixed(V, "left")).step()
     np.testing.assert_allclose(points["stress"][:, 0, 0], -300, rtol=1e-7)
 
     grid, points, V = block(basis, high=(2.0, 1.6, 1.3), cells=(2, 2, 2), d=3)
@@ -280,7 +280,7 @@ def test_follower_pressure_in_1d_and_3d(basis):
     load = sum((s.pressure(p, V.increment, V.test) for s in sides[1:]),
                start=sides[0].pressure(p, V.increment, V.test))  # fmt: skip
     bcs = mpm.rollers(V, "left", "bottom", "front")
-    problem_of(points, V, -load, bcs).step()
+    problem_of(points, V, load, bcs).step()
     strain = brentq(lambda e: (3 * lmbda + 2 * mu) * e + 300 * np.exp(3 * e), -1, 0)
     expected = np.exp(strain) * np.eye(3)[None].repeat(len(points), 0)
     np.testing.assert_allclose(points["F"], expected, atol=1e-8)

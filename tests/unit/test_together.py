@@ -126,8 +126,11 @@ def test_arguments_are_told_by_what_matters():
     assert found(*boxes) == "high of it: (1.0, 1.0), (1.0, 2.0)"
     assert found(mpm.Plane((0, 1), (0, 1)), mpm.Plane((0, 2), (0, 1))).startswith("point of it")
     assert found(boxes[0], mpm.Disc((0.5, 0.5), 0.5)).startswith("kind of it")
-    laws = mpm.materials.VonMises(1e6, 0.3, 1e3), mpm.materials.VonMises(1e6, 0.3, 2e3)
-    assert found(*laws) == "yield_stress of it: 1000.0, 2000.0"
+    laws = (
+        mpm.materials.VonMises(1e6, 0.3, radius=1e3),
+        mpm.materials.VonMises(1e6, 0.3, radius=2e3),
+    )
+    assert found(*laws) == "radius of it: 1000.0, 2000.0"
     other = mpm.Stabilisation("ghost", E=1.0), mpm.Stabilisation("ghost", E=2.0)
     assert found(*other) == "E of it: 1.0, 2.0"
     assert found(s.V.increment, s.S.increment) == "shape of it: (2,), ()"

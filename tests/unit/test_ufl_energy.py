@@ -55,7 +55,7 @@ LAWS = {
     "mises": EnergyWithYield(hencky, **ELASTIC, yield_stress=1e4),
     "cone": EnergyWithYield(hencky, cone, **ELASTIC, eta=0.4, k=6e3, a=1e3),
     "non-associated": EnergyWithYield(
-        hencky, cone, flow, **ELASTIC, eta=0.4, k=6e3, a=1e3, eta_flow=0.1
+        hencky, cone, potential=flow, **ELASTIC, eta=0.4, k=6e3, a=1e3, eta_flow=0.1
     ),
     "hardening": EnergyWithYield(hencky, hardening_cone, **ELASTIC, eta=0.4, k=6e3, a=1e3, H=1e5),
     "softening": EnergyWithYield(hencky, hardening_cone, **ELASTIC, eta=0.4, k=6e3, a=1e3, H=-1e3),
@@ -76,7 +76,7 @@ def test_return(name):
 def test_stiffness_that_grows_with_pressure():
     values = {"K": 2e6, "G": 1e6, "kappa": 0.02}
     law = EnergyWithYield(
-        sand, cone, flow, **values, eta=0.4, k=6e3, a=1e3, eta_flow=0.1
+        sand, cone, potential=flow, **values, eta=0.4, k=6e3, a=1e3, eta_flow=0.1
     )  # fmt: skip
     strains = random_strains(1500, 3, 1e-5, 0.2)
     result = check_return(law, strains, elastic=EnergyWithYield(sand, **values))
@@ -164,7 +164,7 @@ def test_named_errors():
     with pytest.raises(ParameterError, match="ranges of unknown parameters K"):
         EnergyWithYield(hencky, ranges={"K": Parameter("Pa")}, **ELASTIC)
     with pytest.raises(ParameterError, match="needs a yield function"):
-        EnergyWithYield(hencky, None, flow, **ELASTIC, eta_flow=0.1, a=1.0)
+        EnergyWithYield(hencky, potential=flow, **ELASTIC, eta_flow=0.1, a=1.0)
     with pytest.raises(ParameterError, match="expected a function"):
         EnergyWithYield(3.0, **ELASTIC)
     with pytest.raises(ParameterError, match=r"neither \* nor"):

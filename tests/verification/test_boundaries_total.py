@@ -45,7 +45,9 @@ def turned(cut, basis="linear", steps=4, stabilisation="ghost", law=None, **opti
     boundary = nitsche.skin(points, low, high)
     share = fem.Constant(grid, 0.0)
     way = boundary.markers.add_field("way", (2,), "m", lambda x: ((TURN - np.eye(2)) @ x).T)
-    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, boundary, u, v, share * way, **options)
+    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(
+        boundary, u, v, share * way, law=law, **options
+    )
     problem = mpm.QuasiStatic(F, u, points, stabilisation=stabilisation, tolerance=1e-13)
     for k in range(steps):
         share.value = (k + 1) / steps
@@ -85,8 +87,8 @@ def bent(configuration, n=6, steps=8):
     r = head.x0 - ufl.as_vector((0.5, d))
     R = ufl.as_tensor([[ufl.cos(angle), ufl.sin(angle)], [-ufl.sin(angle), ufl.cos(angle)]])
     way = ufl.dot(R, r) - r + ufl.as_vector((0.4 * angle, -0.2 * angle))
-    F = mpm.momentum(law, points, u, v) - side.pressure(p, u, v)
-    F += mpm.dirichlet(law, foot, u, v) + mpm.dirichlet(law, head, u, v, way)
+    F = mpm.momentum(law, points, u, v) + side.pressure(p, u, v)
+    F += mpm.dirichlet(foot, u, v, law=law) + mpm.dirichlet(head, u, v, way, law=law)
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     for k in range(steps):
         angle.value, p.value = 0.7 * (k + 1) / steps, 4.0 * (k + 1) / steps
@@ -121,8 +123,8 @@ def pushed(configuration):
     wall = mpm.Boundary.from_polygon(points, [(1.8, 0), (1.8, 2)], closed=False, follows=False)
     face = mpm.Boundary.from_polygon(points, [(0.75, 1.5), (0.75, 0.5)], closed=False)
     way = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, wall, u, v, friction=0.3)
-    F += mpm.dirichlet(law, face, u, v, way)
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(wall, u, v, law=law, friction=0.3)
+    F += mpm.dirichlet(face, u, v, way, law=law)
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     forces = []
     for x, y in ((0.045, 0), (0.07, 0), (0.07, 0.04), (0.07, 0.1), (0.03, 0.1), (0.07, 0.1)):

@@ -26,7 +26,7 @@ def bodies(grid, shapes, law, basis="gimp", gravity=None, bcs=None, **contact):
     points.add_field("velocity", (2,), "m/s")
     collision = mpm.Collision(tuple(range(1, len(shapes) + 1)), **contact)
     return mpm.Explicit(
-        F, V.increment, points, () if bcs is None else bcs(V), contact=collision, courant=0.5
+        F, V.increment, points, () if bcs is None else bcs(V), collision=collision, courant=0.5
     )
 
 
@@ -88,7 +88,7 @@ def test_a_block_slides_on_another(friction):
         bcs=lambda V: mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right"),
     )  # fmt: skip
     points = problem.points
-    mpm.set_stress(points, law, lambda x: _settled(x, g))
+    mpm.set_stress(law, points, lambda x: _settled(x, g))
     points["velocity"][:, 0] = np.where(points["tag"] == 2, v0, 0.0)
     end = 0.2
     problem.step(end)

@@ -35,7 +35,15 @@ def square(law, strain, sides=("bottom", "right", "top", "left")):
     [
         Hencky(E=1e3, nu=0.3),
         Tresca(E=1e3, nu=0.33, cohesion=10.0, ultimate_cohesion=15.0),
-        CamClay(0.018, 0.13, 1.05, 5400.0, 0.0, 20.0, 20.0),
+        CamClay(
+            swelling=0.018,
+            compression=0.13,
+            M=1.05,
+            mu0=5400.0,
+            alpha=0.0,
+            reference_pressure=20.0,
+            preconsolidation=20.0,
+        ),
     ],
     ids=lambda law: type(law).__name__,
 )

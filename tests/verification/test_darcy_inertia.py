@@ -115,7 +115,7 @@ def test_incompressible_water_takes_its_mass_from_the_waves(share):
     F, points, fields, V, top, bcs = column(
         permeability=k, fluid=water, open_top=True, inertia=True
     )
-    F -= top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
     problem = mpm.Newmark(F, fields, points, bcs, stabilisation=["ghost", "ghost"])
     times, found = sinking(problem, top, first, load)
     off = np.abs(found - settlement(times, damping, DENSITY - WATER))

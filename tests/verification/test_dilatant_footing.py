@@ -32,9 +32,11 @@ def bearing_factors(h):
     V = mpm.Space(grid, "bspline2")
     u, v = V.increment, V.test
     settlement = fem.Constant(grid, 0.0)
-    law = mpm.materials.DruckerPrager(E, 0.33, COHESION, ANGLE, ANGLE, fit="plane strain")
+    law = mpm.materials.DruckerPrager(
+        E, 0.33, COHESION, ANGLE, dilation_angle=ANGLE, fit="plane strain"
+    )
     footing = mpm.RigidFooting(under, settlement, rough=False, E=E)
-    F = mpm.momentum(law, points, u, v) - footing.contact(u, v)
+    F = mpm.momentum(law, points, u, v) + footing.contact(u, v)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
     stabilisation = mpm.Stabilisation("aggregation", E=E)
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)

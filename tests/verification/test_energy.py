@@ -201,7 +201,7 @@ RUNS = [
 @pytest.mark.parametrize(("rule", "options"), RUNS)
 def test_energies_close_in_every_step(rule, options, yields):
     """What is left beside the losses that have a name is the integrator's, and little."""
-    law = mpm.materials.VonMises(E, NU, 2e3) if yields else mpm.materials.Hencky(E, NU)
+    law = mpm.materials.VonMises(E, NU, radius=2e3) if yields else mpm.materials.Hencky(E, NU)
     problem = dropped(8, rule, law, **options)
     for t in mpm.times(0.03, dt=1e-3):
         problem.step(t)

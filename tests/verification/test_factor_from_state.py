@@ -32,7 +32,7 @@ def at_rest(h=1.0):
         return np.clip(0.5 * (32 - x[0]), 0.0, HEIGHT)
 
     (of,) = problem.form.parts.declarations
-    mpm.set_stress(problem.points, of.law, mpm.geostatic_stress(surface, UNIT_WEIGHT, 0.5))
+    mpm.set_stress(of.law, problem.points, mpm.geostatic_stress(surface, UNIT_WEIGHT, 0.5))
     mpm.equilibrate(problem)
     return problem
 
@@ -95,7 +95,7 @@ def infinite(dilation, wet=1.0, written=False):
     """A slope without end, with water that flows along it; and the constant that makes it wet."""
     grid, points, V, periodic = strip()
     u, v = V.increment, V.test
-    soil = mpm.materials.MohrCoulomb(1e7, 0.3, COHESION, PHI, dilation)
+    soil = mpm.materials.MohrCoulomb(1e7, 0.3, COHESION, PHI, dilation_angle=dilation)
     water = fem.Constant(grid, wet)
     pressure = water * WATER * np.cos(BETA) * (DEPTH - points.x0[1])
     F = mpm.momentum(soil, points, u, v) - pressure * ufl.div(v) * points.dX
@@ -103,7 +103,7 @@ def infinite(dilation, wet=1.0, written=False):
     if written:
         points["stress"] = stress(points["x"].T, wet)
     else:
-        mpm.set_stress(points, soil, functools.partial(stress, water=wet))
+        mpm.set_stress(soil, points, functools.partial(stress, water=wet))
     problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "bottom"), prolongation=periodic)
     return problem, water
 
@@ -156,13 +156,13 @@ def test_a_stress_that_was_written_counts_as_one_that_was_set():
 def test_water_that_flows_in_a_problem_in_time():
     grid, points, V, periodic = strip()
     Q = mpm.Space(grid, "linear", configuration="total", shape=())
-    soil = mpm.materials.MohrCoulomb(1e7, 0.3, COHESION, PHI, 0.0)
+    soil = mpm.materials.MohrCoulomb(1e7, 0.3, COHESION, PHI, dilation_angle=0.0)
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)
     F = mpm.poromechanics(
         soil, points, fields, tests, permeability=1e-6, porosity=0.4, gravity=GRAVITY,
         fluid=mpm.Fluid(gravity=10.0),
     )  # fmt: skip
-    mpm.set_stress(points, soil, stress)
+    mpm.set_stress(soil, points, stress)
     points.add_field("pressure", (), "Pa")
     points["pressure"] = WATER * np.cos(BETA) * (DEPTH - points["x"][:, 1])
     bcs = mpm.fixed(V, "bottom") + mpm.prescribed(Q, "top", 0, value=0.0)
@@ -199,7 +199,7 @@ def excavated(h=0.5, law=None):
     """A slope of 45° cut in two stages out of level ground at rest."""
     law = law or mpm.materials.Tresca(1e7, 0.45, CLAY)
     problem, _ = clay(law, mpm.Box((0, 0), (14, BELOW + CUT)), h)
-    mpm.set_stress(problem.points, law, mpm.geostatic_stress(BELOW + CUT, SOIL, 1.0))
+    mpm.set_stress(law, problem.points, mpm.geostatic_stress(BELOW + CUT, SOIL, 1.0))
     for floor in (BELOW + 0.5 * CUT, BELOW):
         problem.points.remove(lambda x: (x[1] > floor) & (x[0] > 7 + BELOW + CUT - x[1]))  # noqa: B023
         problem.step()

@@ -28,7 +28,7 @@ def slope(factor, h=2.0, fbar=True, steps=10, share=1.0):
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     cohesion, friction = study.reduced_strength(0.05 * UNIT_WEIGHT * HEIGHT, 20.0, factor)
-    soil = mpm.materials.MohrCoulomb(E, 0.3, cohesion, friction, 0.0)
+    soil = mpm.materials.MohrCoulomb(E, 0.3, cohesion, friction, dilation_angle=0.0)
     gravity = fem.Constant(grid, (0.0, 0.0))
     F = mpm.momentum(soil, points, u, v, fbar=fbar)
     F -= ufl.inner(points.density * gravity, v) * points.dX

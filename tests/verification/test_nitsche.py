@@ -56,7 +56,7 @@ def patch(cut, d=2, n=4, basis="linear", law=None, stabilisation="ghost", **opti
     boundary = skin(points, low, high)
     strain = options.get("strain", "large")
     F = mpm.momentum(law, points, u, v, strain=strain)
-    F += mpm.dirichlet(law, boundary, u, v, lambda x: (A[:d, :d] @ x).T, **options)
+    F += mpm.dirichlet(boundary, u, v, lambda x: (A[:d, :d] @ x).T, law=law, **options)
     problem = mpm.QuasiStatic(F, u, points, stabilisation=stabilisation)
     record = problem.step()
     return points, boundary, record
@@ -133,7 +133,7 @@ def ring(n, offset=0.0, stabilisation="ghost", scale=1e-6, **options):
     u, v = V.increment, V.test
     hole = mpm.Boundary.from_level_set(points, lambda x: a - radius(x.T), subdivisions=4)
     F = mpm.momentum(law, points, u, v, strain="small")
-    F += mpm.dirichlet(law, hole, u, v, exact, strain="small", **options)
+    F += mpm.dirichlet(hole, u, v, exact, law=law, strain="small", **options)
     problem = mpm.QuasiStatic(F, u, points, stabilisation=stabilisation)
     return problem, exact, hole
 
@@ -208,8 +208,8 @@ def test_rollers_at_any_angle(angle):
     sides = mpm.Boundary.from_polygon(points, corners[[3, 0, 1]], closed=False)
     lid = mpm.Boundary.from_polygon(points, corners[[2, 3]], closed=False)
     F = mpm.momentum(law, points, u, v, strain="small")
-    F += mpm.dirichlet(law, sides, u, v, direction="normal", strain="small")
-    F += mpm.dirichlet(law, lid, u, v, top, direction=R[:, 1], strain="small")
+    F += mpm.dirichlet(sides, u, v, law=law, direction="normal", strain="small")
+    F += mpm.dirichlet(lid, u, v, top, law=law, direction=R[:, 1], strain="small")
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     top.value = -1e-3
     problem.step()
@@ -234,8 +234,8 @@ def test_a_boundary_that_follows_and_one_that_stays():
     )
     way = fem.Constant(grid, (0.0, 0.0))
     F = mpm.momentum(law, points, u, v)
-    F += mpm.dirichlet(law, end, u, v, way[0], direction=(1, 0))
-    F += mpm.dirichlet(law, plane, u, v, direction="normal", method="penalty")
+    F += mpm.dirichlet(end, u, v, way[0], law=law, direction=(1, 0))
+    F += mpm.dirichlet(plane, u, v, law=law, direction="normal", method="penalty")
     F -= ufl.inner(fem.Constant(grid, (0.0, -0.2)), v) * points.dX
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     for k in range(5):
@@ -266,7 +266,7 @@ def test_a_thick_cylinder_at_finite_strain(stabilisation):
     hole = mpm.Boundary.from_level_set(points, lambda x: 1 - np.hypot(*x), subdivisions=4)
     way = fem.Constant(grid, 0.0)
     outward = hole.x0 / ufl.sqrt(ufl.dot(hole.x0, hole.x0))
-    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, hole, u, v, way * outward)
+    F = mpm.momentum(law, points, u, v) + mpm.dirichlet(hole, u, v, way * outward, law=law)
     problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "left", "bottom"),
                               stabilisation=stabilisation)  # fmt: skip
     for k in range(steps):

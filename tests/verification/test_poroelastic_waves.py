@@ -24,7 +24,7 @@ def column(**options):
     )
     points = mpm.fill(grid, mpm.Box((0, 0), (h, LENGTH)), 2, DENSITY)
     V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
-    top = mpm.Surface(points, lambda x: x[1] > LENGTH - 1e-9, (0, 1), "top")
+    top = mpm.Surface(points, lambda x: x[1] > LENGTH - 1e-9, (0, 1), name="top")
     if options.pop("open_top", False):
         options["drained"] = top
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)
@@ -86,7 +86,7 @@ def test_a_sudden_load_obeys_the_telegraph_equation(share):
     damping, load = share * first, 1e3
     k = water.unit_weight / (DENSITY * damping)
     F, points, fields, V, top, bcs = column(permeability=k, fluid=water, open_top=True)
-    F -= top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
+    F += top.traction(fem.Constant(points.grid, (0.0, -load)), V.test)
     problem = mpm.Newmark(F, fields, points, bcs, stabilisation=["ghost", "ghost"])
     times, found = sinking(problem, top, first, load)
     error = np.abs(found - settlement(times, damping))

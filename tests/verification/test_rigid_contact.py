@@ -172,5 +172,5 @@ def test_a_free_disc_on_a_slope(friction, rolls):
     acceleration = along * 2 / 3 if rolls else along - friction * down
     spin = acceleration / R if rolls else 2 * friction * down / R
     assert disc.position[0] == pytest.approx(0.5 * acceleration * duration**2, rel=0.02)
-    assert -disc.angle[0] == pytest.approx(0.5 * spin * duration**2, rel=0.05)
+    assert -np.radians(disc.angle[0]) == pytest.approx(0.5 * spin * duration**2, rel=0.05)
     assert max(record.iterations for record in problem.history) <= 8

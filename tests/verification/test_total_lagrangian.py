@@ -125,8 +125,8 @@ def test_laws_and_loads(strain, fbar):
         u, v = V.increment, V.test
         p = fem.Constant(grid, 0.0)
         face = mpm.Surface(points, lambda x: np.isclose(x[1], 1.0), (0, 1))
-        law = mpm.materials.VonMises(E=1e3, nu=0.3, yield_stress=60.0, hardening=50.0)
-        F = mpm.momentum(law, points, u, v, strain=strain, fbar=fbar) - face.pressure(p, u, v)
+        law = mpm.materials.VonMises(E=1e3, nu=0.3, radius=60.0, hardening=50.0)
+        F = mpm.momentum(law, points, u, v, strain=strain, fbar=fbar) + face.pressure(p, u, v)
         problem = mpm.QuasiStatic(F, u, points, mpm.fixed(V, "left"), stabilisation="ghost")
         tips = []
         for k in range(4):

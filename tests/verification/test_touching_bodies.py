@@ -22,7 +22,7 @@ def pressed(nu, moduli=(1e3, 4e3), steps=3):
     points, (low, up), F, boundaries = two_blocks(upper=(0.0, 3.0), nu=nu, moduli=moduli)
     q = fem.Constant(points.grid, 0.0)
     top = mpm.Surface(points, lambda x: np.isclose(x[1], 2.45), (0, 1))
-    F -= top.pressure(q, up.increment, up.test)
+    F += top.pressure(q, up.increment, up.test)
     bcs = mpm.rollers(low, "bottom", "left") + mpm.rollers(up, "left")
     increments = [low.increment, up.increment]
     problem = mpm.QuasiStatic(F, increments, points, bcs, stabilisation="ghost", tolerance=1e-12)
@@ -87,7 +87,7 @@ def test_pressure_goes_through_the_interface_in_3d(friction):
         (square(level, True), square(level)), u[::-1], v[::-1], friction=friction
     )
     q = fem.Constant(grid, 0.0)
-    F -= square(height).pressure(q, u[1], v[1])
+    F += square(height).pressure(q, u[1], v[1])
     sides = "left", "right", "front", "back"
     bcs = mpm.rollers(spaces[0], "bottom", *sides) + mpm.rollers(spaces[1], *sides)
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e-12)

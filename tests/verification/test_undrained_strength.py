@@ -30,7 +30,15 @@ def compressed(ratio, axisymmetric, fbar=False, strain=0.11, steps=11):
     points = mpm.fill(grid, block, 2, 2000.0, axisymmetric=axisymmetric)
     V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
     fields, tests = (V.increment, Q.increment), (V.test, Q.test)
-    clay = mpm.materials.CamClay(SWELLING, COMPRESSION, M, 2e7, 0.0, P0, ratio * P0)
+    clay = mpm.materials.CamClay(
+        swelling=SWELLING,
+        compression=COMPRESSION,
+        M=M,
+        mu0=2e7,
+        alpha=0.0,
+        reference_pressure=P0,
+        preconsolidation=ratio * P0,
+    )
     plate = mpm.RigidBody(
         mpm.Plane((0, HEIGHT), (0, -1)), velocity=(0, -strain * HEIGHT / steps), name="plate"
     )
@@ -73,7 +81,15 @@ def test_clay_fails_at_the_critical_state_of_its_volume(rings, R):
         MPI.COMM_WORLD, [(0, 0), (1, 1)], (2, 2), mesh.CellType.quadrilateral
     )
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 1)), 2, 2000.0, axisymmetric=rings)
-    soil = mpm.materials.CamClay(SWELLING, COMPRESSION, M, 2e7, 0.0, P0, R * P0)
+    soil = mpm.materials.CamClay(
+        swelling=SWELLING,
+        compression=COMPRESSION,
+        M=M,
+        mu0=2e7,
+        alpha=0.0,
+        reference_pressure=P0,
+        preconsolidation=R * P0,
+    )
     V = mpm.Space(grid, "linear", configuration="total")
     Q = mpm.Space(grid, "linear", shape=(), configuration="total")
     F = mpm.poromechanics(

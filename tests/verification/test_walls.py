@@ -22,8 +22,8 @@ def pushed(basis="gimp", friction=0.3, nu=0.0, n=4):
     wall = mpm.Boundary.from_side(points, "right")
     face = mpm.Boundary.from_polygon(points, [(1.0, 1.5), (1.0, 0.5)], closed=False)
     way = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, wall, u, v, friction=friction)
-    F += mpm.dirichlet(law, face, u, v, way)
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(wall, u, v, law=law, friction=friction)
+    F += mpm.dirichlet(face, u, v, way, law=law)
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
 
     def to(x, y):
@@ -80,8 +80,8 @@ def test_a_wall_takes_no_part_until_the_body_is_there():
     wall = mpm.Boundary.from_side(points, "right")
     face = mpm.Boundary.from_polygon(points, [(0.5, 1.0), (0.5, 0.0)], closed=False)
     way = fem.Constant(grid, 0.0)
-    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, wall, u, v, friction=0.5)
-    F += mpm.dirichlet(law, face, u, v, way, direction=(1, 0))
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(wall, u, v, law=law, friction=0.5)
+    F += mpm.dirichlet(face, u, v, way, law=law, direction=(1, 0))
     bcs = mpm.rollers(V, "bottom", "top")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
     # the block is 0.625 m from the wall
@@ -104,7 +104,7 @@ def test_a_rod_hits_a_wall(kind):
     u, v = V.increment, V.test
     law = mpm.materials.Hencky(E=E, nu=0.0)
     wall = mpm.Boundary.from_side(points, "right")
-    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, wall, u, v)
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(wall, u, v, law=law)
     points.add_field("velocity", (2,), "m/s")
     points["velocity"] = [v0, 0.0]
     bcs = mpm.rollers(V, "bottom", "top")
@@ -136,7 +136,7 @@ def test_walls_in_space():
     F = mpm.momentum(law, points, u, v)
     F += ufl.inner(ufl.as_vector((0.0, 0.0, 10.0)), v) * points.dX
     for wall in walls.values():
-        F += mpm.signorini(law, wall, u, v, friction=0.0)
+        F += mpm.signorini(wall, u, v, law=law, friction=0.0)
     problem = mpm.QuasiStatic(F, u, points, mpm.rollers(V, "bottom"), stabilisation="ghost")
     record = problem.step()
     assert record.iterations <= 8
@@ -163,7 +163,7 @@ def test_a_slab_on_an_incline(friction):
     ends = [start - 0.4 * down, start + 1.6 * down]
     slope = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False, name="slope")
     g = fem.Constant(grid, (0.0, 0.0))
-    F = mpm.momentum(law, points, u, v) + mpm.signorini(law, slope, u, v, friction=friction)
+    F = mpm.momentum(law, points, u, v) + mpm.signorini(slope, u, v, law=law, friction=friction)
     F -= ufl.inner(points.density * g, v) * points.dX
     problem = mpm.GeneralisedAlpha(F, u, points, rho_inf=0.5, stabilisation="ghost")
     ways = []

@@ -176,9 +176,9 @@ def _different_problems(s) -> None:
     rubbing = s.F + mpm.contact(lids[0], s.points, s.u, s.v, friction=_last(0.1, 0.2))
     _differs(lambda: s.solver(form=rubbing), f"friction of contact of term 3 of form {of}0.1 on")
     side = mpm.Boundary.from_side(s.points, "bottom")
-    held = s.F + mpm.dirichlet(s.law, side, s.u, s.v, penalty=_last(10.0, 20.0))
+    held = s.F + mpm.dirichlet(side, s.u, s.v, law=s.law, penalty=_last(10.0, 20.0))
     _differs(lambda: s.solver(form=held), f"of form {of}10.0 on", "20.0 on")
-    walls = lambda: mpm.signorini(s.law, side, s.u, s.v, friction=_last(0.0, 0.1))  # noqa: E731
+    walls = lambda: mpm.signorini(side, s.u, s.v, law=s.law, friction=_last(0.0, 0.1))  # noqa: E731
     _differs(walls, f"friction {of}0.0 on")
     _differs(lambda: s.solver(form=s.F, updates=_last(None, {})), f"updates {of}None on")
     # the last rank is the first that differs from rank 0

@@ -74,7 +74,7 @@ def points_from_data():
         rows = [f"{a},{b},{c},{k % 2}" for k, ((a, b), c) in enumerate(zip(x, volume))]
         path.write_text("\n".join(["x,y,volume,tag", *rows]), encoding="utf-8")
     COMM.barrier()
-    figures["table"] = numbered(mpm.MaterialPoints.from_csv(square(), path, 2.0))
+    figures["table"] = numbered(mpm.MaterialPoints.from_csv(square(), path, density=2.0))
     nodes = np.array([[0.1, 0.1], [0.6, 0.15], [0.7, 0.8], [0.1, 0.7], [0.9, 0.2]])
     cells = [("quad", [[0, 1, 2, 3]]), ("triangle", [[1, 4, 2]])]
     soils = meshio.Mesh(nodes, cells, cell_data={"gmsh:physical": [[1], [2]]})
@@ -159,7 +159,7 @@ def errors_of_bodies():
         )
         assert "load" in message
     missing = Path("/nowhere/points.csv")
-    expect(OSError, lambda: mpm.MaterialPoints.from_csv(grid, missing, 1.0))
+    expect(OSError, lambda: mpm.MaterialPoints.from_csv(grid, missing, density=1.0))
     expect(OSError, lambda: mpm.MaterialPoints.from_mesh(grid, missing, 1.0))
     expect(errors.EmptyShapeError, lambda: from_arrays(grid, [], 1e-3, 1.0))
 

@@ -27,7 +27,7 @@ def ring(
     u, v = V.increment, V.test
     hard, soft = (
         mpm.materials.VonMises(
-            E=lambda x, E=E: E * (1 + 0.1 * x[0]), nu=0.3, yield_stress=2e3, hardening=5e3
+            E=lambda x, E=E: E * (1 + 0.1 * x[0]), nu=0.3, radius=2e3, hardening=5e3
         )
         for E in (1e5, 5e4)
     )
@@ -37,12 +37,12 @@ def ring(
     value = c * (ufl.as_vector((0.6, 0.1)) + 0.05 * out)
     F = mpm.momentum(hard, points, u, v, tag=1) + mpm.momentum(soft, points, u, v, tag=2)
     for law, tag in ((hard, 1), (soft, 2)):
-        F += mpm.dirichlet(law, hole, u, v, value, tag=tag)
+        F += mpm.dirichlet(hole, u, v, value, law=law, tag=tag)
     walls = []
     if kind == mesh.CellType.quadrilateral:
         walls.append(mpm.Boundary.from_side(points, "right"))
         for law, tag in ((hard, 1), (soft, 2)):
-            F += mpm.signorini(law, walls[0], u, v, friction=0.3, tag=tag)
+            F += mpm.signorini(walls[0], u, v, law=law, friction=0.3, tag=tag)
     stabilisation = mpm.Stabilisation(stabilisation, E=1e5)
     problem = mpm.QuasiStatic(F, u, points, stabilisation=stabilisation, **options)
 
@@ -121,7 +121,7 @@ def boundary_3d():
         points, lambda x: np.linalg.norm(x.T - 0.5, axis=1) - 0.38, subdivisions=1
     )
     F = mpm.momentum(law, points, u, v)
-    F += mpm.dirichlet(law, skin, u, v, lambda x: 0.02 * x.T[:, [1, 2, 0]])
+    F += mpm.dirichlet(skin, u, v, lambda x: 0.02 * x.T[:, [1, 2, 0]], law=law)
     problem = mpm.QuasiStatic(F, u, points, stabilisation="ghost")
     problem.step()
     return figures_of(problem, skin, [])
@@ -154,7 +154,9 @@ def deposits(stabilisation="aggregation", basis="gimp"):
     loose, dense = (mpm.materials.sand(RD) for RD in (0.3, 0.7))
     top = 2.3
     ground = mpm.Deposit(
-        lambda x: top + 0.05 * x[0], [mpm.Layer.of(loose, 1.5), mpm.Layer.of(dense)], 1.2
+        lambda x: top + 0.05 * x[0],
+        [mpm.Layer.of(loose, 1.5), mpm.Layer.of(dense)],
+        water_table=1.2,
     )
     shape = mpm.Polygon([(0, 0), (4, 0), (4, top + 0.2), (0, top)])
     points = mpm.fill(grid, shape, 2, ground.density)
@@ -165,7 +167,7 @@ def deposits(stabilisation="aggregation", basis="gimp"):
     for tag, sand in ((1, loose), (2, dense)):
         E = ground.modulus(sand.E_ref, sand.exponent)
         law = mpm.materials.MohrCoulomb(E=E, **sand.parameters)
-        mpm.set_stress(points, law, ground.stress, tag=tag)
+        mpm.set_stress(law, points, ground.stress, tag=tag)
         F += mpm.momentum(law, points, u, v, tag=tag)
     bcs = mpm.rollers(V, "left", "right", "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation=stabilisation)

@@ -17,7 +17,7 @@ def colliding_bodies():
     points = mpm.fill(grid, mpm.Box((0.3, 0), (2.2, 0.5)), 2, 1000.0, tag=1)
     points += mpm.fill(grid, mpm.Disc((0.7, 0.76), 0.2), 2, 1000.0, tag=2)
     V = mpm.Space(grid, "gimp")
-    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4), points, V.increment,
+    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4), points, V.increment,
                      V.test)  # fmt: skip
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), V.test) * points.dX
     points.add_field("velocity", (2,), "m/s")
@@ -26,7 +26,7 @@ def colliding_bodies():
     for gap_test in (True, False):
         collision = mpm.Collision((1, 2), friction=0.3, gap_test=gap_test)
         bcs = mpm.fixed(V, "bottom")
-        problem = mpm.Explicit(F, V.increment, points, bcs, contact=collision)
+        problem = mpm.Explicit(F, V.increment, points, bcs, collision=collision)
         for k in range(4):
             problem.step(0.04 * (k + 1))
         if gap_test:

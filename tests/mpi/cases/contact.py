@@ -20,10 +20,11 @@ def ploughed(**options):
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     tool = mpm.RigidBody(
-        mpm.Wedge((2.4, 1.85), 0.7, 1.5), fillet=0.1, name="tool", rotation_increment=-0.01,
+        mpm.Wedge((2.4, 1.85), np.degrees(0.7), 1.5), fillet=0.1, name="tool",
+        rotation_increment=np.degrees(-0.01),
         increment=lambda t: (0.05, 0.0) if t > 4 else (0.0, -0.05),
     )  # fmt: skip
-    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e4), points, u, v)
+    F = mpm.momentum(mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e4), points, u, v)
     F -= ufl.inner(points.density * ufl.as_vector((0.0, -10.0)), v) * points.dX
     F += mpm.contact(tool, points, u, v, friction=0.3, penalty=25.0)
     bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
@@ -64,9 +65,9 @@ def _penetrated(**options):
     cone = mpm.RigidBody(mpm.Polygon(meridian), increment=(0, -0.1), fillet=0.5, name="cone")
 
     def beside(x):
-        return (cone.surface.probe(np.ascontiguousarray(x))[0] > 0.15) & (x[:, 1] < 0)
+        return (cone.surface.probe(np.ascontiguousarray(x.T))[0] > 0.15) & (x[1] < 0)
 
-    ground = mpm.Shape(beside, np.array([0.0, -9.0]), np.array([8.0, 0.0]))
+    ground = mpm.Where(beside, low=np.array([0.0, -9.0]), high=np.array([8.0, 0.0]))
     points = mpm.fill(grid, ground, 2, 1000.0, axisymmetric=True)
     V = mpm.Space(grid, "gimp", domains="volume")
     clay = mpm.materials.Tresca(E=3e6, nu=0.45, cohesion=1e4)
@@ -97,7 +98,8 @@ def _thrown(kind, free=True, **options):
     V = mpm.Space(grid, "gimp")
     mass = {"mass": 2000.0, "inertia": 100.0, "gravity": (0.0, -10.0)} if free else {}
     ball = mpm.RigidBody(
-        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), angular_velocity=-1.0, name="ball", **mass
+        mpm.Disc((2.9, 2.0), 0.5), velocity=(0.5, -1.0), name="ball",
+        angular_velocity=np.degrees(-1.0), **mass,
     )  # fmt: skip
     F = mpm.momentum(mpm.materials.Hencky(E=1e5, nu=0.3), points, V.increment, V.test)
     F += mpm.contact(ball, points, V.increment, V.test, friction=0.2)

@@ -68,19 +68,19 @@ def _of_problems(s):
     touch = lambda: mpm.contact(  # noqa: E731
         s.tool, s.points, s.u, s.v, penetration=_last(1e-3, 2e-3)
     )
-    hold = lambda: mpm.dirichlet(s.law, side, s.u, s.v, (_last(0.0, 1e-3), 0.0))  # noqa: E731
+    hold = lambda: mpm.dirichlet(side, s.u, s.v, (_last(0.0, 1e-3), 0.0), law=s.law)  # noqa: E731
     before = lambda e: mpm.carried(s.points, "before", e)  # noqa: E731
     rate = lambda e: (s.u[0] - before(e)) * s.v[0] * s.points.dX  # noqa: E731
     return [
         (lambda: s.solver(increment=_last(V.increment, s.u)), "order among the spaces of its grid"),
         (lambda: s.solver(form=s.F + touch()), "penetration of contact"),
         (lambda: s.solver(form=s.F + hold()), "constant"),
-        (lambda: s.solver(form=s.F - side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
+        (lambda: s.solver(form=s.F + side.pressure(_last(1.0, 2.0), s.u, s.v)), "constant"),
         (lambda: s.solver(form=_last(s.F, s.F + s.ghost())), "form differs"),
         (lambda: s.solver(form=s.F + rate(s.u[_last(0, 1)])), "indices of"),
         (lambda: explicit(mapping=_last("flip", "pic")), "mapping differs"),
         (lambda: explicit(fused=_last(True, False)), "fused differs"),
-        (lambda: explicit(contact=mpm.Collision((0, _last(1, 2)))), "tags of contact differs"),
+        (lambda: explicit(collision=mpm.Collision((0, _last(1, 2)))), "tags of collision differs"),
         (lambda: _fresh(s).step(*_last((), (1.0,))), "t differs between ranks: None on"),
         (lambda: mpm.equilibrate(_fresh(s), tolerance=_last(1e-9, 1e-8)), "tolerance differs"),
     ]
@@ -92,7 +92,10 @@ def _of_files(s, at):
     history.record(a=1.0)
     return [
         (lambda: _fresh(s).load(at / _last("a.h5", "b.h5")), "path differs"),
-        (lambda: mpm.ParaView(at / "a.pvd", s.points, _last(["stress"], ["F"])), "fields differs"),
+        (
+            lambda: mpm.ParaView(at / "a.pvd", s.points, fields=_last(["stress"], ["F"])),
+            "fields differs",
+        ),
         (lambda: writer.write(_last(1.0, 2.0)), "time differs"),
         (lambda: history.write(at / _last("h.csv", "h.json")), "path differs"),
         (lambda: s.plot(at / "x.png", "stress", _last((0, 0), (1, 1))), "component differs"),
@@ -129,9 +132,11 @@ def _on_one_rank(s, at) -> None:
     assert "rows = 3" in _ends(lambda: mpm.study.write_table(rows, at / "a.csv"))
     matrix = s.solver().stiffness()
     kernel = np.ones((1 + matrix.getLocalSize()[0], 1)) if last else None
-    assert "kernel" in _ends(lambda: mpm.study.condition_number(matrix, kernel))
+    assert "kernel" in _ends(lambda: mpm.study.condition_number(matrix, kernel=kernel))
     kernel = np.ones((matrix.getLocalSize()[0], 1)) if last else None
-    assert "vectors on the ranks" in _ends(lambda: mpm.study.condition_number(matrix, kernel))
+    assert "vectors on the ranks" in _ends(
+        lambda: mpm.study.condition_number(matrix, kernel=kernel)
+    )
     history = mpm.History()
     if not last:
         history.record(a=1.0)

@@ -16,7 +16,7 @@ from .common import COMM, sums
 
 END = 0.24
 ELASTIC = mpm.materials.Hencky(E=1e6, nu=0.3)
-WEAK = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=2e3)
+WEAK = mpm.materials.VonMises(E=1e6, nu=0.3, radius=2e3)
 SCENES = {
     "usl": {"law": ELASTIC, "scheme": "usl"},
     "usl in general": {"law": ELASTIC, "scheme": "usl", "fused": False},
@@ -143,13 +143,13 @@ def explicit_boundaries():
         if kind in ("wall", "total"):
             ends = [(0.2, 0.6), (2.4, 0.5)]
             line = mpm.Boundary.from_polygon(points, ends, closed=False, follows=False)
-            F += mpm.signorini(law, line, u, v, friction=0.3, penalty=10.0)
+            F += mpm.signorini(line, u, v, law=law, friction=0.3, penalty=10.0)
         else:
             (a, b), (c, d) = low, high
             line = mpm.Boundary.from_polygon(points, [(a, d), (a, b), (c, b)], closed=False)
             way = ufl.as_vector((2.0 * clock, -1.0 * clock + 3.0 * clock**2))
             penalty = 10.0 if kind == "penalty" else None
-            F += mpm.dirichlet(law, line, u, v, way, method=kind, penalty=penalty)
+            F += mpm.dirichlet(line, u, v, way, law=law, method=kind, penalty=penalty)
         problem = mpm.Explicit(F, u, points, time=clock, **options)
         first = problem.critical_step()
         for k in range(2):

@@ -84,7 +84,7 @@ def errors_on_all_ranks():
     assert len(set(COMM.allgather(message))) == 1
     assert np.array_equal(points["x"], before)
     # initial stress that the law cannot bear at one corner, and a law without a stress there
-    soft = mpm.materials.VonMises(1e4, 0.3, 100.0, hardening=-2e3)
+    soft = mpm.materials.VonMises(1e4, 0.3, radius=100.0, hardening=-2e3)
 
     def corner_stress(x):
         stress = np.zeros((x.shape[1], 3, 3))
@@ -94,14 +94,14 @@ def errors_on_all_ranks():
     for strain in ("large", "small", "jaumann"):
         message = expect(
             errors.StateError,
-            lambda strain=strain: mpm.set_stress(points, soft, corner_stress, strain=strain),
+            lambda strain=strain: mpm.set_stress(soft, points, corner_stress, strain=strain),
         )
         assert "outside the yield surface" in message
         assert COMM.allreduce(float(np.abs(points["stress"]).sum())) == 0.0
         expect(
             errors.ParameterError,
             lambda strain=strain: mpm.set_stress(
-                points, soft, lambda x: np.full((x.shape[1], 3, 3), np.nan), strain=strain
+                soft, points, lambda x: np.full((x.shape[1], 3, 3), np.nan), strain=strain
             ),
         )
     F = mpm.momentum(soft, points, V.increment, V.test, strain="small")

@@ -53,7 +53,7 @@ def fbar_bases():
 
 def fbar_3d():
     """F-bar in 3D, with a law that yields."""
-    law = mpm.materials.VonMises(100.0, 0.49, 6.0, 80.0)
+    law = mpm.materials.VonMises(100.0, 0.49, radius=6.0, hardening=80.0)
     problem, figures = _fbar("gimp", law, dimension=3, load=1.5)
     figures["plastic"] = sums(problem.points, "plastic_strain")
     assert problem.points.comm.allreduce(problem.points["plastic_strain"].sum()) > 0

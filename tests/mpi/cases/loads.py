@@ -22,7 +22,7 @@ def surface_loads():
     s, p = fem.Constant(grid, 0.0), fem.Constant(grid, 0.0)
     foot = mpm.RigidFooting(top, s, E=1e3)
     F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, u, v)
-    F -= foot.contact(u, v) + side.pressure(p, u, v) + side.force((0.0, -5.0), v)
+    F += foot.contact(u, v) + side.pressure(p, u, v) + side.force((0.0, -5.0), v)
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
     problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
     loads, moved = [], 0

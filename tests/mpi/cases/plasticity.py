@@ -22,10 +22,10 @@ def _measure(strain):
     points = mpm.fill(grid, mpm.Box((1, 0), (4, 6)), 2, 1800.0)
     V = mpm.Space(grid, "gimp")
     g = fem.Constant(grid, (0.0, -9.81))
-    law = mpm.materials.VonMises(lambda x: 1e6 + 2e4 * x[1], 0.3, 6e4, 1e6)
+    law = mpm.materials.VonMises(lambda x: 1e6 + 2e4 * x[1], 0.3, radius=6e4, hardening=1e6)
     F = mpm.momentum(law, points, V.increment, V.test, strain=strain)
     F -= ufl.inner(points.density * g, V.test) * points.dX
-    mpm.set_stress(points, law, mpm.geostatic_stress(6, 1800 * 9.81, 0.5), strain=strain)
+    mpm.set_stress(law, points, mpm.geostatic_stress(6, 1800 * 9.81, 0.5), strain=strain)
     start = sums(points, "stress")
     # the load goes beyond what it starts from
     loads = [(0.05 * k, -9.81 - 0.5 * k) for k in range(1, 5)]
@@ -77,7 +77,7 @@ def _strength(x):
 
 def plastic():
     """Von Mises' law, whose yield stress goes with the points."""
-    return _plastic(mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=_strength))
+    return _plastic(mpm.materials.VonMises(E=1e6, nu=0.3, radius=_strength))
 
 
 def law_in_ufl():
@@ -87,7 +87,9 @@ def law_in_ufl():
         return lmbda / 2 * (e[0] + e[1] + e[2]) ** 2 + mu * ufl.inner(e, e)
 
     lmbda, mu = 0.3e6 / (1.3 * 0.4), 0.5e6 / 1.3
-    law = mpm.materials.EnergyWithYield(energy, lmbda=lmbda, mu=mu, yield_stress=_strength)
+    law = mpm.materials.EnergyWithYield(
+        energy, lmbda=lmbda, mu=mu, yield_stress=lambda x: np.sqrt(1.5) * _strength(x)
+    )
     return _plastic(law)
 
 
@@ -101,9 +103,11 @@ def layers():
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     g = fem.Constant(grid, (0.0, 0.0))
-    soil = mpm.materials.VonMises(lambda x: 1e6 + 2e4 * x[1], 0.3, 1.5e4, 1e6)
+    soil = mpm.materials.VonMises(lambda x: 1e6 + 2e4 * x[1], 0.3, radius=1.5e4, hardening=1e6)
     F = mpm.momentum(soil, points, u, v, tag=0)
-    F += mpm.momentum(mpm.materials.VonMises(2e6, 0.3, _strength, 1e6), points, u, v, tag=1)
+    F += mpm.momentum(
+        mpm.materials.VonMises(2e6, 0.3, radius=_strength, hardening=1e6), points, u, v, tag=1
+    )
     crust = mpm.materials.NeoHookean(lambda x: 5e5 + 1e4 * x[0], 0.3)
     F += mpm.momentum(crust, points, u, v, tag=2)
     # a term with the stress by itself, and a load on one part
@@ -127,7 +131,7 @@ def incomplete_factors():
         points = mpm.fill(grid, mpm.Box((0, 0), (4, 3)), 2, 1800.0)
         V = mpm.Space(grid, "gimp")
         g = fem.Constant(grid, (0.0, 0.0))
-        soil = mpm.materials.MohrCoulomb(1e6, 0.3, 2e3, 25.0, 0.0)
+        soil = mpm.materials.MohrCoulomb(1e6, 0.3, 2e3, 25.0, dilation_angle=0.0)
         F = mpm.momentum(soil, points, V.increment, V.test)
         F -= ufl.inner(points.density * g, V.test) * points.dX
         bcs = mpm.rollers(V, "left", "bottom")
@@ -157,7 +161,7 @@ def wall():
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     g = fem.Constant(grid, (0.0, 0.0))
-    soil = mpm.materials.MohrCoulomb(2e7, 0.3, 5e3, 28.0, 4.0)
+    soil = mpm.materials.MohrCoulomb(2e7, 0.3, 5e3, 28.0, dilation_angle=4.0)
     F = mpm.momentum(soil, points, u, v, tag=1)
     F += mpm.momentum(mpm.materials.Hencky(5e8, 0.2), points, u, v, tag=2)
     F -= ufl.inner(points.density * g, v) * points.dX
@@ -205,7 +209,7 @@ def _slope(cohesion):
     points = mpm.fill(grid, shape, 2, 2000.0)
     V = mpm.Space(grid, "gimp")
     g = fem.Constant(grid, (0.0, -10.0))
-    law = mpm.materials.MohrCoulomb(2e7, 0.3, cohesion, 25.0, 0.0)
+    law = mpm.materials.MohrCoulomb(2e7, 0.3, cohesion, 25.0, dilation_angle=0.0)
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")

@@ -27,7 +27,7 @@ def consolidation():
         drained=top, fluid=mpm.Fluid(bulk_modulus=1e7),
     )  # fmt: skip
     load = fem.Constant(grid, (0.0, 0.0))
-    F -= top.traction(load, V.test)
+    F += top.traction(load, V.test)
     bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
     problem = mpm.Transient(
         F, [V.increment, Q.increment], points, bcs, stabilisation=["ghost", "ghost"]
@@ -76,7 +76,7 @@ def _nested(basis, stabilisation, **options):
         mpm.materials.Hencky(E=1e5, nu=0.3), points, (V.increment, Q.increment),
         (V.test, Q.test), permeability=1e-3, porosity=0.4, drained=top,
     )  # fmt: skip
-    F -= top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
+    F += top.traction(fem.Constant(grid, (0.0, -3e3)), V.test)
     bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left")
     problem = mpm.Transient(
         F, [V.increment, Q.increment], points, bcs, stabilisation=[stabilisation] * 2, **options

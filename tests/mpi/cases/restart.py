@@ -35,7 +35,7 @@ def block(stabilisation="ghost", basis="gimp", body=False, **options):
     points = mpm.fill(grid, mpm.Box((0, 0), (6, 5.4)), 2, 1000.0)
     V = mpm.Space(grid, basis)
     g = fem.Constant(grid, (0.0, 0.0))
-    law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=lambda x: 1e4 + 1e3 * x[1])
+    law = mpm.materials.VonMises(E=1e6, nu=0.3, radius=lambda x: 1e4 + 1e3 * x[1])
     F = mpm.momentum(law, points, V.increment, V.test)
     F -= ufl.inner(points.density * g, V.test) * points.dX
     b = fem.Function(fem.functionspace(grid, ("Lagrange", 2, (2,))))

@@ -27,8 +27,8 @@ def slump(basis, stabilisation, law=None, fbar=True, **options):
     u, v = V.increment, V.test
     g = fem.Constant(grid, (0.0, 0.0))
     law = law or mpm.materials.Hencky(E=100.0, nu=0.45)
-    side = mpm.Surface(points, lambda x: np.isclose(x[0], 5.3), (1, 0), "side")
-    F = mpm.momentum(law, points, u, v, fbar=fbar) - side.pressure(1.0, u, v)
+    side = mpm.Surface(points, lambda x: np.isclose(x[0], 5.3), (1, 0), name="side")
+    F = mpm.momentum(law, points, u, v, fbar=fbar) + side.pressure(1.0, u, v)
     F -= ufl.inner(points.density * g, v) * points.dX
     bcs = mpm.rollers(V, "left") + mpm.fixed(V, "bottom")
     stabilisation = mpm.Stabilisation(stabilisation, E=100.0 if stabilisation != "ghost" else None)
@@ -47,7 +47,7 @@ def rings_bases():
 
 def rings_stabilisations():
     """Other stabilisations, a law that yields, an energy, and total increments."""
-    yields = mpm.materials.VonMises(100.0, 0.3, 4.0, 20.0)
+    yields = mpm.materials.VonMises(100.0, 0.3, radius=4.0, hardening=20.0)
     energy = mpm.materials.NeoHookean(100.0, 0.3)
     return {
         "aggregation": slump("gimp", "aggregation", yields),
@@ -92,7 +92,7 @@ def rings_restart():
         points = mpm.fill(grid, mpm.Box((0, 0), (5, 5.4)), 2, 1000.0, axisymmetric=True)
         V = mpm.Space(grid, "gimp")
         g = fem.Constant(grid, (0.0, 0.0))
-        law = mpm.materials.VonMises(E=1e6, nu=0.3, yield_stress=1e4)
+        law = mpm.materials.VonMises(E=1e6, nu=0.3, radius=1e4)
         F = mpm.momentum(law, points, V.increment, V.test)
         F -= ufl.inner(points.density * g, V.test) * points.dX
         problem = mpm.QuasiStatic(
@@ -119,7 +119,7 @@ def rings_boundaries():
         points = mpm.fill(grid, shape, 2, 1.0, axisymmetric=True)
         V = mpm.Space(grid, "gimp")
         u, v = V.increment, V.test
-        law = mpm.materials.VonMises(100.0, 0.3, 4.0, 20.0)
+        law = mpm.materials.VonMises(100.0, 0.3, radius=4.0, hardening=20.0)
         hole = mpm.Boundary.from_level_set(
             points, lambda x: 0.55 - np.hypot(x[0], x[1] - middle[1])
         )
@@ -128,8 +128,8 @@ def rings_boundaries():
         )
         c = fem.Constant(grid, 0.0)
         value = c * (ufl.as_vector((0.0, 0.5)) + 0.2 * (hole.x0 - ufl.as_vector(tuple(middle))))
-        F = mpm.momentum(law, points, u, v) + mpm.dirichlet(law, hole, u, v, value)
-        F += mpm.signorini(law, lid, u, v, friction=0.3)
+        F = mpm.momentum(law, points, u, v) + mpm.dirichlet(hole, u, v, value, law=law)
+        F += mpm.signorini(lid, u, v, law=law, friction=0.3)
         bcs = mpm.rollers(V, "left")
         problem = mpm.QuasiStatic(
             F,

@@ -65,7 +65,7 @@ def adaptive_penalties():
         points = mpm.fill(grid, mpm.Box((1.3, 0), (6.2, 5.15)), 3, 1.0)
         V = mpm.Space(grid, basis)
         g = fem.Constant(grid, (0.0, 0.0))
-        soil = mpm.materials.VonMises(E=100.0, nu=0.3, yield_stress=0.5, hardening=20.0)
+        soil = mpm.materials.VonMises(E=100.0, nu=0.3, radius=0.5, hardening=20.0)
         F = mpm.momentum(soil, points, V.increment, V.test)
         F -= ufl.inner(points.density * g, V.test) * points.dX
         stabilisation = mpm.Stabilisation("ghost", factor="adaptive")

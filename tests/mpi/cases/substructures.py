@@ -111,7 +111,7 @@ def steps_in_parts():
     # on any number of ranks, however small the problem
     most, module._MOST_BETWEEN = module._MOST_BETWEEN, np.inf
     mumps = {"mat_mumps_icntl_14": 30}
-    plastic = mpm.materials.VonMises(E=10.0, nu=0.3, yield_stress=0.2)
+    plastic = mpm.materials.VonMises(E=10.0, nu=0.3, radius=0.2)
     for name, cells, load, law in (("few", 12, 0.2, None), ("many", 48, 0.04, plastic)):
         problem, figures[name] = _block(cells, load, law)
         other, _ = _block(cells, load, law, petsc_options=mumps)
