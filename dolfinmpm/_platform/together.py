@@ -25,6 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm._platform import sharedmemory
+from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.alike import Told, difference, digest, in_words, nearly, told
 from dolfinmpm._platform.errors import DifferentCallsError, ParameterError
 from dolfinmpm._platform.sharedmemory import Memory
@@ -216,6 +217,8 @@ def _found_or_made(comm: MPI.Intracomm) -> Ranks:
     for ranks in _known:
         if MPI.Comm.Compare(comm, ranks.comm) in (MPI.IDENT, MPI.CONGRUENT):
             return ranks
+    if not _known:
+        end_all_ranks(MPI.COMM_WORLD)
     made = Ranks(comm)
     _known.append(made)
     return made

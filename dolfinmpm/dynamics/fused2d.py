@@ -14,7 +14,6 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.constantfolding import fold_constants
 from dolfinmpm.basis.lineweights import line_shares, line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.moments import drift, inverse_moments
@@ -86,7 +85,6 @@ def kernel(
     usual = middle_count(degree, averaged)
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    @fold_constants
     def run(
         grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
     ):  # fmt: skip

@@ -13,7 +13,6 @@ import math
 import numba
 import numpy as np
 
-from dolfinmpm._platform.constantfolding import fold_constants
 from dolfinmpm.basis.lineweights import line_weights, overlapped
 from dolfinmpm.basis.uniform import middle_count, middle_weights
 from dolfinmpm.dynamics.axes import axes, combine
@@ -65,7 +64,6 @@ def kernel(degree: int, growth: int, kind: int, affine: int, parts: Pass, genera
     cut = general and averaged
 
     @numba.njit(cache=True, error_model="numpy", fastmath=FAST)
-    @fold_constants
     def run(
         grid, nodes, out, points, law, dt, share, record, advance, scatter, rows, skipped, done
     ):  # fmt: skip
