@@ -13,7 +13,7 @@ INPUTS = {
     "s.path(load=[s.g, s.g])": "load has a constant twice, whose load would count",
     "s.solver().step(1.0)": "step(1.0): QuasiStatic knows no time, and a step",
     "s.solver().save(None)": "path = None must be a path, such as 'output/name'",
-    's.solver().save("/nonexistent/dir/a.h5")': "cannot write /nonexistent/dir/a.h5: [Errno 2] No",
+    's.solver().save("/none/dir/a.npz")': "cannot write /none/dir/a.npz: [Errno 2] No",
     'setattr(s.solver(), "bcs", [])': "bcs = []: this QuasiStatic has read this argument",
     'setattr(s.solver(), "tolerence", 0.001)': "this QuasiStatic has no tolerence, and nobody",
     "s.solver().energies()": "QuasiStatic has no energies: it is of steps in",

@@ -76,6 +76,7 @@ class _StageClock:
 
 _clock = _StageClock()
 
+
 class Stage:
     """A part of a step: `with stage: …`, or `@stage` before a function.
 
