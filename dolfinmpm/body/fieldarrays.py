@@ -17,10 +17,14 @@ Array = npt.NDArray[Any]
 class FieldArrays(MutableMapping[str, Array]):
     """Arrays by the names of their fields, as a dictionary.
 
-    Nobody sees a change of an array itself. What can be known is that there was none: since a
-    moment at which nobody else held the array, if nobody has asked for it. So whoever keeps
-    something that follows from the fields asks at the end of its work for a `moment`, and later for
-    those `touched` since.
+    Nobody sees a change of an array itself. But an array has not changed since a moment if nobody
+    else held it at this moment, and nobody has asked for it since. So an object that keeps numbers
+    computed from the fields asks at the end of its work for a `moment`, and later for the fields
+    `touched` since.
+
+    Only Python's count of references tells whether somebody else holds an array. If all counted as
+    held, an explicit step that is called alone would take 2.8 times as long (56 points; 1.7 times
+    with 3100).
 
     Args:
         arrays: The first arrays.
