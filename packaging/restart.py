@@ -14,7 +14,7 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 STEPS = 40
-checkpoint = Path(os.environ.get("CHECKPOINT", "checkpoint.h5"))
+checkpoint = Path(os.environ.get("CHECKPOINT", "checkpoint.npz"))
 
 cells = mesh.CellType.quadrilateral
 grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 60)], (1, 60), cells)

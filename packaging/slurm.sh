@@ -15,7 +15,7 @@
 #SBATCH --output=%x-%j.out
 set -euo pipefail
 if (($# == 0)); then echo "usage: sbatch $0 SCRIPT [ARGUMENTS]" >&2; exit 2; fi
-export CHECKPOINT=${CHECKPOINT:-$PWD/checkpoint.h5}
+export CHECKPOINT=${CHECKPOINT:-$PWD/checkpoint.npz}
 export OMP_NUM_THREADS=1 # one thread per rank
 python=(python3)
 if [[ -n ${DOLFINMPM_SIF-} ]]; then python=(apptainer exec "$DOLFINMPM_SIF" python3); fi

@@ -108,9 +108,9 @@ def kill_steps(kills, folder):
     chance, in_writing = random.Random(8), 0
     problem, g = column(2, 2)
     # kernels are compiled in a process that is left alone
-    forked(lambda: go_on(problem, g, folder / "first.h5", 2))
-    expected, seconds = result(problem, g, folder / "whole.h5")
-    path = folder / "run.h5"
+    forked(lambda: go_on(problem, g, folder / "first.npz", 2))
+    expected, seconds = result(problem, g, folder / "whole.npz")
+    path = folder / "run.npz"
     while kills:
         if forked(lambda: go_on(problem, g, path), chance.uniform(0.0, 0.4) * seconds):
             kills -= 1
@@ -127,7 +127,7 @@ def kill_saves(kills, folder):
     """Kill a run that saves a large body over and over; returns kills in writing."""
     chance, in_writing = random.Random(9), 0
     problem, _ = column(12, 12)
-    target, first = folder / "large.h5", problem.points["x"].copy()
+    target, first = folder / "large.npz", problem.points["x"].copy()
     problem.save(target)
 
     def save_for_ever():

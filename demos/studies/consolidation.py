@@ -228,7 +228,7 @@ def sweep():
     # each of the lengths begins with the same state: a problem is made but once a cut
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory()) if comm.rank == 0 else None
-        state = Path(comm.bcast(folder)) / "first.h5"
+        state = Path(comm.bcast(folder)) / "first.npz"
         for j, cut in enumerate(args.cuts):
             first, _ = column((5 + cut) * h)
             first.save(state)

@@ -115,10 +115,9 @@ say(
 # %%
 if not args.no_plot:
     study.write_table(found.table(), args.output / "factor_of_safety.csv")
-    words = r"largest displacement $E\delta/(\gamma H^2)$"
-    study.plot_reduction(
-        found.table(), args.output / "factor_of_safety.png", scale=SCALE, ylabel=words
-    )
+    with mpm.figure(args.output / "factor_of_safety.png") as (_, axes):
+        study.draw_reduction(axes, found.table(), scale=SCALE)
+        axes.set_ylabel(r"largest displacement $E\delta/(\gamma H^2)$")
 
 finish(
     args,

@@ -196,7 +196,7 @@ def with_output(cells: int) -> Block:
 def with_checkpoint(cells: int) -> Block:
     """A block that saves its state after every step."""
     made, folder = block(cells), tempfile.mkdtemp()
-    made.after = lambda: made.problem.save(Path(folder, "state.h5"))
+    made.after = lambda: made.problem.save(Path(folder, "state.npz"))
     return made
 
 

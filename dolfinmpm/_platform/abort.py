@@ -1,10 +1,11 @@
 """An exception that nobody catches ends all ranks, and is told once.
 
-Without this the other ranks wait in their next collective call for ever, and so does the
-launcher. `python3 -m mpi4py` does not help: it aborts when the interpreter has come to its
-end, but before that PETSc is shut down, which is collective. Checks of dolfinmpm raise on
-all ranks together, so that one sentence says what was wrong; what remains is an error in a
-script or in another package on some of the ranks.
+Without this the other ranks wait in their next collective call for ever, and so does the launcher.
+`python3 -m mpi4py` does not help: it aborts at the interpreter's end. PETSc is shut down before,
+and this shutdown is collective. Checks of dolfinmpm raise on all ranks together. An error in a
+script, or in another package, may be on some of the ranks only.
+
+The hook is set when ranks meet for the first time in a call of dolfinmpm, not by the import.
 """
 
 from __future__ import annotations

@@ -59,18 +59,16 @@ def check_kind(what: str, value: Any, kind: type, advice: str) -> None:
         raise ParameterError(f"{what} = {shown(value)} must be a {kind.__name__}: {advice}")
 
 
-def check_function(what: str, value: Any, stabilisation: str = "") -> None:
+def check_function(what: str, value: Any, kind: str = "") -> None:
     """Raise ParameterError unless a value is a function.
 
     Args:
         what: Name of the argument.
         value: What was given.
-        stabilisation: What the function takes and returns.
+        kind: Arguments and result of the function, in words.
     """
     if not callable(value):
-        raise ParameterError(
-            f"{what} = {shown(value)} must be a function{stabilisation and f' {stabilisation}'}"
-        )
+        raise ParameterError(f"{what} = {shown(value)} must be a function{kind and f' {kind}'}")
 
 
 def at_time(what: str, given: Any, t: float) -> Any:

@@ -213,23 +213,13 @@ def option_was_read(name: str) -> bool:
     return bool(read.value)
 
 
-class _SymbolInfo(ctypes.Structure):
-    """Dl_info of dlfcn.h."""
-
-    _fields_ = (
-        ("file", ctypes.c_char_p),
-        ("base", ctypes.c_void_p),
-        ("symbol", ctypes.c_char_p),
-        ("address", ctypes.c_void_p),
-    )
-
-
 def library_of(symbol: str) -> Path | None:
     """The file of the library in which PETSc's calls of a function end; None if not known."""
-    found = _SymbolInfo()
+    # four pointers, the first of them to the path
+    found = (ctypes.c_void_p * 4)()
     try:
         address = ctypes.cast(getattr(_libpetsc(), symbol), ctypes.c_void_p)
         known = ctypes.CDLL(None).dladdr(address, ctypes.byref(found))
     except (AttributeError, OSError):
         return None
-    return Path(os.fsdecode(found.file)).resolve() if known and found.file else None
+    return Path(os.fsdecode(ctypes.string_at(found[0]))).resolve() if known and found[0] else None

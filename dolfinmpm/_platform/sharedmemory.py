@@ -8,20 +8,27 @@ microsecond and no message, and from the start the others find it by the name of
 from __future__ import annotations
 
 import contextlib
-import mmap
 import os
 import tempfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Memory", "Slot", "find", "own_memory", "remove_all"]
+import numpy as np
 
-# Whole numbers of a slot, by their places
-GROUP, DOORS, AT_DOOR, INSIDE, SINCE, FAILED, ENDED, ASKED = range(8)
-_NUMBERS = 8
+__all__ = ["Memory", "Slot", "answer", "ask", "find", "own_memory", "read", "remove_all"]
+
+# A slot, as `Slot` tells it; `asked` tells that somebody wants to know where the process is
 _TEXT = 448
-_BYTES = 8 * _NUMBERS + _TEXT
+_SLOT = np.dtype(
+    [
+        ("group", np.int64), ("doors", np.int64), ("at_door", bool), ("inside", bool),
+        ("since", np.int64), ("failed", bool), ("ended", bool), ("asked", bool),
+        ("text", f"S{_TEXT}"),
+    ],
+    align=True,
+)  # fmt: skip
+Memory = np.void
 # Names by which launchers tell one run from another
 _RUNS = "PMIX_NAMESPACE", "OMPI_MCA_ess_base_jobid", "PMI_JOBID", "SLURM_STEP_ID"
 
@@ -53,43 +60,22 @@ class Slot:
     text: str = ""
 
 
-class Memory:
-    """The memory of a slot.
+def read(memory: Memory, rank: int) -> Slot:
+    """What a slot says of the process of a rank."""
+    values = dict(zip(_SLOT.names or (), memory.item()))
+    del values["asked"]
+    values["text"] = values["text"].decode(errors="ignore")
+    return Slot(rank, **values)
 
-    Args:
-        memory: So many bytes.
 
-    Attributes:
-        numbers: Its whole numbers, to be written in place.
-    """
+def ask(memory: Memory) -> None:
+    """Ask a process where it is; if its watch is not held up it answers."""
+    memory["text"], memory["asked"] = b"", True
 
-    def __init__(self, memory: mmap.mmap | bytearray):
-        self._text = memoryview(memory)[8 * _NUMBERS : _BYTES]
-        self.numbers = memoryview(memory)[: 8 * _NUMBERS].cast("q")
 
-    def read(self, rank: int) -> Slot:
-        """What it says of the process of that rank."""
-        n = self.numbers
-        text = bytes(self._text).rstrip(b"\0").decode(errors="ignore")
-        return Slot(
-            rank, n[GROUP], n[DOORS], bool(n[AT_DOOR]), bool(n[INSIDE]), n[SINCE], bool(n[FAILED]),
-            bool(n[ENDED]), text,
-        )  # fmt: skip
-
-    @property
-    def asked(self) -> bool:
-        """Whether somebody wants to know where the process is."""
-        return bool(self.numbers[ASKED])
-
-    def ask(self) -> None:
-        """Ask the process where it is; if its watch is not held up it answers."""
-        self._text[:] = bytes(_TEXT)
-        self.numbers[ASKED] = 1
-
-    def answer(self, text: str) -> None:
-        """Tell where this process is."""
-        self._text[:] = text.encode()[:_TEXT].ljust(_TEXT, b"\0")
-        self.numbers[ASKED] = 0
+def answer(memory: Memory, text: str) -> None:
+    """Tell where this process is."""
+    memory["text"], memory["asked"] = text.encode()[:_TEXT], False
 
 
 def _folder() -> Path:
@@ -116,11 +102,9 @@ def own_memory(rank: int) -> tuple[Memory, str]:
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError:
-        return Memory(bytearray(_BYTES)), ""
+        return np.zeros(1, _SLOT)[0], ""
     with os.fdopen(handle, "r+b") as file:
-        file.write(bytes(_BYTES))
-        file.flush()
-        return Memory(mmap.mmap(file.fileno(), _BYTES)), str(path)
+        return np.memmap(file, _SLOT, "r+", shape=(1,))[0], str(path)
 
 
 def find(rank: int, path: str = "") -> Memory | None:
@@ -137,7 +121,7 @@ def find(rank: int, path: str = "") -> Memory | None:
 def _opened(file: Path) -> Memory | None:
     with contextlib.suppress(OSError, ValueError), file.open("r+b") as opened:
         if os.fstat(opened.fileno()).st_uid == os.getuid():
-            return Memory(mmap.mmap(opened.fileno(), _BYTES))
+            return np.memmap(opened, _SLOT, "r+", shape=(1,))[0]
     return None
 
 
@@ -148,7 +132,7 @@ def remove_all(even: bool = False) -> None:
         even: Whether even those of processes that have not ended; else the last one removes them.
     """
     files = list(_folder().glob(f"{_run()}-*"))
-    if even or all(m is None or m.numbers[ENDED] for m in map(_opened, files)):
+    if even or all(m is None or m["ended"] for m in map(_opened, files)):
         for file in files:
             file.unlink(missing_ok=True)
 

@@ -11,10 +11,9 @@ enters dozens of stages, and of one with few points their clock would be half a 
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from petsc4py import PETSc
 
@@ -77,36 +76,6 @@ class _StageClock:
 
 _clock = _StageClock()
 
-# `turn` is written out, as two calls more would take half as much again. Arguments keep their
-# names, so that they may be given by name; `*arguments, **options` would take more than all the
-# rest where nothing is measured.
-_WITHIN = """
-def make(_stage, _function):
-    def within{signature}:
-        if not _clock.on:
-            return _function({arguments})
-        _outer = _clock.front
-        if _outer is _stage:
-            return _function({arguments})
-        if _clock.logged:
-            _clock.turn(_stage)
-        else:
-            _now = perf_counter()
-            if _outer is not None:
-                _outer.seconds += _now - _clock.since
-            _clock.front, _clock.since = _stage, _now
-        try:
-            return _function({arguments})
-        finally:
-            if _clock.logged:
-                _clock.turn(_outer)
-            else:
-                _now = perf_counter()
-                _stage.seconds += _now - _clock.since
-                _clock.front, _clock.since = _outer, _now
-    return within
-"""
-
 
 class Stage:
     """A part of a step: `with stage: …`, or `@stage` before a function.
@@ -149,23 +118,14 @@ class Stage:
         self.leave()
 
     def __call__(self, function: Function) -> Function:
-        signature = inspect.signature(function)
-        kinds, given = inspect.Parameter, []
-        for p in signature.parameters.values():
-            stars = "*" * (p.kind is kinds.VAR_POSITIONAL) + "**" * (p.kind is kinds.VAR_KEYWORD)
-            given.append(f"{p.name}={p.name}" if p.kind is kinds.KEYWORD_ONLY else stars + p.name)
-        # defaults are objects: they are put in afterwards
-        bare = [
-            p.replace(annotation=p.empty, default=p.default if p.default is p.empty else None)
-            for p in signature.parameters.values()
-        ]
-        text = _WITHIN.format(signature=inspect.Signature(bare), arguments=", ".join(given))
-        made: dict[str, Any] = {}
-        # a warning names the first line that is not of the package's files
-        exec(compile(text, __file__, "exec"), globals(), made)
-        within: Any = functools.wraps(function)(made["make"](self, function))
-        within.__defaults__, within.__kwdefaults__ = function.__defaults__, function.__kwdefaults__
-        return within
+        @functools.wraps(function)
+        def within(*arguments: Any, **options: Any) -> Any:
+            if not _clock.on:
+                return function(*arguments, **options)
+            with self:
+                return function(*arguments, **options)
+
+        return cast(Function, within)
 
 
 class _Output(Stage):
@@ -180,14 +140,6 @@ class _Output(Stage):
         latest = _clock.latest
         if _clock.on and _clock.front is None and latest:
             latest["output"] += self.seconds - before
-
-    def __call__(self, function: Function) -> Function:
-        def within(*arguments: Any, **options: Any) -> Any:
-            with self:
-                return function(*arguments, **options)
-
-        named: Any = functools.wraps(function)(within)
-        return named
 
 
 def measure_stages(on: bool = True) -> None:

@@ -12,15 +12,11 @@ from dolfinmpm._platform.versions import check_version
 
 check_version(__version__, MPI.COMM_WORLD.rank)
 
-from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.compat import kernel_arguments
 from dolfinmpm._platform.kernelcache import forget_outdated
-from dolfinmpm._platform.kernelloading import load_at_once
 from dolfinmpm._platform.pipes import end_quietly
 from dolfinmpm._platform.watchdog import watch
 
 forget_outdated(Path(__file__).parents[1], f"kernels of {kernel_arguments()} arguments")
-load_at_once("dolfinmpm")
-end_all_ranks(MPI.COMM_WORLD)
 watch(MPI.COMM_WORLD)
 end_quietly()

@@ -25,6 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm._platform import sharedmemory
+from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.alike import Told, difference, digest, in_words, nearly, told
 from dolfinmpm._platform.errors import DifferentCallsError, ParameterError
 from dolfinmpm._platform.sharedmemory import Memory
@@ -63,32 +64,28 @@ class Here:
     def write(self) -> None:
         """Tell others that it came to a call, entered or left one."""
         if self.memory is not None:
-            n = self.memory.numbers
-            n[sharedmemory.INSIDE], n[sharedmemory.SINCE] = self.inside, time.monotonic_ns()
-            n[sharedmemory.FAILED], n[sharedmemory.ENDED] = self.failed, 0
+            m = self.memory
+            m["inside"], m["since"] = self.inside, time.monotonic_ns()
+            m["failed"], m["ended"] = self.failed, False
 
     def come(self, ranks: Ranks, doors: int) -> None:
         """Come to a door."""
         self.door = ranks
         if self.memory is not None:
-            n = self.memory.numbers
-            n[sharedmemory.GROUP], n[sharedmemory.DOORS], n[sharedmemory.AT_DOOR] = (
-                ranks.number,
-                doors,
-                1,
-            )
+            m = self.memory
+            m["group"], m["doors"], m["at_door"] = ranks.number, doors, True
         self.write()
 
     def enter(self) -> None:
         """Go through the door, for all are here."""
         self.door = None
         if self.memory is not None:
-            self.memory.numbers[sharedmemory.AT_DOOR] = 0
+            self.memory["at_door"] = False
 
     def end(self) -> None:
         """Tell others that the script has come to its end; not that of a copy of the process."""
         if self.memory is not None and os.getpid() == self._process:
-            self.memory.numbers[sharedmemory.ENDED] = 1
+            self.memory["ended"] = True
             sharedmemory.remove_all()
 
 
@@ -216,6 +213,8 @@ def _found_or_made(comm: MPI.Intracomm) -> Ranks:
     for ranks in _known:
         if MPI.Comm.Compare(comm, ranks.comm) in (MPI.IDENT, MPI.CONGRUENT):
             return ranks
+    if not _known:
+        end_all_ranks(MPI.COMM_WORLD)
     made = Ranks(comm)
     _known.append(made)
     return made

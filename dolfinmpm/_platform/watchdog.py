@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.sharedmemory import Memory, Slot, find, remove_all
+from dolfinmpm._platform.sharedmemory import Memory, Slot, answer, ask, find, read, remove_all
 from dolfinmpm._platform.together import Ranks, here, line_of
 
 __all__ = ["Patience", "in_words", "watch"]
@@ -146,8 +146,8 @@ class _Watch:
         while True:
             time.sleep(_PERIOD)
             memory = here.memory
-            if memory is not None and memory.asked:
-                memory.answer(_place())
+            if memory is not None and memory["asked"]:
+                answer(memory, _place())
             now = time.monotonic()
             self._look(min(now - last, 2 * _PERIOD))
             last = now
@@ -163,7 +163,7 @@ class _Watch:
         if not verdict or me.rank != min(waiting):
             return
         for slot in patience.missing:
-            self._memory[slot.rank].ask()
+            ask(self._memory[slot.rank])
         time.sleep(_ANSWER)
         before, (slots, me) = patience.missing, self._slots(ranks)
         patience.look(slots, me, 0.0)
@@ -189,7 +189,7 @@ class _Watch:
                 found = here.memory if rank == self._rank else find(rank, ranks.files.get(rank, ""))
                 if found is not None:
                     self._memory[rank] = found
-        slots = [self._memory[r].read(r) for r in ranks.world if r in self._memory]
+        slots = [read(self._memory[r], r) for r in ranks.world if r in self._memory]
         return slots, next(s for s in slots if s.rank == self._rank)
 
 

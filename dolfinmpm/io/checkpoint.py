@@ -1,14 +1,14 @@
-"""Checkpoints: all that the points, and a solver, need to go on, in one HDF5 file.
+"""Checkpoints: all that the points, and a solver, need to go on, in one archive of NumPy (.npz).
 
 In the file, whose version is `VERSION`:
 
 - `points/<field>`: every field of the points, rank by rank;
 - `cells/<name>`: arrays of one row for every cell of the grid, rank by rank, with `cells/middle`;
 - `local/<name>`: what a rank keeps for itself;
-- `header`, as JSON and written last: fingerprint and partition of the grid, fields and laws of the
+- `header.json`, written last: fingerprint and partition of the grid, fields and laws of the
   points, the solver's numbers, and its history.
 
-Every array has HDF5's checksums.
+Every array has a checksum. `numpy.load` opens the file: `numpy.load("slope.npz")["points/x"]`.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def write(
         laws: What the laws at the points are, in words.
 
     Raises:
-        CheckpointError: The file cannot be written, or h5py is missing. A file that had the
-            name before is as it was.
+        CheckpointError: The file cannot be written. A file that had the name before is as it
+            was.
     """
     grid = points.grid
     local = {name: one.values for name, one in state.items() if isinstance(one, Local)}
@@ -130,7 +130,7 @@ def read(
 
     Raises:
         CheckpointError: The file is missing, cut short, damaged, of a newer version, of
-            another grid, or of points with other fields or laws; or h5py is missing.
+            another grid, or of points with other fields or laws.
     """
     comm, grid = points.comm, points.grid
     here, shares = fingerprint(grid), partition(grid)

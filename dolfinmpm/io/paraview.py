@@ -14,7 +14,7 @@ from dolfinx import fem, plot
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, number, shown, truth
-from dolfinmpm._platform.errors import ParameterError, raise_together
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
@@ -27,7 +27,6 @@ from dolfinmpm.io.vtkfiles import (
     index_text,
     replace_file,
     series_text,
-    vtk_array,
     vtk_cells,
     vtk_points,
     write_piece,
@@ -108,16 +107,9 @@ class ParaView:
         check_bodies(bodies, points.gdim)
         self._bodies = list(bodies)
         self._times: list[float] = []
-        raise_together(self.comm, self._wrong_arguments())
-        self._mesh = _GridMesh(points.grid, self._increments)
-        error = None
-        if self.comm.rank == 0:
-            try:
-                self._folder.mkdir(parents=True, exist_ok=True)
-                self._write_series()
-            except OSError as cause:
-                error = OSError(f"cannot write {self.path}: {cause}")
-        raise_together(self.comm, error)
+        call_together(self.comm, self._check_arguments)
+        self._mesh = call_together(self.comm, lambda: _GridMesh(points.grid, self._increments))
+        self._on_root(self._write_series)
         take_paths(self, self._paths)
 
     def __enter__(self) -> ParaView:
@@ -140,23 +132,22 @@ class ParaView:
                 has been begun at this path since.
             OSError: A file cannot be written.
         """
-        error = None
-        try:
-            time = number("time", time)
+
+        def check() -> None:
+            number("time", time)
             if self._times and time <= self._times[-1]:
                 raise ParameterError(f"time = {time} must be after the last, {self._times[-1]}")
             for path in self._paths:
                 refuse_other(self, path, "ParaView series")
-        except ParameterError as wrong:
-            error = wrong
-        raise_together(self.comm, error)
+
+        call_together(self.comm, check)
         count = len(self._times)
         self._write_points(f"points_{count:06d}")
         if self._grid_each_time or count == 0:
             self._write_grid(f"grid_{count:06d}")
         if self._bodies:
             self._on_root(self._write_bodies, count)
-        self._times.append(time)
+        self._times.append(float(time))
         self._on_root(self._write_series)
 
     @property
@@ -170,25 +161,24 @@ class ParaView:
         stem = self._folder.name
         return [self.path, *(self.path.with_name(f"{stem}{ending}.pvd") for ending in endings)]
 
-    def _wrong_arguments(self) -> ParameterError | None:
+    def _check_arguments(self) -> None:
         if self.path.suffix != ".pvd":
-            return ParameterError(f"the path of a ParaView series ends in .pvd, got '{self.path}'")
+            raise ParameterError(f"the path of a ParaView series ends in .pvd, got '{self.path}'")
         known = [*self.points.fields, "displacement"]
         for name in self._fields or ():
             if name not in known:
-                return ParameterError(
+                raise ParameterError(
                     f"material points have no field '{name}' to write; they have {', '.join(known)}"
                 )
         names = [function.name for function in self._increments]
         for function in self._increments:
             if function.function_space.mesh is not self.points.grid:
-                return ParameterError(f"'{function.name}' lives on another grid than the points")
+                raise ParameterError(f"'{function.name}' lives on another grid than the points")
             if names.count(function.name) > 1:
-                return ParameterError(
+                raise ParameterError(
                     f"{names.count(function.name)} increments are named '{function.name}'; "
                     "give each its own, as in u.name = 'displacement_increment'"
                 )
-        return None
 
     def _point_data(self) -> tuple[Arrays, dict[str, str]]:
         """The arrays to write, shape (points, components), and their units."""
@@ -242,30 +232,19 @@ class ParaView:
             "force": _padded(np.repeat([b.force for b in self._bodies], sizes, axis=0)),
             "moment": np.repeat([b.moment for b in self._bodies], sizes, axis=0).reshape(-1, turns),
         }
-        for name, unit in (("body", ""), ("force", "N"), ("moment", "N m")):
-            piece.GetCellData().AddArray(vtk_array(data[name], name, unit))
         file = self._folder / f"bodies_{count:06d}.vtp"
-        if not write_piece(piece, file):
-            raise OSError(f"cannot write {file}; is the folder writable and the disk not full?")
+        write_piece(piece, file, {}, data, {"force": "N", "moment": "N m"})
 
     def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
         """One piece per rank, and their index on rank 0. Collective."""
-        for target, arrays in (
-            (piece.GetPointData(), point_data),
-            (piece.GetCellData(), cell_data),
-        ):
-            for name, values in arrays.items():
-                target.AddArray(vtk_array(values, name, units.get(name, "")))
         file = self._folder / f"{stem}_{self.comm.rank}.{kind}"
-        error = None
-        if not write_piece(piece, file):
-            error = OSError(f"cannot write {file}; is the folder writable and the disk not full?")
-        raise_together(self.comm, error)
+        call_together(self.comm, lambda: write_piece(piece, file, point_data, cell_data, units))
         files = [f"{stem}_{rank}.{kind}" for rank in range(self.comm.size)]
         index = index_text(kind, files, point_data, cell_data, units)
         self._on_root(replace_file, self._folder / f"{stem}.p{kind}", index)
 
     def _write_series(self) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
         folder = self._folder.name
         grid_times = self._times if self._grid_each_time else self._times[:1]
         series = [
@@ -278,13 +257,13 @@ class ParaView:
             replace_file(path, series_text(times, files))
 
     def _on_root(self, action, *arguments) -> None:
-        error = None
-        if self.comm.rank == 0:
+        def act() -> None:
             try:
                 action(*arguments)
             except OSError as cause:
-                error = OSError(f"cannot write the series {self.path}: {cause}")
-        raise_together(self.comm, error)
+                raise OSError(f"cannot write the series {self.path}: {cause}") from cause
+
+        call_together(self.comm, act if self.comm.rank == 0 else lambda: None)
 
 
 def _words(what: str, given: Any) -> list[str] | None:
@@ -320,28 +299,27 @@ class _GridMesh:
     """
 
     def __init__(self, grid, functions: Sequence[fem.Function]):
+        # collective calls come before errors, which some ranks alone may have
+        self.box = bounds(grid)
         self.cells = grid.topology.index_map(grid.topology.dim).size_local
         nodal = [f.function_space for f in functions if not _cellwise(f)]
         space = nodal[0] if nodal else fem.functionspace(grid, ("Lagrange", 1))
-        error = None
         try:
             topology, types, x = plot.vtk_mesh(space)
         except RuntimeError as cause:
-            error = ParameterError(f"the increments cannot be written: {cause}")
-        for function in functions if error is None else ():
+            raise ParameterError(f"the increments cannot be written: {cause}") from cause
+        for function in functions:
             other = function.function_space
             if not _cellwise(function) and not np.array_equal(other.dofmap.list, space.dofmap.list):
-                error = ParameterError(
+                raise ParameterError(
                     f"'{function.name}' has other nodes than '{functions[0].name}'; interpolate "
                     "it, or write it with a ParaView of its own"
                 )
-        raise_together(grid.comm, error)
         rows = topology.reshape(self.cells, -1)[:, 1:] if self.cells else np.empty((0, 1), int)
         # nodes of ghost cells only would float about as loose points
         self._nodes, connectivity = np.unique(rows, return_inverse=True)
         self._connectivity = connectivity.reshape(rows.shape)
         self._x = np.ascontiguousarray(x[self._nodes])
-        self.box = bounds(grid)
         self._type = int(types[0]) if self.cells else 0
 
     def vtk(self):

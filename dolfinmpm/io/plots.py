@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import check_kind, choice, number, shown, truth
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm._platform.errors import ParameterError, call_together, raise_together
+from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
@@ -108,15 +108,17 @@ def plot(
     extent = _extent(points.grid)
     lines = _grid_lines(points.grid, cut) if grid and points.gdim > 1 else None
     gathered = points.gather("x", "F", "l", "l0", "x0" if derived else colour)
-    error: Exception | None = None
-    if gathered is not None:
+
+    def draw_on_root() -> None:
+        if gathered is None:
+            return
         x, F, half, half0, values = gathered
         F = in_section(points, F)
         unit = "m" if derived else getattr(getattr(points, colour, None), "unit", "")
         scalars, symbol = _scalar(x - values if derived else values, component, points.gdim)
         missing = np.flatnonzero(~np.isfinite(scalars))
         if missing.size and limits is None:
-            error = ParameterError(
+            raise ParameterError(
                 f"'{colour}' is {scalars[missing[0]]} at {missing.size} of {len(x)} points, as at "
                 f"{x[missing[0]]} m; give limits to leave such points blank"
             )
@@ -129,14 +131,9 @@ def plot(
             None if limits is None else np.divide(limits, scale), max_aspect, cmap, size,
             [body.outline(extent[:, 0], extent[:, 1]) for body in bodies],
         )  # fmt: skip
-        try:
-            if error is not None:
-                raise error
-            scene.write(path, extent, view, cut, title, dpi)
-        except Exception as cause:
-            # whatever it is, the other ranks wait
-            error = cause
-    raise_together(points.comm, error)
+        scene.write(path, extent, view, cut, title, dpi)
+
+    call_together(points.comm, draw_on_root)
 
 
 def _check_scene(points, colour, component, cut, view, derived) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import operator
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +10,7 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.checks import whole
 
 __all__ = ["progress", "progress_to", "steps"]
 
@@ -35,12 +34,7 @@ def steps(number: int, *, label: str = "") -> Iterator[float]:
     Raises:
         ParameterError: The number is not a whole number of at least 1.
     """
-    try:
-        count = 0 if isinstance(number, bool) else operator.index(number)
-    except TypeError:
-        count = 0
-    if count < 1:
-        raise ParameterError(f"number of steps = {number!r} must be a whole number of at least 1")
+    count = whole("number of steps", number, 1)
     # checked here, not in the generator, whose first line runs at the first step only
     return (k / count for k in progress(range(1, count + 1), label))
 

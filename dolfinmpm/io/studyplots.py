@@ -1,4 +1,7 @@
-"""Pictures of studies' tables, in the look of all pictures."""
+"""Pictures of studies' tables, in the look of all pictures.
+
+`with mpm.figure("sweep.png") as (_, axes): study.draw_sweep(axes, rows)` makes a picture of one.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,12 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.io.figures import figure
-from dolfinmpm.io.tables import PathLike, Row, rows_of
+from dolfinmpm.io.tables import Row, rows_of
 
 __all__ = [
     "draw_convergence",
     "draw_reduction",
     "draw_sweep",
-    "plot_convergence",
-    "plot_reduction",
-    "plot_sweep",
 ]
 
 _MARKERS = "osD^vP*X"
@@ -32,36 +31,6 @@ def _check_axes(axes: Any) -> None:
             f"axes = {shown(axes)} must be Matplotlib's axes, such as those of "
             "with mpm.figure(path) as (picture, axes)"
         )
-
-
-def plot_sweep(
-    rows: Sequence[Row],
-    path: PathLike,
-    *,
-    x: str | Callable[[Row], float] = "place",
-    keys: Sequence[str] | Mapping[str, str] = ("kappa_K", "kappa_M"),
-    xlabel: str = "",
-    ylabel: str = "",
-    width: float = 3.5,
-    height: float = 2.6,
-) -> None:
-    """Draw figures of a sweep over its places into a picture of their own; see `draw_sweep`.
-
-    Not collective: all ranks may call it or rank 0 alone, and only rank 0 writes.
-
-    Args:
-        rows: What `sweep` returned.
-        path: Picture to write.
-        x: Name of the figure on the horizontal axis, or a function of a row.
-        keys: Names of the figures, or name → words in the legend.
-        xlabel: Text at the horizontal axis; x by default.
-        ylabel: Text at the vertical axis.
-        width: Width (inch).
-        height: Height (inch).
-    """
-    with figure(path, width, height) as (_, axes):
-        draw_sweep(axes, rows, x=x, keys=keys)
-        axes.set(xlabel=xlabel or (x if isinstance(x, str) else ""), ylabel=ylabel)
 
 
 def draw_sweep(
@@ -103,37 +72,6 @@ def _two_decades(axes: Any) -> None:
     low, high = np.log10(axes.get_ylim())
     if np.floor(high + 1e-9) - np.ceil(low - 1e-9) < 1:
         axes.set_ylim(10.0 ** np.floor(low + 1e-9), 10.0 ** np.ceil(high - 1e-9))
-
-
-def plot_convergence(
-    curves: Mapping[str, Sequence[Row]],
-    path: PathLike,
-    *,
-    key: str = "error",
-    orders: Sequence[int] = (1, 2),
-    xlabel: str = "cell size h (m)",
-    ylabel: str = "error",
-    width: float = 3.5,
-    height: float = 2.8,
-) -> None:
-    """Draw errors over sizes of cells into a picture of their own; see `draw_convergence`.
-
-    Not collective: all ranks may call it or rank 0 alone, and only rank 0 writes.
-
-    Args:
-        curves: Words in the legend → what `convergence` returned.
-        path: Picture to write.
-        key: Name of the error.
-        orders: Slopes to compare with.
-        xlabel: Text at the horizontal axis.
-        ylabel: Text at the vertical axis.
-        width: Width (inch).
-        height: Height (inch).
-    """
-    with figure(path, width, height) as (_, axes):
-        draw_convergence(axes, curves, key=key, orders=orders)
-        axes.set(xlabel=xlabel, ylabel=ylabel)
-        axes.legend()
 
 
 def draw_convergence(
@@ -188,33 +126,6 @@ def draw_convergence(
         axes.set_xticks(sizes, labels=[f"{size:.3g}" for size in sizes])
     if orders and sizes.size > 1:
         _fan(axes, drawn, sizes, orders)
-
-
-def plot_reduction(
-    rows: Sequence[Row],
-    path: PathLike,
-    *,
-    scale: float | None = None,
-    ylabel: str = "",
-    width: float = 3.5,
-    height: float = 2.6,
-) -> None:
-    """Draw a strength reduction into a picture of its own; see `draw_reduction`.
-
-    Not collective: all ranks may call it or rank 0 alone, and only rank 0 writes.
-
-    Args:
-        rows: The table of `factor_of_safety`.
-        path: Picture to write.
-        scale: Displacement that others are divided by (m).
-        ylabel: Text at the vertical axis.
-        width: Width (inch).
-        height: Height (inch).
-    """
-    with figure(path, width, height) as (_, axes):
-        draw_reduction(axes, rows, scale=scale)
-        if ylabel:
-            axes.set_ylabel(ylabel)
 
 
 def draw_reduction(axes: Any, rows: Sequence[Row], *, scale: float | None = None) -> None:

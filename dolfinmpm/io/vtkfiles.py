@@ -22,7 +22,6 @@ __all__ = [
     "index_text",
     "replace_file",
     "series_text",
-    "vtk_array",
     "vtk_cells",
     "vtk_points",
     "write_piece",
@@ -31,7 +30,7 @@ __all__ = [
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def vtk_array(values: npt.NDArray[Any], name: str, unit: str):
+def _vtk_array(values: npt.NDArray[Any], name: str, unit: str):
     """Values of shape (n, components) as VTK takes them, with their name and unit."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkDataArray
@@ -68,10 +67,26 @@ def vtk_cells(connectivity: npt.NDArray[np.int64]):
     return result
 
 
-def write_piece(piece, path: Path) -> bool:
-    """Write a rank's part, points or cells; returns whether that worked."""
+def write_piece(
+    piece, path: Path, point_data: Arrays, cell_data: Arrays, units: Mapping[str, str]
+) -> None:
+    """Write the points or cells of a rank with their data.
+
+    Args:
+        piece: VTK's object.
+        path: File to write, in .vtp or .vtu.
+        point_data: Arrays of the points by name, shape (points, components).
+        cell_data: Arrays of the cells by name, shape (cells, components).
+        units: Units of arrays by name.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
+    for target, arrays in ((piece.GetPointData(), point_data), (piece.GetCellData(), cell_data)):
+        for name, values in arrays.items():
+            target.AddArray(_vtk_array(values, name, units.get(name, "")))
     writer = vtkXMLPolyDataWriter() if path.suffix == ".vtp" else vtkXMLUnstructuredGridWriter()
     writer.SetFileName(str(path))
     writer.SetInputData(piece)
@@ -82,7 +97,8 @@ def write_piece(piece, path: Path) -> bool:
     writer.SetCompressorTypeToLZ4()
     # a failure is the caller's to tell, not VTK's
     writer.AddObserver("ErrorEvent", lambda *_: None)
-    return bool(writer.Write()) and not writer.GetErrorCode()
+    if not writer.Write() or writer.GetErrorCode():
+        raise OSError(f"cannot write {path}; is the folder writable and the disk not full?")
 
 
 def _labels(values: npt.NDArray[Any]) -> Sequence[str]:

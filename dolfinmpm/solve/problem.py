@@ -240,7 +240,7 @@ class Problem(ReadOnce):
     @together
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all that it takes to go on from here into one HDF5 file. Collective.
+        """Write all that it takes to go on from here into one archive of NumPy (.npz). Collective.
 
         The file is written beside the one of that name, and takes its place when it is
         whole: a run that is killed at any time leaves one that `load` reads. Save between
@@ -251,7 +251,7 @@ class Problem(ReadOnce):
 
         Raises:
             ParameterError: It is no path.
-            CheckpointError: The file cannot be written, or h5py is missing.
+            CheckpointError: The file cannot be written.
         """
         save(self, file_path("path", path))
 
@@ -281,7 +281,7 @@ class Problem(ReadOnce):
         Raises:
             ParameterError: It is no path.
             CheckpointError: The file is missing, cut short, damaged, of a newer version, of
-                another grid or of another problem, or h5py is missing. The state is then
+                another grid or of another problem. The state is then
                 what it was.
         """
         load(self, file_path("path", path))

@@ -4,9 +4,6 @@ from dolfinmpm.io.studyplots import (
     draw_convergence,
     draw_reduction,
     draw_sweep,
-    plot_convergence,
-    plot_reduction,
-    plot_sweep,
 )
 from dolfinmpm.io.tables import read_table, write_table
 from dolfinmpm.solve.spectra import condition_number, critical_step, rigid_modes
@@ -29,9 +26,6 @@ __all__ = [
     "factor_of_safety",
     "observed_orders",
     "overall_order",
-    "plot_convergence",
-    "plot_reduction",
-    "plot_sweep",
     "read_table",
     "reduced_strength",
     "rigid_modes",

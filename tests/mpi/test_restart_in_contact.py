@@ -13,7 +13,7 @@ from conftest import figures_of
 def test_penetration_goes_on_with_other_ranks(tmp_path):
     """1 → 2 ranks in the middle of the way down: forces, slips on corners and the tool's place."""
 
-    script, path = "tests/mpi/run_penetration.py", str(tmp_path / "half.h5")
+    script, path = "tests/mpi/run_penetration.py", str(tmp_path / "half.npz")
     whole = figures_of(script, "save", path)
     parted = figures_of(script, "load", path, ranks=2)
     assert whole["force"][1] > 0

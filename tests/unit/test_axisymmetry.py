@@ -164,16 +164,16 @@ def test_a_checkpoint_keeps_rings(tmp_path):
 
     first, g = problem(True)
     first.step()
-    first.save(tmp_path / "rings.h5")
+    first.save(tmp_path / "rings.npz")
     again, g2 = problem(True)
-    again.load(tmp_path / "rings.h5")
+    again.load(tmp_path / "rings.npz")
     for one, load in ((first, g), (again, g2)):
         load.value[1] = -2.0
         one.step()
     for name, values in first.points.fields.items():
         np.testing.assert_array_equal(again.points[name], values)
     with pytest.raises(CheckpointError, match=r"F float64\(3, 3\)"):
-        problem(False)[0].load(tmp_path / "rings.h5")
+        problem(False)[0].load(tmp_path / "rings.npz")
 
 
 # -- gradients and tangents -------------------------------------------------------

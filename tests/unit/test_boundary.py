@@ -184,10 +184,10 @@ def test_a_checkpoint_knows_its_boundaries(tmp_path):
     held = F + mpm.dirichlet(boundary, V.increment, V.test, law=LAW)
     problem = mpm.QuasiStatic(held, V.increment, points, stabilisation="ghost")
     problem.step()
-    problem.save(tmp_path / "a.h5")
+    problem.save(tmp_path / "a.npz")
     other = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"), stabilisation="ghost")
     with pytest.raises(CheckpointError, match="its boundaries is"):
-        other.load(tmp_path / "a.h5")
+        other.load(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("configuration", ["updated", "total"])
@@ -216,9 +216,9 @@ def test_a_run_goes_on_from_a_checkpoint(tmp_path, configuration):
 
     _, points, wall = build()(4)
     half, *_ = build()(2)
-    half.save(tmp_path / "half.h5")
+    half.save(tmp_path / "half.npz")
     again = build()
-    again(0)[0].load(tmp_path / "half.h5")
+    again(0)[0].load(tmp_path / "half.npz")
     _, others, other = again(4)
     assert wall.force()[0] < -0.1
     for name in ("x", "F", "stress"):
@@ -237,13 +237,13 @@ def test_an_updated_run_does_not_tell_where_boundaries_were_at_first(tmp_path):
 
     first = build("updated")
     first.step()
-    first.save(tmp_path / "updated.h5")
+    first.save(tmp_path / "updated.npz")
     with pytest.raises(CheckpointError, match="where boundaries were at first"):
-        build("total").load(tmp_path / "updated.h5")
+        build("total").load(tmp_path / "updated.npz")
     total = build("total")
     total.step()
-    total.save(tmp_path / "total.h5")
-    build("updated").load(tmp_path / "total.h5")
+    total.save(tmp_path / "total.npz")
+    build("updated").load(tmp_path / "total.npz")
 
 
 def test_arc_length_under_a_weak_condition():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import resource
-import sys
+import zipfile
 
-import h5py
 import numpy as np
 import pytest
 import ufl
@@ -125,14 +125,14 @@ def test_a_run_goes_on_bit_for_bit(name, tmp_path):
     for k in range(steps):
         step()
         if k in stops:
-            problem.save(tmp_path / f"{k}.h5")
+            problem.save(tmp_path / f"{k}.npz")
         if name == "halved steps" and k == 0:
             # the next step begins with a part of its load, and with the other line search
             assert problem.share < 1
             assert problem.newton.search == "cp"
     for k in stops:
         again, step = build()
-        again.load(tmp_path / f"{k}.h5")
+        again.load(tmp_path / f"{k}.npz")
         assert len(again.history) == k + 1
         while len(again.history) < steps:
             step()
@@ -144,14 +144,14 @@ def test_a_problem_goes_back_to_what_it_saved(tmp_path):
     problem, step = block(max_halvings=0)
     for _ in range(3):
         step()
-    problem.save(tmp_path / "three.h5")
+    problem.save(tmp_path / "three.npz")
     for _ in range(4):
         step()
     reached = bits(problem)
     problem.loads.converged()[0][0].value[1] = -1e4
     with pytest.raises(mpm.errors.ConvergenceError):
         problem.step()
-    problem.load(tmp_path / "three.h5")
+    problem.load(tmp_path / "three.npz")
     assert not problem.form.spaces[0].increment.x.array.any()
     assert problem.loads.converged()[0][0].value[1] == pytest.approx(-2.7)
     for _ in range(4):
@@ -179,9 +179,9 @@ def test_fields_of_users_and_surfaces_and_prescribed_values_come_back(tmp_path):
     s.value, push.value = 0.1, 0.01
     problem.step()
     problem.points["temperature"][:, 1] += problem.points["id"]
-    problem.save(tmp_path / "a.h5")
+    problem.save(tmp_path / "a.npz")
     again, foot_again, s_again, push_again = build()
-    again.load(tmp_path / "a.h5")
+    again.load(tmp_path / "a.npz")
     assert bits(again) == bits(problem)
     assert (s_again.value, push_again.value) == (0.1, 0.01)
     assert foot_again.load() == foot.load() > 0
@@ -210,10 +210,10 @@ def test_loads_that_vary_in_space_come_back_by_their_nodes(tmp_path):
     body.interpolate(lambda x: (np.sin(x[0]), -(x[1] ** 2)))
     more.interpolate(lambda x: np.cos(x[1]))
     problem.step()
-    problem.save(tmp_path / "a.h5")
+    problem.save(tmp_path / "a.npz")
     body.x.array[:] = 7.0  # after the last step: not of the saved state
     again, body_again, more_again = build()
-    again.load(tmp_path / "a.h5")
+    again.load(tmp_path / "a.npz")
     body.interpolate(lambda x: (np.sin(x[0]), -(x[1] ** 2)))
     for one, other in ((body, body_again), (more, more_again)):
         np.testing.assert_array_equal(other.x.array, one.x.array)
@@ -222,7 +222,7 @@ def test_loads_that_vary_in_space_come_back_by_their_nodes(tmp_path):
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     """A file of two steps, what it holds, and another problem of the same kind after one step."""
-    path = tmp_path_factory.mktemp("saved") / "two.h5"
+    path = tmp_path_factory.mktemp("saved") / "two.npz"
     problem, step = block()
     step()
     step()
@@ -245,7 +245,7 @@ def refused(path, problem, match):
 def test_a_file_that_is_cut_short_is_refused(saved, tmp_path):
     path, _, other = saved
     data = path.read_bytes()
-    cut = tmp_path / "cut.h5"
+    cut = tmp_path / "cut.npz"
     for length in [0, 1, 7, 8, 100, 511, 512, 4000, *range(5000, len(data), 9973), len(data) - 1]:
         cut.write_bytes(data[:length])
         refused(cut, other, "cannot read .*cut short or damaged")
@@ -253,7 +253,7 @@ def test_a_file_that_is_cut_short_is_refused(saved, tmp_path):
 
 def test_bytes_that_flip_are_found_or_change_nothing(saved, tmp_path):
     path, problem, _ = saved
-    data, bad, fresh = path.read_bytes(), tmp_path / "bad.h5", block()[0]
+    data, bad, fresh = path.read_bytes(), tmp_path / "bad.npz", block()[0]
     rng = np.random.default_rng(1)
     found = 0
     for at in rng.integers(0, len(data), 150):
@@ -264,41 +264,49 @@ def test_bytes_that_flip_are_found_or_change_nothing(saved, tmp_path):
             found += 1
         else:
             assert bits(fresh) == bits(problem)
-    # in a file this small much is empty room between arrays
-    assert found > 30
+    # dates and the like may flip
+    assert found > 100
     # what an array holds is never lost in silence
-    with h5py.File(path) as file:
-        start = file["points/x"].id.get_chunk_info(0).byte_offset
-        size = file["points/x"].id.get_chunk_info(0).size
+    with zipfile.ZipFile(path) as file:
+        info = file.getinfo("points/x.npy")
+        size = np.load(path)["points/x"].nbytes
+        start = info.header_offset + 30 + len(info.filename) + 20 + info.file_size - size
     for at in range(start, start + size, 37):
         bad.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         refused(bad, fresh, "damaged")
 
 
+def copied(path, target, changes):
+    """A copy of an archive, with members changed, or left out."""
+    with zipfile.ZipFile(path) as file, zipfile.ZipFile(target, "w") as out:
+        for name in file.namelist():
+            change = changes.get(name, lambda data: data)
+            if change is not None:
+                out.writestr(name, change(file.read(name)))
+
+
 def test_what_is_no_checkpoint_is_refused(saved, tmp_path):
     path, _, other = saved
-    refused(tmp_path / "none.h5", other, "there is no file .*none.h5")
+    refused(tmp_path / "none.npz", other, "there is no file .*none.npz")
     refused(tmp_path, other, "there is no file")
-    (tmp_path / "text.h5").write_text("time,load\n" * 1000)
-    refused(tmp_path / "text.h5", other, "it is no HDF5 file")
-    with h5py.File(tmp_path / "other.h5", "w") as file:
-        file["x"] = np.zeros(3)
-    refused(tmp_path / "other.h5", other, "is an HDF5 file, but no dolfinmpm checkpoint")
-    newer = tmp_path / "newer.h5"
-    newer.write_bytes(path.read_bytes())
-    with h5py.File(newer, "a") as file:
-        file.attrs["version"] = 2
-    refused(newer, other, "has version 2 .* reads up to 1: update it")
-    headless = tmp_path / "headless.h5"
-    headless.write_bytes(path.read_bytes())
-    with h5py.File(headless, "a") as file:
-        del file["header"]
-    refused(headless, other, "is not whole")
-    with h5py.File(newer, "a") as file:
-        file.attrs["version"] = 1
-        del file["points/x"]
-        file["points/x"] = np.zeros((3, 2))
-    refused(newer, other, "array points/x has not the 36 rows")
+    (tmp_path / "text.npz").write_text("time,load\n" * 1000)
+    refused(tmp_path / "text.npz", other, "it is no archive of NumPy")
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    refused(tmp_path / "other.npz", other, "is an archive, but no dolfinmpm checkpoint")
+    newer = tmp_path / "newer.npz"
+    copied(
+        path, newer, {"header.json": lambda text: text.replace(b'"version": 2', b'"version": 3')}
+    )
+    refused(newer, other, "has version 3 .* reads up to 2: update it")
+    headless = tmp_path / "headless.npz"
+    copied(path, headless, {"header.json": None})
+    refused(headless, other, "is an archive, but no dolfinmpm checkpoint")
+    short = io.BytesIO()
+    np.save(short, np.zeros((3, 2)))
+    copied(path, tmp_path / "short.npz", {"points/x.npy": lambda _: short.getvalue()})
+    refused(tmp_path / "short.npz", other, "array points/x has not the 36 rows")
+    copied(path, tmp_path / "less.npz", {"points/x.npy": None})
+    refused(tmp_path / "less.npz", other, "cut short or damaged")
 
 
 def test_another_grid_is_refused(saved):
@@ -322,10 +330,10 @@ def test_a_grid_that_differs_inside_is_refused(kind, tmp_path):
         F = mpm.momentum(mpm.materials.Hencky(E=1e3, nu=0.3), points, V.increment, V.test)
         return mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
 
-    build().save(tmp_path / "a.h5")
-    build(shift=1e-15).load(tmp_path / "a.h5")  # rounding
+    build().save(tmp_path / "a.npz")
+    build(shift=1e-15).load(tmp_path / "a.npz")  # rounding
     other = {"shift": 1e-6} if kind == "vertex" else {"diagonal": mesh.DiagonalType.left}
-    refused(tmp_path / "a.h5", build(**other), "vertices or cells lie elsewhere in the same box")
+    refused(tmp_path / "a.npz", build(**other), "vertices or cells lie elsewhere in the same box")
 
 
 def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
@@ -365,14 +373,14 @@ def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
         F += mpm.contact(ball, points, V.increment, V.test, friction=friction)
         return mpm.Newmark(F, V.increment, points, **options)
 
-    moving().save(tmp_path / "in_time.h5")
-    moving().load(tmp_path / "in_time.h5")
+    moving().save(tmp_path / "in_time.npz")
+    moving().load(tmp_path / "in_time.npz")
     for options, words in (
         ({"friction": 0.4}, "contact 1: friction = 0.1, .* there, friction = 0.4"),
         ({"gamma": 0.6, "beta": 0.3}, r"steps: Rule\(beta=0.25, gamma=0.5.* there, Rule\(beta=0.3"),
     ):
         with pytest.warns(errors.DifferentProblemWarning, match=words):
-            moving(**options).load(tmp_path / "in_time.h5")
+            moving(**options).load(tmp_path / "in_time.npz")
 
 
 def test_another_problem_is_refused(saved, tmp_path):
@@ -384,11 +392,11 @@ def test_another_problem_is_refused(saved, tmp_path):
     refused(path, more, r"fields it has nothing .* lacks temperature float64\(\)")
     problem_arch, step = arch()
     step()
-    problem_arch.save(tmp_path / "arch.h5")
-    refused(tmp_path / "arch.h5", arch("displacement")[0], "its control is spherical")
+    problem_arch.save(tmp_path / "arch.npz")
+    refused(tmp_path / "arch.npz", arch("displacement")[0], "its control is spherical")
     heavier, _ = arch()
     heavier.path.load._reference[0][1] = -200.0
-    refused(tmp_path / "arch.h5", heavier, r"load at factor 1 is \(0, -100\), .* \(0, -200\)")
+    refused(tmp_path / "arch.npz", heavier, r"load at factor 1 is \(0, -100\), .* \(0, -200\)")
 
 
 def test_another_number_of_unknown_fields_or_loads_is_refused(tmp_path):
@@ -410,21 +418,24 @@ def test_another_number_of_unknown_fields_or_loads_is_refused(tmp_path):
             return mpm.ArcLength(F, fields, points, mpm.fixed(U, "bottom"), load=forces)
         return mpm.QuasiStatic(F, fields, points, mpm.fixed(U, "bottom"))
 
-    build().save(tmp_path / "a.h5")
-    build().load(tmp_path / "a.h5")
-    refused(tmp_path / "a.h5", build(pressure=True), r"unknown fields is \[\(2,\)\], .*, \(\)\]")
-    refused(tmp_path / "a.h5", build(loads=2), r"its loads is \[\(2,\)\], that of this one")
-    refused(tmp_path / "a.h5", build(arc=True), "solver is QuasiStatic, that of this one ArcLength")
+    path = tmp_path / "a.npz"
+    build().save(path)
+    build().load(path)
+    refused(path, build(pressure=True), r"unknown fields is \[\(2,\)\], .*, \(\)\]")
+    refused(path, build(loads=2), r"its loads is \[\(2,\)\], that of this one")
+    refused(
+        tmp_path / "a.npz", build(arc=True), "solver is QuasiStatic, that of this one ArcLength"
+    )
 
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(saved, tmp_path):
     path, problem, other = saved
     with pytest.raises(CheckpointError, match=r"cannot write .*is its folder there"):
-        problem.save(tmp_path / "missing" / "a.h5")
-    (tmp_path / "folder.h5").mkdir()
-    with pytest.raises(CheckpointError, match=r"cannot write .*folder\.h5"):
-        problem.save(tmp_path / "folder.h5")
-    target = tmp_path / "a.h5"
+        problem.save(tmp_path / "missing" / "a.npz")
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(CheckpointError, match=r"cannot write .*folder\.npz"):
+        problem.save(tmp_path / "folder.npz")
+    target = tmp_path / "a.npz"
     target.write_bytes(path.read_bytes())
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     for size in (0, 3000, 20_000):
@@ -436,31 +447,23 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(saved, tmp_path):
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert target.read_bytes() == path.read_bytes()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5", "folder.h5"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "folder.npz"]
 
 
 def test_a_save_replaces_the_file_and_clears_what_killed_ones_left(saved, tmp_path):
     _, problem, other = saved
-    real = tmp_path / "scratch" / "a.h5"
+    real = tmp_path / "scratch" / "a.npz"
     real.parent.mkdir()
-    (tmp_path / "a.h5").symlink_to(real)
-    problem.save(tmp_path / "a.h5")
-    (real.parent / "a.h5.part-99").write_bytes(b"half")
-    (real.parent / "b.h5.part-99").write_bytes(b"of another file")
-    other.save(os.fspath(tmp_path / "a.h5"))
-    assert (tmp_path / "a.h5").is_symlink()
-    assert sorted(p.name for p in real.parent.iterdir()) == ["a.h5", "b.h5.part-99"]
+    (tmp_path / "a.npz").symlink_to(real)
+    problem.save(tmp_path / "a.npz")
+    (real.parent / "a.npz.part-99").write_bytes(b"half")
+    (real.parent / "b.npz.part-99").write_bytes(b"of another file")
+    other.save(os.fspath(tmp_path / "a.npz"))
+    assert (tmp_path / "a.npz").is_symlink()
+    assert sorted(p.name for p in real.parent.iterdir()) == ["a.npz", "b.npz.part-99"]
     fresh = block()[0]
     fresh.load(real)
     assert bits(fresh) == bits(other)
-
-
-def test_a_missing_h5py_is_told(saved, tmp_path, monkeypatch):
-    path, _, other = saved
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(CheckpointError, match="checkpoints need h5py; install python3-h5py"):
-        other.save(tmp_path / "a.h5")
-    refused(path, other, "checkpoints need h5py")
 
 
 def test_a_run_that_is_killed_goes_on_bit_for_bit():

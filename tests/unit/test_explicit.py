@@ -391,9 +391,9 @@ def test_a_run_goes_on_from_its_file(tmp_path, fused):
     for problem in (whole, halved):
         for t in (0.02, 0.04):
             problem.step(t)
-    halved.save(tmp_path / "half.h5")
+    halved.save(tmp_path / "half.npz")
     again = disc(fused=fused)
-    again.load(tmp_path / "half.h5")
+    again.load(tmp_path / "half.npz")
     for problem in (whole, again):
         problem.step(0.06)
     assert again.time == whole.time == 0.06

@@ -246,9 +246,9 @@ def test_a_run_goes_on_from_a_checkpoint(tmp_path):
     for k in range(4):
         first.step(0.01 * (k + 1))
         if k == 1:
-            first.save(tmp_path / "half.h5")
+            first.save(tmp_path / "half.npz")
     again, others, other = build()
-    again.load(tmp_path / "half.h5")
+    again.load(tmp_path / "half.npz")
     for k in (2, 3):
         again.step(0.01 * (k + 1))
     for name in ("x", "velocity", "stress"):

@@ -144,9 +144,9 @@ def other(scene):
 
 def from_file(scene, folder):
     scene.go(1)
-    scene.problem.save(folder / "state.h5")
+    scene.problem.save(folder / "state.npz")
     scene.go(2)
-    scene.problem.load(folder / "state.h5")
+    scene.problem.load(folder / "state.npz")
 
 
 def by_another_problem(scene, folder):

@@ -412,10 +412,10 @@ def test_a_run_goes_on_bit_for_bit(name, tmp_path):
     for k in range(10):
         step()
         if k in (0, 3, 4, 6):
-            problem.save(tmp_path / f"{k}.h5")
+            problem.save(tmp_path / f"{k}.npz")
     for k in (0, 3, 4, 6):
         again, step = shaken(**RUNS[name])
-        again.load(tmp_path / f"{k}.h5")
+        again.load(tmp_path / f"{k}.npz")
         assert again.time == again.history[-1].time
         while len(again.history) < 10:
             step()
@@ -425,10 +425,10 @@ def test_a_run_goes_on_bit_for_bit(name, tmp_path):
 def test_a_file_of_another_problem_is_refused(tmp_path):
     problem, step = shaken()
     step()
-    problem.save(tmp_path / "a.h5")
+    problem.save(tmp_path / "a.npz")
     for other in ({"rule": mpm.GeneralisedAlpha}, {"mapping": "flip"}):
         with pytest.raises(DolfinMPMError, match="is of another problem"):
-            shaken(**other)[0].load(tmp_path / "a.h5")
+            shaken(**other)[0].load(tmp_path / "a.npz")
 
 
 # -- with other things ----------------------------------------------------------------

@@ -158,8 +158,8 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
         env = os.environ | {"CHECKPOINT": str(tmp_path / name)}
         return subprocess.run([sys.executable, *command], env=env, capture_output=True, text=True)
 
-    assert run("stopped.h5", "-c", stop, script).returncode == 3
-    gone_on, whole = run("stopped.h5", script), run("whole.h5", script)
+    assert run("stopped.npz", "-c", stop, script).returncode == 3
+    gone_on, whole = run("stopped.npz", script), run("whole.npz", script)
     assert gone_on.stdout.startswith("31 of 40 steps"), gone_on.stderr
     assert whole.stdout.startswith("40 of 40 steps"), whole.stderr
     assert gone_on.stdout.split(";")[1] == whole.stdout.split(";")[1]

@@ -244,7 +244,7 @@ def test_a_run_goes_on_from_a_file(tmp_path):
         whole.step(t)
     for t in (0.01, 0.05):
         stopped.step(t)
-    path = tmp_path / "soil.h5"
+    path = tmp_path / "soil.npz"
     stopped.save(path)
     later.load(path)
     assert later.time == 0.05

@@ -69,8 +69,8 @@ def test_a_run_goes_on_from_a_file(rho_inf, tmp_path):
         whole.step(t)
     for t in times[:2]:
         stopped.step(t)
-    stopped.save(tmp_path / "soil.h5")
-    later.load(tmp_path / "soil.h5")
+    stopped.save(tmp_path / "soil.npz")
+    later.load(tmp_path / "soil.npz")
     for t in times[2:]:
         later.step(t)
     names = {"x", "velocity", "pressure", "density", "porosity", "stress"}

@@ -139,12 +139,12 @@ def test_output_belongs_to_the_step_before(tmp_path):
     with mpm.ParaView(tmp_path / "points.pvd", problem.points) as file:
         file.write(1.0)
     take(problem, g, 2)
-    problem.save(tmp_path / "state.h5")
+    problem.save(tmp_path / "state.npz")
     for record in problem.history:
         assert record.stages["output"] > 0.0
     written = [record.stages for record in problem.history]
     again, _ = block()
-    again.load(tmp_path / "state.h5")
+    again.load(tmp_path / "state.npz")
     assert again.history[0].stages == written[0]
 
 

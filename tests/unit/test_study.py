@@ -109,10 +109,13 @@ def test_pictures(tmp_path):
         {"place": (a, 0.0), "kappa_K": 10 / a, "kappa_M": np.inf if a > 1 else 3}
         for a in (2, 1, 0.1)
     ]
-    study.plot_sweep(sweep, tmp_path / "sweep.png", x=lambda row: row["place"][0], xlabel="offset")
+    with mpm.figure(tmp_path / "sweep.png") as (_, axes):
+        study.draw_sweep(axes, sweep, x=lambda row: row["place"][0])
     rows = study.convergence(lambda h: {"error": h**2, "other": None}, [0.25, 0.125, 0.0625])
-    study.plot_convergence({"one": rows, "two": rows[:1]}, tmp_path / "convergence.png")
-    study.plot_convergence({"none": rows}, tmp_path / "empty.png", key="other")
+    with mpm.figure(tmp_path / "convergence.png") as (_, axes):
+        study.draw_convergence(axes, {"one": rows, "two": rows[:1]})
+    with mpm.figure(tmp_path / "empty.png") as (_, axes):
+        study.draw_convergence(axes, {"none": rows}, key="other")
     for name in ("sweep", "convergence", "empty"):
         assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
 
@@ -269,10 +272,9 @@ def test_a_run_that_leaves_the_line_has_failed():
 
 def test_safety_is_drawn(tmp_path):
     rows = study.factor_of_safety(functools.partial(load_spring, softness=100.0)).table()
-    study.plot_reduction(rows, tmp_path / "new" / "safety.png", scale=1e-3, ylabel="$d$")
-    study.plot_reduction(rows[:1], tmp_path / "one.png")
-    for name in ("new/safety", "one"):
-        assert matplotlib.image.imread(tmp_path / f"{name}.png").shape[0] > 300
+    with mpm.figure(tmp_path / "new" / "one.png") as (_, axes):
+        study.draw_reduction(axes, rows[:1])
+    assert matplotlib.image.imread(tmp_path / "new" / "one.png").shape[0] > 300
     with mpm.figure(tmp_path / "drawn.png") as (_, axes):
         study.draw_reduction(axes, rows, scale=1e-3)
         stands, fails = (line.get_ydata() for line in axes.lines)

@@ -266,27 +266,27 @@ def folder(monkeypatch, tmp_path):
 
 def test_others_see_what_a_process_writes(folder):
     memory, file = sharedmemory.own_memory(3)
-    memory.numbers[sharedmemory.DOORS], memory.numbers[sharedmemory.AT_DOOR] = 7, 1
+    memory["doors"], memory["at_door"] = 7, True
     for other in (sharedmemory.find(3), sharedmemory.find(3, file)):
-        other.ask()
-        assert other.read(3) == Slot(3, doors=7, at_door=True)
-        assert memory.asked
-        memory.answer("line 5 of ä.py")
-        assert not memory.asked
-        assert other.read(3).text == "line 5 of ä.py"
+        sharedmemory.ask(other)
+        assert sharedmemory.read(other, 3) == Slot(3, doors=7, at_door=True)
+        assert memory["asked"]
+        sharedmemory.answer(memory, "line 5 of ä.py")
+        assert not memory["asked"]
+        assert sharedmemory.read(other, 3).text == "line 5 of ä.py"
     assert sharedmemory.find(4) is None
-    memory.answer("x" * 1000)
-    assert sharedmemory.find(3).read(3).text == "x" * 448
+    sharedmemory.answer(memory, "x" * 1000)
+    assert sharedmemory.read(sharedmemory.find(3), 3).text == "x" * 448
 
 
 def test_files_of_a_run_are_removed_by_who_ends_last(folder):
     first, _ = sharedmemory.own_memory(0)
     second, file = sharedmemory.own_memory(1)
     (folder / "another file").touch()
-    first.numbers[sharedmemory.ENDED] = 1
+    first["ended"] = True
     sharedmemory.remove_all()
     assert len(list(folder.iterdir())) == 3
-    second.numbers[sharedmemory.ENDED] = 1
+    second["ended"] = True
     sharedmemory.remove_all()
     assert [path.name for path in folder.iterdir()] == ["another file"]
     # what a killed process left goes with the next run; no process has so high a number
@@ -301,20 +301,20 @@ def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
     here.memory, _ = sharedmemory.own_memory(0)
     here._process += 1
     here.end()
-    assert not here.memory.read(0).ended
+    assert not sharedmemory.read(here.memory, 0).ended
     here._process -= 1
     here.end()
-    assert here.memory.read(0).ended
+    assert sharedmemory.read(here.memory, 0).ended
     here.write()
-    assert not here.memory.read(0).ended
+    assert not sharedmemory.read(here.memory, 0).ended
 
 
 def test_without_a_file_a_process_writes_for_itself(monkeypatch, tmp_path):
     monkeypatch.setattr(sharedmemory, "_folder", lambda: tmp_path / "absent")
     memory, file = sharedmemory.own_memory(0)
     assert file == ""
-    memory.numbers[sharedmemory.DOORS] = 2
-    assert memory.read(0).doors == 2
+    memory["doors"] = 2
+    assert sharedmemory.read(memory, 0).doors == 2
     assert sharedmemory.find(0) is None
 
 

@@ -201,7 +201,7 @@ def _different_calls(s) -> None:
         assert "MaterialPoints.gather at line " in text
         assert text.count(" of arguments.py on rank ") == 2
     problem = s.solver()
-    other = (lambda: problem.step(), lambda: problem.save("a.h5"), lambda: problem.info())
+    other = (lambda: problem.step(), lambda: problem.save("a.npz"), lambda: problem.info())
     for k in range(3):
         assert "QuasiStatic." in _ends(_last(other[k], other[(k + 1) % 3]))
     kinds = _last(lambda: s.motion(), lambda: s.solver())
@@ -234,7 +234,7 @@ def steps_of_different_ranks():
     _differs(lambda: problem.step(1.5e-3), f"at 'right' {of}0.0 on", "0.0001 on")
     push.value = 0.0
     _differs(lambda: problem.step(4e-3), "differs between ranks")
-    _differs(lambda: problem.save(_last("a.h5", "b.h5")), f"path {of}'a.h5' on", "'b.h5' on")
+    _differs(lambda: problem.save(_last("a.npz", "b.npz")), f"path {of}'a.npz' on", "'b.npz' on")
     # a load that each rank has summed itself differs by rounding: whether it changed is not clear
     s.g.value[1] = _last(-1.0, -1.0 - 1e-15)
     _differs(

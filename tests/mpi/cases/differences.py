@@ -91,14 +91,17 @@ def _of_files(s, at):
     history = mpm.History()
     history.record(a=1.0)
     return [
-        (lambda: _fresh(s).load(at / _last("a.h5", "b.h5")), "path differs"),
+        (lambda: _fresh(s).load(at / _last("a.npz", "b.npz")), "path differs"),
         (
             lambda: mpm.ParaView(at / "a.pvd", s.points, fields=_last(["stress"], ["F"])),
             "fields differs",
         ),
         (lambda: writer.write(_last(1.0, 2.0)), "time differs"),
         (lambda: history.write(at / _last("h.csv", "h.json")), "path differs"),
-        (lambda: s.plot(at / "x.png", "stress", _last((0, 0), (1, 1))), "component differs"),
+        (
+            lambda: s.plot(at / "x.png", "stress", component=_last((0, 0), (1, 1))),
+            "component differs",
+        ),
     ]
 
 

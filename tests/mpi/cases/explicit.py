@@ -106,9 +106,9 @@ def explicit_restart():
     for scene in (SCENES["musl"], SCENES["usl in general"]):
         for k, problem in enumerate(_go(_block(**scene))):
             if k == 1:
-                problem.save(folder / "middle.h5")
+                problem.save(folder / "middle.npz")
         again = _block(**scene)
-        again.load(folder / "middle.h5")
+        again.load(folder / "middle.npz")
         *_, again = _go(again, 2)
         found.append([_figures(p) for p in (problem, again)])
         for name in ("x", "velocity", "stress", "energies", "momentum"):
