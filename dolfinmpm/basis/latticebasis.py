@@ -7,9 +7,7 @@ the average of linear functions. The bases differ only in the functions of one d
 from __future__ import annotations
 
 import copy
-import functools
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
@@ -18,159 +16,14 @@ from mpi4py import MPI
 from dolfinmpm._platform.compat import make_index_map
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.basis.bspline import functions_of, greville
-from dolfinmpm.basis.gimp import domain_weights
-from dolfinmpm.basis.lineweights import (
-    SNAP,
-    cell_of,
-    line_weights,
-    overlapped,
-    ring_slopes,
-    snapped,
-)
+from dolfinmpm.basis.latticeloops import group_keys, largest_reach, overlaps, stencil_loop
+from dolfinmpm.basis.lineweights import SNAP
 from dolfinmpm.basis.stencils import Placement, Stencils, group_starts, running_sum
 from dolfinmpm.grid.halo import LatticeHalo, build_halo
 from dolfinmpm.grid.lattice import Lattice, lattice_of
 from dolfinmpm.grid.partition import Partition
 
 __all__ = ["LatticeBasis", "first_parts"]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _overlaps(x, half, lines, line_start, uniform, origin, low, count):
-    """Write the first overlapped cell, counted from the origin, and the number of overlapped cells.
-
-    Both are written per point and direction.
-    """
-    for p in range(x.shape[0]):
-        for d in range(x.shape[1]):
-            line = lines[line_start[d] : line_start[d + 1]]
-            first, number = overlapped(line, uniform, x[p, d], half[p, d])
-            low[p, d], count[p, d] = first - origin[d], number
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _reach(x, half, averaged, lines, line_start, uniform):
-    """Largest reach of the points' domains beyond their own cells, and largest span in cells.
-
-    Args:
-        averaged: Whether points have domains. A point without a domain on a grid line may be
-            seen from the cell below.
-
-    Returns:
-        Layers of cells, largest number of cells that a domain spans, and the point with this
-        domain.
-    """
-    layers, most, worst = 0, 1, 0
-    for d in range(x.shape[1]):
-        line = lines[line_start[d] : line_start[d + 1]]
-        n = line.size - 1
-        scale = n / (line[n] - line[0])
-        for p in range(x.shape[0]):
-            at, number = overlapped(line, uniform, x[p, d], half[p, d] if averaged else 0.0)
-            # same result as `Lattice.cells_at`
-            own = int(np.floor((x[p, d] - line[0]) * scale)) if uniform else -1
-            own = min(max(own, 0), n - 1) if uniform else cell_of(line, False, x[p, d])
-            layers = max(layers, own - at, at + number - 1 - own)
-            if number > most:
-                most, worst = number, p
-            if not averaged and at > 0 and layers < 1:
-                layers = int(x[p, d] - line[at] < SNAP * (line[at + 1] - line[at]))
-    return layers, most, worst
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _keys(low, count, table_shape, key):
-    for p in range(low.shape[0]):
-        k, c = 0, 0
-        for d in range(low.shape[1]):
-            k = k * table_shape[d] + low[p, d]
-            c = c * 64 + count[p, d]
-        # 18 bits have room for 63 cells per direction in 3D
-        key[p] = k * 262144 + c
-
-
-@functools.cache
-def _fill(linear: bool, axisymmetric: bool):
-    """The loop that makes stencils; for linear functions it is compiled without splines' code."""
-
-    @numba.njit(cache=True, error_model="numpy")
-    def kernel(
-        x, half, lines, line_start, origin, node_table, node_shape, cell_table, cell_shape,
-        order, groups, low, count, node_start, nodes, value_start, N, dN, cell_start, cells, degree,
-        uniform,
-    ):  # fmt: skip
-        gdim = x.shape[1]
-        S = np.empty((gdim, 64))
-        dS = np.empty((gdim, 64))
-        part = np.empty(degree + 1)
-        slope = np.empty(degree + 1)
-        largest = 1
-        for g in range(groups.size - 1):
-            largest = max(largest, node_start[g + 1] - node_start[g])
-        local = np.empty(largest, np.int64)
-        index = np.empty((largest, gdim), np.int64)
-        rank = np.empty(largest, np.int64)
-        known = True
-        for g in range(groups.size - 1):
-            p = order[groups[g]]
-            m = node_start[g + 1] - node_start[g]
-            for a in range(m):
-                rest, at, size = a, 0, 1
-                for d in range(gdim - 1, -1, -1):
-                    index[a, d] = rest % (count[p, d] + degree)
-                    rest //= count[p, d] + degree
-                    at += size * (low[p, d] + index[a, d])
-                    size *= node_shape[d]
-                local[a] = node_table[at]
-                known = known and local[a] >= 0
-            # nodes in increasing order: assembly walks through the matrix rows once
-            for a in range(m):
-                before = 0
-                for b in range(m):
-                    if local[b] < local[a]:
-                        before += 1
-                rank[a] = before
-                nodes[node_start[g] + before] = local[a]
-            for a in range(cell_start[g + 1] - cell_start[g]):
-                rest, at, size = a, 0, 1
-                for d in range(gdim - 1, -1, -1):
-                    at += size * (low[p, d] + rest % count[p, d])
-                    rest //= count[p, d]
-                    size *= cell_shape[d]
-                cells[cell_start[g] + a] = cell_table[at]
-                known = known and cell_table[at] >= 0
-            for position in range(groups[g], groups[g + 1]):
-                p = order[position]
-                for d in range(gdim):
-                    line = lines[line_start[d] : line_start[d + 1]]
-                    first = origin[d] + low[p, d]
-                    if linear:
-                        at_x = snapped(line, first, x[p, d], half[p, d])
-                        domain_weights(line, first, count[p, d], at_x, half[p, d], S[d], dS[d])
-                    else:
-                        line_weights(
-                            line, uniform, degree, first, count[p, d], x[p, d], half[p, d], S[d],
-                            dS[d], part, slope,
-                        )  # fmt: skip
-                if axisymmetric and half[p, 0] > 0.0:
-                    ring_slopes(
-                        lines[line_start[0] : line_start[1]], uniform, degree,
-                        origin[0] + low[p, 0], count[p, 0], x[p, 0], half[p, 0], dS[0], part, slope,
-                    )  # fmt: skip
-                start = value_start[g] + (position - groups[g]) * m
-                for a in range(m):
-                    to, product = start + rank[a], 1.0
-                    for d in range(gdim):
-                        product *= S[d, index[a, d]]
-                        slope_d = dS[d, index[a, d]]
-                        for e in range(gdim):
-                            if e != d:
-                                slope_d *= S[e, index[a, e]]
-                        dN[to, d] = slope_d
-                    N[to] = product
-        return known
-
-    return kernel
 
 
 def first_parts(ijk: npt.NDArray[np.int32], by: int) -> npt.NDArray[np.int32]:
@@ -339,18 +192,6 @@ class LatticeBasis:
             self._corners = low, high
         return self._corners
 
-    def _spans(self, where: Placement, origin):
-        """Half-lengths (zero unless averaged), first overlapped cell and number of cells.
-
-        All three have shape (points, gdim).
-        """
-        x = where.x
-        half = where.half if self.averaged else np.zeros_like(x)
-        low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
-        lattice = self.lattice
-        _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
-        return half, low, count
-
     def spans(self, x, half) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """First cell that each domain overlaps, in the halo's tables, and number of cells.
 
@@ -362,7 +203,7 @@ class LatticeBasis:
         """
         low, count = np.empty(x.shape, np.int32), np.empty(x.shape, np.int32)
         lattice, origin = self.lattice, self.halo.origin
-        _overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
+        overlaps(x, half, self._lines, self._line_start, lattice.uniform, origin, low, count)
         return low, count
 
     def _on_lines(self, x, low) -> npt.NDArray[np.bool_]:
@@ -426,7 +267,7 @@ class LatticeBasis:
         Raises:
             PointsOutsideGridError: A domain spans more than 60 cells, the room in stencils.
         """
-        layers, most, p = _reach(
+        layers, most, p = largest_reach(
             where.x, where.half, self.averaged, self._lines, self._line_start, self.lattice.uniform
         )
         error = None
@@ -451,7 +292,8 @@ class LatticeBasis:
             PointsOutsideGridError: A domain reaches beyond the cells and nodes that this rank
                 knows; see `grown`.
         """
-        half, low, count = self._spans(where, self.halo.origin)
+        half = where.half if self.averaged else np.zeros_like(where.x)
+        low, count = self.spans(where.x, half)
         table = self.halo.cell_table.shape
         known = bool(np.all(low >= 0) and np.all(low + count <= table))
         if not self.averaged and self.grid.comm.allreduce(known, op=MPI.LAND):
@@ -476,7 +318,7 @@ class LatticeBasis:
         halo, gdim = self.halo, x.shape[1]
         cell_shape = np.array(halo.cell_table.shape, np.int64)
         key = np.empty(len(x), np.int64)
-        _keys(low, count, cell_shape, key)
+        group_keys(low, count, cell_shape, key)
         order = np.argsort(key, kind="stable").astype(np.int32)
         groups = group_starts(key[order])
         spans = count[order[groups[:-1]]].astype(np.int64)
@@ -489,7 +331,7 @@ class LatticeBasis:
             np.empty(value_start[-1]), np.empty((value_start[-1], gdim)),
             cell_start, np.empty(cell_start[-1], np.int32),
         )  # fmt: skip
-        known = _fill(self.degree == 1, axisymmetric)(
+        known = stencil_loop(self.degree == 1, axisymmetric)(
             x, half, self._lines, self._line_start, halo.origin,
             halo.node_table.ravel(), np.array(halo.node_table.shape, np.int64),
             halo.cell_table.ravel(), cell_shape,

@@ -8,7 +8,6 @@ from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform.checks import number, whole
@@ -25,7 +24,7 @@ from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.keptstate import KeptState
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.study.trial import Trial
+from dolfinmpm.study.trial import Trial, largest_norm
 
 __all__ = ["FromState"]
 
@@ -150,8 +149,7 @@ class FromState:
                 continue
             done = 1.0 if 1.0 - done - share < 1e-12 else done + share
             taken += 1
-            way = np.linalg.norm(points["x"] - points[_BEFORE], axis=1)
-            displacement = _largest(points.comm, way)
+            displacement = largest_norm(points.comm, points["x"] - points[_BEFORE])
             if 1.0 + displacement / self._elastic > self._growth:
                 reason = (
                     f"with strength over {now:.4g}: 1 + d/d_e = "
@@ -205,8 +203,7 @@ class FromState:
         operator = problem.operator()
         here = operator.here
         operator.move(_moved_by(problem, operator))
-        way = np.linalg.norm(operator.points.motion(here.movers)[0], axis=1)
-        found = _largest(problem.comm, way)
+        found = largest_norm(problem.comm, operator.points.motion(here.movers)[0])
         if not 0.0 < found < np.inf:
             raise ParameterError(
                 f"the loads of the problem move its elastic body by {found:g} m: a factor of "
@@ -246,7 +243,3 @@ def _moved_by(problem: QuasiStatic, operator: Operator) -> np.ndarray:
     x = np.zeros(here.unknowns.owned)
     x[rows] = found.getArray(readonly=True)
     return x
-
-
-def _largest(comm: MPI.Intracomm, way: np.ndarray) -> float:
-    return float(comm.allreduce(way.max(initial=0.0), op=MPI.MAX))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
-import numpy as np
 from mpi4py import MPI
 
 from dolfinmpm._platform.checks import number, shown
@@ -17,12 +16,11 @@ from dolfinmpm._platform.errors import (
     warn,
 )
 from dolfinmpm._platform.together import meet
-from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.study.fromstate import FromState
-from dolfinmpm.study.trial import FactorOfSafety, Trial
+from dolfinmpm.study.trial import FactorOfSafety, Trial, largest_norm
 
 __all__ = ["factor_of_safety", "reduced_strength"]
 
@@ -200,7 +198,9 @@ class _FromStart:
                 break
             steps += 1
             iterations += record.iterations
-            displacement = _largest_displacement(problem.points)
+            displacement = largest_norm(
+                problem.points.comm, problem.points["x"] - problem.points["x0"]
+            )
             elastic = displacement if elastic is None else elastic
             if elastic <= 0:
                 raise ParameterError(
@@ -237,8 +237,3 @@ def _steps(loading: Loading, factor: float) -> Iterable[QuasiStatic]:
             "sets the load and has `yield problem`, not `return problem`"
         )
     return found
-
-
-def _largest_displacement(points: MaterialPoints) -> float:
-    moved = np.linalg.norm(points["x"] - points["x0"], axis=1)
-    return float(points.comm.allreduce(moved.max(initial=0.0), op=MPI.MAX))

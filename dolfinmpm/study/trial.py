@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["FactorOfSafety", "Trial"]
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+__all__ = ["FactorOfSafety", "Trial", "largest_norm"]
+
+
+def largest_norm(comm: MPI.Intracomm, vectors: npt.NDArray[np.float64]) -> float:
+    """Largest norm of the vectors of all ranks, shape (n, gdim) on each rank. Collective."""
+    norms = np.linalg.norm(vectors, axis=1)
+    return float(comm.allreduce(norms.max(initial=0.0), op=MPI.MAX))
 
 
 @dataclass(frozen=True)
