@@ -66,7 +66,7 @@ def studies(monkeypatch):
 class Places:
     """A rigid body that has moved and turned."""
 
-    angle, position = np.array([0.5 * np.pi]), np.array([3.0, 0.0])
+    angle, position = np.array([90.0]), np.array([3.0, 0.0])
 
 
 def test_points_inside_a_body(studies):
