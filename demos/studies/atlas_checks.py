@@ -12,7 +12,7 @@ import numpy as np
 from atlas_example import Example, Rigid
 from mpi4py import MPI
 
-__all__ = ["MADE", "Checks", "inside_by"]
+__all__ = ["Checks", "inside_by"]
 
 VOLUME = 0.02  # volume lost beyond what elastic strain takes, by the first volume
 ADMISSIBLE = 1e-6  # elastic strain that a second return mapping would take
