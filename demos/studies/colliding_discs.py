@@ -172,8 +172,8 @@ say(
 # to 0.029, and the discs part with 0.91 and 0.93 of their speed. Momentum stays to rounding.
 #
 # With contact and a gap test the discs touch when they should, on cells of R/4 within 0.02 s: their
-# kinetic energy is least 0.51 s after that, 0.054 and 0.046 of what it was on cells of R/4 and R/8,
-# and they part with 0.82 and 0.89 of their speed. Without the test they feel each other as early as
+# kinetic energy is least 0.51 s after that, 0.053 and 0.045 of what it was on cells of R/4 and R/8,
+# and they part with 0.83 and 0.89 of their speed. Without the test they feel each other as early as
 # without contact.
 #
 # A consistent mass with its ghost penalty (`--mass consistent --mapping pic`) is no good for one

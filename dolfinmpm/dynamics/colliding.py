@@ -38,8 +38,8 @@ __all__ = ["Colliding", "why_it_does_not_collide"]
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
-# Pushes by mapped velocities in a step: of bodies three cells wide, more change less than 1 %
-_PASSES = 5
+# Pushes by mapped velocities in a step: with 5 coarse bodies make up to 12 % of their energy
+_PASSES = 20
 
 
 def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> Exception | None:
@@ -218,8 +218,9 @@ class Colliding(ExplicitBase):
         m = self._settings.scaling * point_masses(points)
         at = touching.nodes[:, None].astype(np.float64)
         near = [selected(s, collect(s, at, len(points))[:, 0] > 0.0) for s in stencils]
-        for _ in range(_PASSES):
-            changes = touching.push([V.copy() for V in mapped])
+        for k in range(_PASSES):
+            ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
+            changes = touching.push([V.copy() for V in mapped], ahead)
             for s, body, V, V_mapped, change in zip(near, bodies, after, mapped, changes):
                 V += change
                 change[fixed] = 0.0

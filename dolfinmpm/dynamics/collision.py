@@ -7,7 +7,7 @@ momentum by which both have the velocity of their common centre of mass along n,
     v_a −= [(v_a − v̄)·n] (n + μ' t),    μ' = min(μ, |(v_a − v̄)_t| / (v_a − v̄)·n),
 
 t being the direction of the slip (Bardenhagen et al. 2001, CMES 2, 509). Momentum is kept, for n is
-common to both: that of n_a − n_b, where n_a = Σ m ∇N/|Σ m ∇N| points out of a body.
+common to both: that of V_a ∇m_a/m_a − V_b ∇m_b/m_b, where ∇m_a = Σ m ∇N points out of a body.
 
 Without the second condition bodies feel each other as soon as they share a node, up to two cells
 before they touch. With it they do where the volumes that they have at a node, Σ V N of both,
@@ -109,7 +109,7 @@ class Touching:
 
     def __init__(self, bodies: Sequence[BodyAtNodes], room: Array | None, friction: float):
         self._bodies, self._friction = bodies, friction
-        self._pairs: list[tuple[int, int, npt.NDArray[np.intp], Array, Array]] = []
+        self._pairs: list[tuple[int, int, npt.NDArray[np.intp], Array, Array, Array]] = []
         for i, j in combinations(range(len(bodies)), 2):
             a, b = bodies[i], bodies[j]
             both = (a.mass > 0.0) & (b.mass > 0.0)
@@ -118,14 +118,16 @@ class Touching:
                 # beside the surface a node has next to nothing of one body: no gap is small there
                 both &= left <= np.minimum(_ROOM * room, _LEFT * np.minimum(a.volume, b.volume))
             k = np.flatnonzero(both)
-            n = _unit(_unit(a.slope[k]) - _unit(b.slope[k]))
-            self._pairs.append((i, j, k, n, np.zeros_like(n)))
+            # by volume: where one body ends beside the node, the other's surface counts for more
+            share = [body.slope[k] * (body.volume[k] / body.mass[k])[:, None] for body in (a, b)]
+            n = _unit(share[0] - share[1])
+            self._pairs.append((i, j, k, n, np.zeros_like(n), np.zeros_like(n)))
 
     @property
     def nodes(self) -> npt.NDArray[np.bool_]:
         """At which nodes bodies touch, shape (nodes,)."""
         found = np.zeros(len(self._bodies[0].mass), bool)
-        for _, _, k, _, _ in self._pairs:
+        for _, _, k, *_ in self._pairs:
             found[k] = True
         return found
 
@@ -133,12 +135,12 @@ class Touching:
     def got(self) -> Array:
         """Momentum that the first body of all has got (kg m/s), shape (nodes, d)."""
         found = np.zeros_like(self._bodies[0].slope)
-        for i, _, k, _, impulse in self._pairs:
+        for i, _, k, _, impulse, _ in self._pairs:
             if i == 0:
                 found[k] -= impulse
         return found
 
-    def push(self, velocities: Sequence[Array]) -> list[Array]:
+    def push(self, velocities: Sequence[Array], ahead: float = 0.0) -> list[Array]:
         """Exchange the momentum that stops bodies from coming nearer; changes the velocities.
 
         Pushes of one step add up: a later one may take back momentum that an earlier one gave, but
@@ -146,21 +148,25 @@ class Touching:
 
         Args:
             velocities: Of each body (m/s), shape (nodes, d).
+            ahead: Share of the impulses' change by which velocities go beyond it, for the next
+                push to find more (Nesterov 1983); 0 in the last one.
 
         Returns:
             How much the velocities have changed (m/s), likewise.
         """
         before = [V.copy() for V in velocities]
-        for i, j, k, n, impulse in self._pairs:
+        for i, j, k, n, impulse, at in self._pairs:
             a, b = self._bodies[i].mass[k, None], self._bodies[j].mass[k, None]
-            wanted = impulse + a * b / (a + b) * (velocities[i][k] - velocities[j][k])
+            wanted = at + a * b / (a + b) * (velocities[i][k] - velocities[j][k])
             normal = np.sum(wanted * n, axis=1, keepdims=True)
             along = wanted - normal * n
             normal = np.maximum(normal, 0.0)
             size = np.linalg.norm(along, axis=1, keepdims=True)
             rubs = np.minimum(self._friction * normal, size)
-            more = normal * n + along * (rubs / np.where(size > 0.0, size, 1.0)) - impulse
-            impulse += more
+            new = normal * n + along * (rubs / np.where(size > 0.0, size, 1.0))
+            more = new + ahead * (new - impulse) - at
+            impulse[:] = new
+            at += more
             # what one body does at a node, the other does with the opposite sign
             velocities[i][k] -= more / a
             velocities[j][k] += more / b

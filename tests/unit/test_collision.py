@@ -36,10 +36,10 @@ def test_momentum_is_kept_and_bodies_come_no_nearer(friction, room):
     total = m[0] * v[0] + m[1] * v[1]
     np.testing.assert_allclose(total, m[0] * before[0] + m[1] * before[1], atol=1e-13)
     np.testing.assert_allclose(got, m[0] * (v[0] - before[0]), atol=1e-13)
-    units = [b.slope / np.linalg.norm(b.slope, axis=1)[:, None] for b in bodies]
-    n = units[0] - units[1]
-    n /= np.linalg.norm(n, axis=1)[:, None]
     both = (bodies[0].mass > 0) & (bodies[1].mass > 0)
+    share = [b.slope * (b.volume / np.where(both, b.mass, 1.0))[:, None] for b in bodies]
+    n = share[0] - share[1]
+    n /= np.linalg.norm(n, axis=1)[:, None]
     if room is not None:
         both &= bodies[0].volume + bodies[1].volume >= 0.98
         assert 20 < both.sum() < 140
