@@ -1,10 +1,10 @@
-"""A distributed matrix whose rows all ranks add to, and what it takes to hand their parts over."""
+"""A distributed matrix whose rows all ranks add to: PETSc's assembly by coordinates."""
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
@@ -15,93 +15,21 @@ __all__ = ["OwnedRows"]
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int32]
 
-
-@numba.njit(cache=True, error_model="numpy")
-def _unite(start, columns, number, row_of, got_start, got_rows, got_columns, low, high, to, rows,
-           inner, outer):  # fmt: skip
-    """Rows of what this rank has and has got, columns in increasing order.
-
-    Args:
-        start, columns: First entries of this rank's rows, and their columns, locally numbered.
-        number: Global number of every local one.
-        row_of: Local row of each owned one, -1 where there is none.
-        got_start: First of each owned row's entries among those got, shape (owned + 1,).
-        got_rows: Those entries by owned row.
-        got_columns: Their columns, globally numbered.
-        low, high: First owned column, and that after the last one.
-        to: Written: where each entry goes, those got after this rank's own; in the columns of
-            other ranks −1 less its place there.
-        rows: Written: first entries of the owned rows, in owned columns and in others.
-        inner, outer: Written: owned columns, from 0 on, and others, as the matrix has them.
-
-    Returns:
-        Number of entries in owned columns, and in others.
-    """
-    longest = 0
-    for row in range(row_of.size):
-        count = got_start[row + 1] - got_start[row]
-        if row_of[row] >= 0:
-            count += start[row_of[row] + 1] - start[row_of[row]]
-        longest = max(longest, count)
-    column, source = np.empty(longest, np.int32), np.empty(longest, np.int32)
-    here, there = 0, 0
-    for row in range(row_of.size):
-        count = 0
-        if row_of[row] >= 0:
-            for at in range(start[row_of[row]], start[row_of[row] + 1]):
-                column[count], source[count] = number[columns[at]], at
-                count += 1
-        for at in range(got_start[row], got_start[row + 1]):
-            column[count] = got_columns[got_rows[at]]
-            source[count] = columns.size + got_rows[at]
-            count += 1
-        # nearly in order, but for ghosts
-        for k in range(1, count):
-            c, s, at = column[k], source[k], k
-            while at > 0 and column[at - 1] > c:
-                column[at], source[at] = column[at - 1], source[at - 1]
-                at -= 1
-            column[at], source[at] = c, s
-        for k in range(count):
-            c = column[k]
-            new = k == 0 or column[k - 1] != c
-            if low <= c < high:
-                if new:
-                    inner[here] = c - low
-                    here += 1
-                to[source[k]] = here - 1
-            else:
-                if new:
-                    outer[there] = c
-                    there += 1
-                to[source[k]] = -there
-        rows[0, row + 1], rows[1, row + 1] = here, there
-    return here, there
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _put(data, to, got, got_to, values):
-    """Replace a matrix's values; those that are got are added to this rank's own."""
-    for k in range(got.size):
-        values[got_to[k]] = 0.0
-    for k in range(data.size):
-        if to[k] >= 0:
-            values[to[k]] = data[k]
-    for k in range(got.size):
-        values[got_to[k]] += got[k]
+# PETSc's own functions: petsc4py 3.22 has no names for assembly by coordinates
+_PETSC = ctypes.CDLL(PETSc.__file__)
 
 
 class OwnedRows:
-    """Rows of a distributed matrix that this rank owns, with what other ranks have for them.
+    """Rows of a distributed matrix, with the entries that any rank has for them.
 
-    PETSc works in the values that are held here. All that depends on the pattern is found once.
+    PETSc finds once per pattern where each entry goes (`MatSetPreallocationCOO`).
 
     Args:
         comm: Communicator.
         start, columns: First entries of the rows that this rank has, in increasing order of its own
             numbers, and their columns, likewise.
         number: Global number of every row and column known here.
-        owned: How many rows it owns, which are numbered rank by rank.
+        owned: How many rows this rank owns; rows are numbered rank by rank.
         size: Rows of the matrix.
 
     Attributes:
@@ -112,56 +40,14 @@ class OwnedRows:
         self, comm: MPI.Intracomm, start: Integers, columns: Integers, number: Integers,
         owned: int, size: int,
     ):  # fmt: skip
-        self._comm = comm
-        ends = np.cumsum(comm.allgather(owned))
-        high = int(ends[comm.rank])
-        low = high - owned
-        here = (number >= low) & (number < high)
-        row_of = np.full(owned, -1, np.int32)
-        row_of[number[here] - low] = np.flatnonzero(here)
-        away = np.flatnonzero(~here)
-        owner = np.searchsorted(ends, number[away], side="right")
-        away = away[np.argsort(owner, kind="stable")]
-        counts = np.diff(start)[away]
-        self._sent = _ranges(start[away], counts)
-        out = np.bincount(owner, minlength=comm.size)
-        self._out = np.zeros(comm.size, np.int64)
-        np.add.at(self._out, np.sort(owner), counts)
-        into, self._in = np.empty_like(out), np.empty_like(self._out)
-        comm.Alltoall(out, into)
-        comm.Alltoall(self._out, self._in)
-        got_rows = self._exchange(number[away], out, into)
-        got_counts = self._exchange(counts.astype(np.int32), out, into)
-        got_columns = self._exchange(number[columns[self._sent]], self._out, self._in)
-        row = np.repeat(got_rows - low, got_counts)
-        got_start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=owned))])
-        most = columns.size + row.size
-        to, rows = np.full(most, -most - 1, np.int32), np.zeros((2, owned + 1), PETSc.IntType)
-        inner, outer = np.empty((2, most), PETSc.IntType)
-        n, m = _unite(
-            start, columns, number, row_of, got_start, np.argsort(row, kind="stable"),
-            got_columns, low, high, to, rows, inner, outer,
-        )  # fmt: skip
-        # values in columns of others follow those in owned ones; of no entry, nowhere
-        outside = (to < 0) & (to >= -most)
-        to[outside] = n - 1 - to[outside]
-        self._to, self._got_to = np.split(to, [columns.size])
-        self._got = np.empty(row.size)
-        self._values = np.zeros(n + m)
-        shape = (owned, size)
-        self.petsc: Any = PETSc.Mat().createAIJWithArrays(
-            (shape, shape),
-            ((rows[0], inner[:n].copy(), self._values[:n]),
-             (rows[1], outer[:m].copy(), self._values[n:])),
-            comm=comm,
-        )  # fmt: skip
-        self.petsc.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
-
-    def _exchange(self, values: npt.NDArray, out: npt.NDArray, into: npt.NDArray) -> npt.NDArray:
-        """Values from all ranks, in their order. Collective."""
-        got = np.empty(into.sum(), values.dtype)
-        self._comm.Alltoallv([values, out], [got, into])
-        return got
+        number = number.astype(PETSc.IntType)
+        self.petsc: Any = PETSc.Mat().create(comm)
+        self.petsc.setSizes(((owned, size), (owned, size)))
+        self.petsc.setType("aij")
+        rows, others = np.repeat(number, np.diff(start)), number[columns]
+        self._call(
+            "MatSetPreallocationCOO", ctypes.c_ssize_t(rows.size), _address(rows), _address(others)
+        )
 
     def put(self, data: Array) -> None:
         """Give the matrix its values. Collective.
@@ -169,13 +55,13 @@ class OwnedRows:
         Args:
             data: This rank's entries, shape (entries,).
         """
-        self._comm.Alltoallv([data[self._sent], self._out], [self._got, self._in])
-        _put(data, self._to, self._got, self._got_to, self._values)
-        self.petsc.assemble()
-        self.petsc.stateIncrease()
+        self._call("MatSetValuesCOO", _address(data), int(PETSc.InsertMode.INSERT_VALUES))
+
+    def _call(self, name: str, *arguments: Any) -> None:
+        ended = getattr(_PETSC, name)(ctypes.c_void_p(self.petsc.handle), *arguments)
+        if ended:
+            raise PETSc.Error(ended)
 
 
-def _ranges(first: npt.NDArray, counts: npt.NDArray) -> npt.NDArray[np.intp]:
-    """Numbers from each first one on, one range after the other."""
-    begins = np.cumsum(counts) - counts
-    return np.repeat(first - begins, counts).astype(np.intp) + np.arange(counts.sum())
+def _address(array: npt.NDArray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
