@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from dolfinmpm._platform.errors import call_together
 from dolfinmpm.solve.cholmod import DONE, INDEFINITE, NO_MEMORY, Factor, unavailable
+from dolfinmpm.solve.mumps import WORKSPACE
 
 __all__ = ["Substructures", "set_cholesky", "why_not"]
 
@@ -49,6 +50,11 @@ def set_cholesky(pc: PETSc.PC, A: PETSc.Mat) -> None:
             return
     pc.setType("cholesky")
     pc.setFactorSolverType("cholmod" if comm.size == 1 else "mumps")
+    if comm.size > 1 and A.getSize()[0]:
+        # MUMPS's forecast of its workspace is too small for some matrices on several ranks
+        pc.setOperators(A)
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(WORKSPACE, 100)
 
 
 class Substructures:
