@@ -2,161 +2,195 @@
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
 import functools
+import importlib.machinery
+import importlib.util
+import os
+import sys
+import sysconfig
+import tempfile
 import weakref
-from ctypes import POINTER, byref, c_double, c_float, c_int, c_int64, c_size_t, c_void_p
+import zlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import petsc4py
+from dolfinx import jit
 
-__all__ = ["Factor", "unavailable"]
+__all__ = ["DONE", "INDEFINITE", "NO_MEMORY", "Factor", "unavailable"]
 
 Array = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int32]
 
-# of `cholmod.h`, the same in all releases of this main version
-_MAIN_VERSION = 5
-_GIVEN, _SUPERNODAL, _REAL, _LOWER = 1, 2, 1, -1
-_OK, _OUT_OF_MEMORY, _TOO_LARGE, _NOT_POSDEF = 0, -2, -3, 1
+# How a factorisation ends, from good to worse
+DONE, INDEFINITE, NO_MEMORY = range(3)
+
+_DECLARED = """
+void *analyse(int n, int *start, int *rows, int *late, int *order, double *counts);
+int factorise(void *L, int n, int *start, int *rows, double *values);
+void trailing(void *L, int *at, int size, double *out);
+void sweep(void *L, double *x, int back);
+void release(void *L);
+"""
+
+# PETSc's interface to CHOLMOD neither orders some unknowns last nor shows L. The C compiler reads
+# CHOLMOD's structures in its header.
+_SOURCE = """
+#include <cholmod.h>
+
+static cholmod_common *common(void)
+{
+    static cholmod_common c;
+    static int started = 0;
+    if (!started) {
+        started = cholmod_start(&c);
+        c.print = 0;   /* an indefinite matrix is no news for the terminal */
+        c.quick_return_if_not_posdef = 1;
+        c.supernodal = CHOLMOD_SUPERNODAL;
+        c.nmethods = c.postorder = 1;
+        c.method[0].ordering = CHOLMOD_GIVEN;
+    }
+    return &c;
+}
+
+/* The lower triangle: CHOLMOD passes over entries of the upper one. */
+static cholmod_sparse lower(int n, int *start, int *rows, double *values)
+{
+    cholmod_sparse B = {0};
+    B.nrow = B.ncol = n;
+    B.nzmax = start[n];
+    B.p = start; B.i = rows; B.x = values;
+    B.stype = -1; B.itype = CHOLMOD_INT; B.dtype = CHOLMOD_DOUBLE;
+    B.xtype = values ? CHOLMOD_REAL : CHOLMOD_PATTERN;
+    B.packed = 1;
+    return B;
+}
+
+/* L without values, or NULL for want of memory; writes the order, and operations and entries */
+static void *analyse(int n, int *start, int *rows, int *late, int *order, double *counts)
+{
+    cholmod_sparse B = lower(n, start, rows, NULL);
+    cholmod_factor *L = NULL;
+    if (cholmod_camd(&B, NULL, 0, late, order, common()))
+        L = cholmod_analyze_p(&B, order, NULL, 0, common());
+    if (L) {
+        for (int k = 0; k < n; k++) order[k] = ((int *)L->Perm)[k];
+        counts[0] = common()->fl;
+        counts[1] = common()->lnz;
+    }
+    return L;
+}
+
+/* 0; 1 if the matrix is not positive definite, 2 for want of memory */
+static int factorise(void *L, int n, int *start, int *rows, double *values)
+{
+    cholmod_sparse B = lower(n, start, rows, values);
+    cholmod_factorize(&B, L, common());
+    if (common()->status < CHOLMOD_OK) return 2;
+    return ((cholmod_factor *)L)->minor < (size_t)n;
+}
+
+/* L between the unknowns with at >= 0, column by column; all rows of their columns are of these */
+static void trailing(void *factor, int *at, int size, double *out)
+{
+    cholmod_factor *L = factor;
+    int *first = L->super, *rows_of = L->pi, *values_of = L->px, *rows = L->s;
+    for (size_t s = 0; s < L->nsuper; s++) {
+        int count = rows_of[s + 1] - rows_of[s];
+        for (int c = 0; c < first[s + 1] - first[s]; c++) {
+            int column = at[first[s] + c];
+            double *values = (double *)L->x + values_of[s] + (size_t)c * count;
+            for (int k = c; column >= 0 && k < count; k++)
+                out[(size_t)column * size + at[rows[rows_of[s] + k]]] = values[k];
+        }
+    }
+}
+
+/* Solve L y = x, or L' y = x, in place */
+static void sweep(void *factor, double *x, int back)
+{
+    cholmod_factor *L = factor;
+    cholmod_dense *work = cholmod_allocate_dense(L->n, 1, L->n, CHOLMOD_REAL, common());
+    cholmod_dense X = {0};
+    X.nrow = X.nzmax = X.d = L->n;
+    X.ncol = 1;
+    X.x = x; X.xtype = CHOLMOD_REAL; X.dtype = CHOLMOD_DOUBLE;
+    if (back) cholmod_super_ltsolve(L, &X, work, common());
+    else cholmod_super_lsolve(L, &X, work, common());
+    cholmod_free_dense(&work, common());
+}
+
+static void release(void *factor)
+{
+    cholmod_factor *L = factor;
+    cholmod_free_factor(&L, common());
+}
+"""
 
 
-def _structure(name: str, *members: tuple[type, str]) -> type[ctypes.Structure]:
-    """A C structure by types and names of its members."""
-    fields = [(member, kind) for kind, names in members for member in names.split()]
-    return type(name, (ctypes.Structure,), {"_fields_": fields})
-
-
-_Method = _structure(
-    "cholmod_method_struct",
-    (c_double, "lnz fl prune_dense prune_dense2 nd_oksep"),
-    (c_double * 4, "other_1"),
-    (c_size_t, "nd_small"),
-    (c_double * 4, "other_2"),
-    (c_int, "aggressive order_for_lu nd_compress nd_camd nd_components ordering"),
-    (c_size_t * 4, "other_3"),
-)
-
-# What follows is neither read nor written here; room for it is left, more than it takes.
-_Common = _structure(
-    "cholmod_common",
-    (c_double, "dbound grow0 grow1"),
-    (c_size_t, "grow2 maxrank"),
-    (c_double, "supernodal_switch"),
-    (c_int, "supernodal final_asis final_super final_ll final_pack final_monotonic final_resymbol"),
-    (c_double * 3, "zrelax"),
-    (c_size_t * 3, "nrelax"),
-    (c_int, "prefer_zomplex prefer_upper quick_return_if_not_posdef prefer_binary"),
-    (c_int, "print precise try_catch"),
-    (c_void_p, "error_handler"),
-    (c_int, "nmethods current selected"),
-    (_Method * 10, "method"),
-    (c_int, "postorder default_nesdis"),
-    (c_double, "metis_memory metis_dswitch"),
-    (c_size_t, "metis_nswitch nrow"),
-    (c_int64, "mark"),
-    (c_size_t, "iworksize xworkbytes"),
-    (c_void_p, "Flag Head Xwork Iwork"),
-    (c_int, "itype other_5 no_workspace_reallocate status"),
-    (c_double, "fl lnz anz modfl"),
-    (c_float * 4096, "rest"),
-)
-
-_Sparse = _structure(
-    "cholmod_sparse",
-    (c_size_t, "nrow ncol nzmax"),
-    (c_void_p, "p i nz x z"),
-    (c_int, "stype itype xtype dtype sorted packed"),
-)
-
-_Dense = _structure(
-    "cholmod_dense",
-    (c_size_t, "nrow ncol nzmax d"),
-    (c_void_p, "x z"),
-    (c_int, "xtype dtype"),
-)
-
-_Symbolic = _structure(
-    "cholmod_factor",
-    (c_size_t, "n minor"),
-    (c_void_p, "Perm ColCount IPerm"),
-    (c_size_t, "nzmax"),
-    (c_void_p, "p i x z nz next prev"),
-    (c_size_t, "nsuper ssize xsize maxcsize maxesize"),
-    (c_void_p, "super pi px s"),
-    (c_int, "ordering is_ll is_super is_monotonic itype xtype dtype useGPU"),
-)
-
-
-class _Library:
-    """The shared library with one workspace.
+def _header() -> Path:
+    """The folder with CHOLMOD's header, of the environment, of PETSc or of the system.
 
     Raises:
-        OSError: There is none, or one of another version or without partitioning.
+        OSError: There is none.
     """
-
-    def __init__(self) -> None:
-        name = ctypes.util.find_library("cholmod") or f"libcholmod.so.{_MAIN_VERSION}"
-        self.c: Any = ctypes.CDLL(name)
-        version = (c_int * 3)()
-        try:
-            self.c.cholmod_version(version)
-            for used in ("camd", "analyze_p", "factorize", "super_lsolve", "super_ltsolve"):
-                getattr(self.c, f"cholmod_{used}")
-        except AttributeError as missing:
-            raise OSError(f"{name} has no function of the name: {missing}") from None
-        if version[0] != _MAIN_VERSION:
-            raise OSError(f"{name} is version {version[0]}, and not {_MAIN_VERSION}")
-        self.common: Any = _Common()
-        self.c.cholmod_analyze_p.restype = POINTER(_Symbolic)
-        self.c.cholmod_start(byref(self.common))
-        common = self.common
-        # that a matrix is not positive definite is no news for the terminal
-        common.print, common.quick_return_if_not_posdef = 0, 1
-        common.supernodal = _SUPERNODAL
-        common.nmethods, common.postorder = 1, 1
-        common.method[0].ordering = _GIVEN
-
-    def check(self, name: str) -> None:
-        """Raise what a function ended with, if it is not that a matrix is indefinite."""
-        status = self.common.status
-        if status in (_OUT_OF_MEMORY, _TOO_LARGE):
-            raise MemoryError(f"cholmod_{name}: no memory or no numbers for factors so large")
-        if status < _OK:
-            raise RuntimeError(f"cholmod_{name} ended with status {status}")
+    petsc = Path(petsc4py.get_config()["PETSC_DIR"])
+    for root in (Path(sys.prefix), petsc, petsc / os.environ.get("PETSC_ARCH", ""), Path("/usr")):
+        for folder in (root / "include/suitesparse", root / "include"):
+            if (folder / "cholmod.h").exists():
+                return folder
+    raise OSError("cholmod.h of SuiteSparse is not installed")
 
 
 @functools.cache
-def _library() -> _Library:
-    return _Library()
+def _compiled() -> Any:
+    """The functions above, compiled once and kept where DOLFINx keeps compiled forms.
+
+    Raises:
+        OSError: There is no header, no compiler or no library.
+    """
+    import cffi
+
+    header = _header()
+    key = zlib.crc32(f"{_SOURCE}{_DECLARED}{header}".encode() + (header / "cholmod.h").read_bytes())
+    name = f"dolfinmpm_cholmod_{key:08x}"
+    kept = Path(jit.get_options()["cache_dir"]) / (name + sysconfig.get_config_var("EXT_SUFFIX"))
+    if not kept.exists():
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        folder = (
+            next(parent for parent in header.parents if parent.name == "include").parent / "lib"
+        )
+        ffi = cffi.FFI()
+        ffi.cdef(_DECLARED)
+        ffi.set_source(
+            name, _SOURCE, libraries=["cholmod"], include_dirs=[str(header)],
+            library_dirs=[str(folder)], runtime_library_dirs=[str(folder)],
+        )  # fmt: skip
+        # a process that compiles at the same time puts the same there
+        with tempfile.TemporaryDirectory(dir=kept.parent) as made:
+            try:
+                os.replace(ffi.compile(made), kept)
+            except cffi.VerificationError as why:
+                raise OSError(f"CHOLMOD's interface does not compile: {why}") from None
+    loader = importlib.machinery.ExtensionFileLoader(name, str(kept))
+    spec = importlib.machinery.ModuleSpec(name, loader, origin=str(kept))
+    try:
+        module = importlib.util.module_from_spec(spec)
+    except ImportError as why:
+        raise OSError(f"CHOLMOD's interface does not load: {why}") from None
+    loader.exec_module(module)
+    return module
 
 
 @functools.cache
 def unavailable() -> str:
-    """Why there is no such library here, or an empty text."""
+    """Why CHOLMOD cannot be called here, or an empty text."""
     try:
-        _library()
+        _compiled()
     except OSError as why:
         return str(why)
     return ""
-
-
-def _address(array: np.ndarray) -> int:
-    return int(array.ctypes.data)
-
-
-def _view(address: int, count: int, kind: type) -> np.ndarray:
-    """An array of CHOLMOD's, not copied."""
-    return np.ctypeslib.as_array(ctypes.cast(address, POINTER(kind)), (count,))
-
-
-def _vector(x: Array, columns: int = 1) -> Any:
-    rows = x.size // columns
-    return _Dense(
-        nrow=rows, ncol=columns, nzmax=x.size, d=rows, x=_address(x), xtype=_REAL, dtype=0
-    )
 
 
 class Factor:
@@ -164,113 +198,61 @@ class Factor:
 
     The fill-reducing order is that of constrained approximate minimum degree (Amestoy, Davis &
     Duff 2004, doi 10.1145/1024074.1024081), the factorisation the supernodal one of CHOLMOD
-    (Chen, Davis, Hager & Rajamanickam 2008, doi 10.1145/1391989.1391995). Unknowns stand in that
-    order, which `place` tells, in all that is asked for.
+    (Chen, Davis, Hager & Rajamanickam 2008, doi 10.1145/1391989.1391995).
 
     Args:
-        start, rows: Columns of the lower triangle of B, in any order within a column, shapes
-            (n + 1,) and (entries,).
-        last: How many unknowns, the last of B, are eliminated after all others.
+        start, columns: B's rows, compressed, shapes (n + 1,) and (entries,).
+        late: Which unknowns are eliminated last, shape (n,).
 
     Attributes:
-        place: Where unknowns of B stand in L, shape (n,).
+        order: Unknown of B at each place of L, shape (n,).
+        late: Places of the unknowns that are eliminated last, shape (m,).
         flops: Floating-point operations of a factorisation.
         entries: Entries of L.
 
     Raises:
-        MemoryError: There is no memory for it, or more entries than 32-bit integers count.
+        MemoryError: There is no memory for L, or L has more entries than 32-bit integers count.
     """
 
-    def __init__(self, start: Integers, rows: Integers, last: int):
-        library = _library()
-        n = start.size - 1
-        self._start, self._rows, self._last = start, rows, last
-        self._matrix = _Sparse(
-            nrow=n, ncol=n, nzmax=rows.size, p=_address(start), i=_address(rows),
-            stype=_LOWER, xtype=0, sorted=0, packed=1,
-        )  # fmt: skip
-        self.place, self.flops, self.entries = np.empty(n, np.int32), 0.0, 0.0
-        if n == 0:
-            return
-        late = np.zeros(n, np.int32)
-        late[n - last :] = 1
-        order = np.empty(n, np.int32)
-        common = byref(library.common)
-        library.c.cholmod_camd(
-            byref(self._matrix), None, c_size_t(0),
-            c_void_p(_address(late)), c_void_p(_address(order)), common,
-        )  # fmt: skip
-        library.check("camd")
-        self._L = library.c.cholmod_analyze_p(
-            byref(self._matrix), c_void_p(_address(order)), None, c_size_t(0), common
-        )
-        library.check("analyze_p")
-        weakref.finalize(self, _free, self._L)
-        self.flops, self.entries = float(library.common.fl), float(library.common.lnz)
-        self.place[_view(self._L.contents.Perm, n, c_int)] = np.arange(n, dtype=np.int32)
-        self._work = np.empty(max(self._L.contents.maxesize, 1))
+    def __init__(self, start: npt.NDArray, columns: npt.NDArray, late: npt.NDArray[np.bool_]):
+        n = late.size
+        self._module = _compiled()
+        self._start, self._columns = start.astype(np.int32), columns.astype(np.int32)
+        self.order, counts = np.zeros(n, np.int32), np.zeros(2)
+        self._L = None
+        if n > 0:
+            classes = late.astype(np.int32)
+            arrays = self._start, self._columns, classes, self.order, counts
+            self._L = self._module.lib.analyse(n, *self._pointers(*arrays))
+            if not self._L:
+                raise MemoryError("CHOLMOD has no memory or no numbers for factors so large")
+            weakref.finalize(self, self._module.lib.release, self._L)
+        self.flops, self.entries = counts
+        # others may stand between them, to which L does not couple them
+        self.late = np.flatnonzero(late[self.order])
 
-    def factorise(self, values: Array) -> bool:
-        """Make L of a matrix; returns whether it is positive definite.
+    def _pointers(self, *arrays: npt.NDArray) -> list[Any]:
+        kinds = ("double[]" if array.dtype == np.float64 else "int[]" for array in arrays)
+        return list(map(self._module.ffi.from_buffer, kinds, arrays))
 
-        Args:
-            values: Entries of the lower triangle, shape (entries,).
-
-        Raises:
-            MemoryError: There is no memory for it.
-        """
-        if self.place.size == 0:
-            return True
-        library, matrix = _library(), self._matrix
-        values = np.ascontiguousarray(values)
-        matrix.x, matrix.xtype = _address(values), _REAL
-        library.c.cholmod_factorize(byref(matrix), self._L, byref(library.common))
-        matrix.x, matrix.xtype = None, 0
-        library.check("factorize")
-        return library.common.status != _NOT_POSDEF and self._L.contents.minor == matrix.nrow
+    def factorise(self, values: Array) -> int:
+        """Make L of B's entries, shape (entries,); returns how it ended."""
+        if self._L is None:
+            return DONE
+        arrays = self._start, self._columns, np.ascontiguousarray(values)
+        return self._module.lib.factorise(self._L, self.order.size, *self._pointers(*arrays))
 
     def trailing(self) -> Array:
-        """L between the last unknowns of B, in the order of their places, shape (last, last).
+        """L between the unknowns that are eliminated last, shape (m, m)."""
+        m = self.late.size
+        at, found = np.full(self.order.size, -1, np.int32), np.zeros((m, m))
+        at[self.late] = np.arange(m)
+        if m > 0:
+            to, out = self._pointers(at, found)
+            self._module.lib.trailing(self._L, to, m, out)
+        return found.T
 
-        An order of elimination that is equivalent by the elimination tree may put others between
-        them, which changes no entry of L.
-        """
-        if self._last == 0:
-            return np.zeros((0, 0))
-        L, count = self._L.contents, self._last
-        at = np.full(L.n, -1, np.int32)
-        at[np.sort(self.place[L.n - count :])] = np.arange(count)
-        first, rows_of, x_of = (
-            _view(address, L.nsuper + 1, c_int) for address in (L.super, L.pi, L.px)
-        )
-        s, x = _view(L.s, L.ssize, c_int), _view(L.x, L.xsize, c_double)
-        found = np.zeros((count, count))
-        # the last column of a supernode is one of them if any is: their ancestors all are
-        for k in np.flatnonzero(at[first[1:] - 1] >= 0):
-            rows = at[s[rows_of[k] : rows_of[k + 1]]]
-            columns = at[first[k] : first[k + 1]]
-            block = x[x_of[k] : x_of[k] + rows.size * columns.size].reshape(columns.size, -1).T
-            own = np.count_nonzero(columns < 0)
-            found[np.ix_(rows[own:], columns[own:])] = block[own:, own:]
-        return np.tril(found)
-
-    def forward(self, x: Array) -> None:
-        """Solve L y = x in place, shape (n,)."""
-        self._sweep("cholmod_super_lsolve", x)
-
-    def backward(self, x: Array) -> None:
-        """Solve Lᵀ y = x in place, shape (n,)."""
-        self._sweep("cholmod_super_ltsolve", x)
-
-    def _sweep(self, name: str, x: Array) -> None:
-        if self.place.size == 0:
-            return
-        library = _library()
-        function = getattr(library.c, name)
-        function(self._L, byref(_vector(x)), byref(_vector(self._work)), byref(library.common))
-        library.check(name.removeprefix("cholmod_"))
-
-
-def _free(L: Any) -> None:
-    library = _library()
-    library.c.cholmod_free_factor(byref(L), byref(library.common))
+    def sweep(self, x: Array, back: bool = False) -> None:
+        """Solve L y = x, or Lᵀ y = x if back, in place, shape (n,) by places."""
+        if self._L is not None:
+            self._module.lib.sweep(self._L, *self._pointers(x), back)

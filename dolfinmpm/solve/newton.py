@@ -285,10 +285,7 @@ class Newton:
             return reason
 
         snes, x = linear.snes, linear.vector()
-        search = SEARCHES[0] if touches else self.search
-        if self.searches and self._set != (snes, search):
-            set_search(snes, self._options.prefix, search)
-            self._set = snes, search
+        self._set_search(snes, SEARCHES[0] if touches else self.search)
         if touches:
             snes.setLineSearchPreCheck(shorten)
         snes.setTolerances(rtol=0, atol=0, stol=0, max_it=self.max_iterations)
@@ -299,6 +296,12 @@ class Newton:
         snes.solve(None, x)
         start[:] = x.getArray(readonly=True)
         return snes.getConvergedReason(), snes.getIterationNumber()
+
+    def _set_search(self, snes: PETSc.SNES, search: str) -> None:
+        """Choose the line search, unless the user has. Collective."""
+        if self.searches and self._set != (snes, search):
+            set_search(snes, self._options.prefix, search)
+            self._set = snes, search
 
     def _predict(self, operator: Operator, balance: ConvergenceTest) -> Array:
         """First guess under prescribed increments: one linear step from rest, K x = −f − K g."""

@@ -1,4 +1,4 @@
-"""What stands for the Schur complement of a pressure where fields are solved for in blocks."""
+"""A displacement and a pressure solved for in blocks, and the pressure's Schur complement."""
 
 from __future__ import annotations
 
@@ -8,12 +8,39 @@ import numpy as np
 import scipy
 from petsc4py import PETSc
 
-__all__ = ["schur_matrix"]
+from dolfinmpm.cut.participants import Activation
+from dolfinmpm.solve.options import Options
+from dolfinmpm.solve.spectra import near_kernel_within
+
+__all__ = ["prepare", "schur_matrix", "split"]
 
 # By which −Σ_j B_ij diag(A)_j⁻¹ B̄_ji is the pressure's lumped mass over λ + 2μ. On trilinear
 # functions it is 64 (λ + 4μ)/(27 (λ + 2μ)), 3.7 at ν = 0.3, on bilinear ones 3.4, on quadratic
 # splines in 3D 2.9. A factor of 2 costs an iteration or two.
 _MASS = 3.0
+
+
+def split(pc: PETSc.PC, here: Activation, A: PETSc.Mat) -> None:
+    """Tell PETSc which rows are of which field, and rigid modes of the first. Collective."""
+    unknowns = here.unknowns
+    first = A.getOwnershipRange()[0]
+    parts = []
+    for k in range(len(unknowns.fields)):
+        rows = np.flatnonzero(unknowns.only(k, np.ones(unknowns.owned))).astype(np.int32)
+        parts.append(PETSc.IS().createGeneral(first + rows, comm=unknowns.comm))
+    parts[0].compose("nearnullspace", near_kernel_within(here, A, parts[0]))
+    pc.setFieldSplitIS(("u", parts[0]), ("p", parts[1]))
+    # they go with the matrix
+    A.compose("rows of u", parts[0])
+    A.compose("rows of p", parts[1])
+
+
+def prepare(pc: PETSc.PC, A: PETSc.Mat, options: Options) -> None:
+    """Give a new preconditioner its Schur complement, unless options do. Collective."""
+    if options.has("pc_fieldsplit_schur_precondition"):
+        return
+    S = schur_matrix(A, A.query("rows of u"), A.query("rows of p"))
+    pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, S)
 
 
 def schur_matrix(A: PETSc.Mat, of_u: PETSc.IS, of_p: PETSc.IS) -> PETSc.Mat:

@@ -348,19 +348,19 @@ def test_a_step_whose_tangent_is_not_definite_begins_again_where_it_began(
     def path(failing):
         problem, step = scenes.arch(control)
         linear, calls = problem.newton.linear, 0
-        solve, first = linear.solve, linear._doubt.next
+        solve, first = linear.solve, linear.choice.doubt.next
 
         def once(right):
             nonlocal calls
             calls += 1
             y = solve(right)
             # until the tangent is not taken for definite any more
-            if 0 < failing <= calls and linear._doubt.next == first:
+            if 0 < failing <= calls and linear.choice.doubt.next == first:
                 y, linear.stuck = np.full_like(y, np.inf), True
             return y
 
         monkeypatch.setattr(linear, "solve", once)
-        return [step().factor for _ in range(3)], linear._doubt.next > first
+        return [step().factor for _ in range(3)], linear.choice.doubt.next > first
 
     (undisturbed, trust), (again, doubt) = path(0), path(fails)
     assert doubt

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import linearsolver, method
+from dolfinmpm.solve import krylov, linearsolver, method
 from dolfinmpm.solve import reuse as reuse_module
 from dolfinmpm.solve.costs import _OTHERWISE as OTHERWISE
 from dolfinmpm.solve.costs import of_setup, of_solution
@@ -180,7 +180,7 @@ def test_incomplete_factors_find_what_factors_find(monkeypatch, most):
     few = sand()
     assert chosen(few) == ("preonly", "lu", "mumps")
     monkeypatch.setattr(method, "_KEPT", {1: 10**9, 2: 20, 3: 20})
-    monkeypatch.setattr(linearsolver, "_MOST_OF_INCOMPLETE", most)
+    monkeypatch.setattr(krylov, "_MOST_OF_INCOMPLETE", most)
     many = sand()
     assert chosen(many)[:2] == ("gmres", "ilu" if most == 200 else "lu")
     assert many.history[0].halvings == 0

@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm.solve import linearsolver, method
+from dolfinmpm.solve import krylov, method
 
 from .common import COMM, run, sums
 from .restart import REPEATABLE
@@ -138,7 +138,7 @@ def incomplete_factors():
         loads = [(0.0, -0.4 * k) for k in range(1, 6)]
         with (
             mock.patch.object(method, "_KEPT", {2: 20}),
-            mock.patch.object(linearsolver, "_MOST_OF_INCOMPLETE", most),
+            mock.patch.object(krylov, "_MOST_OF_INCOMPLETE", most),
         ):
             problem, figures = run(
                 points, V, F, bcs, loads, g, stabilisation="ghost", tolerance=1e-12

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.sparse as sp
 import ufl
 from dolfinx import fem, mesh
@@ -84,6 +85,14 @@ def factors_in_parts():
         off = np.abs(x.getArray() - exact[mine]) / np.abs(exact[mine])
         assert off.max(initial=0.0) < 1e-9
         pc.reset()
+    if COMM.size > 1:
+        # the first unknown of the first rank is coupled to the last unknown, which is not coupled
+        one = sp.eye(n, format="lil")
+        one[0, n - 1] = 1.0
+        one[n - 1, 1] = 1.0
+        pc.setOperators(_distributed(one.tocsr(), n * np.arange(COMM.size + 1) // COMM.size))
+        with pytest.raises(PETSc.Error):
+            pc.setUp()
     return {"sums": found}
 
 

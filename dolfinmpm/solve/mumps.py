@@ -1,0 +1,66 @@
+"""Settings of MUMPS, and more workspace where a factorisation ends for want of it."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from dolfinmpm.solve.options import Options
+
+__all__ = ["WORKSPACE", "Mumps"]
+
+# MUMPS's numbers for settings, and for ends for want of integer, real and send workspace
+_ORDERING, WORKSPACE = 7, 14
+_SHORT_OF_WORKSPACE = (-8, -9, -17)
+
+
+class Mumps:
+    """Settings of MUMPS for the solvers of one problem.
+
+    Args:
+        gdim: Dimension of space.
+        options: PETSc options.
+
+    Attributes:
+        settings: Settings by MUMPS's numbers.
+    """
+
+    def __init__(self, gdim: int, options: Options):
+        self._options = options
+        # minimum fill: a tenth less time and memory than with the ordering that MUMPS chooses
+        self.settings = {_ORDERING: 2} if gdim < 3 else {}
+
+    def apply(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+        """Create MUMPS's factors with the settings that no option sets. Collective."""
+        settings = {k: v for k, v in self.settings.items() if not self._given(k)}
+        if not (_solves(ksp) and settings and A.getSize()[0]):
+            return
+        ksp.setOperators(A)
+        ksp.getPC().setFactorSetUpSolverType()
+        for number, value in settings.items():
+            ksp.getPC().getFactorMatrix().setMumpsIcntl(number, value)
+
+    def enlarge(self, ksp: PETSc.KSP, A: PETSc.Mat) -> bool:
+        """Double the workspace if the last factorisation ended for want of it. Collective.
+
+        Returns whether it did, with new factors, because those that failed fail again. A
+        plastic tangent near a limit load needs pivots off the diagonal. These fill in more than
+        the 20 % beyond its forecast that MUMPS has room for.
+        """
+        if not _solves(ksp) or self._given(WORKSPACE):
+            return False
+        share = 2 * self.settings.get(WORKSPACE, 50)
+        short = ksp.getPC().getFactorMatrix().getMumpsInfog(1) in _SHORT_OF_WORKSPACE
+        if not short or share > 1000:
+            return False
+        self.settings[WORKSPACE] = share
+        ksp.getPC().reset()
+        self.apply(ksp, A)
+        return True
+
+    def _given(self, number: int) -> bool:
+        return self._options.has(f"mat_mumps_icntl_{number}")
+
+
+def _solves(ksp: PETSc.KSP) -> bool:
+    pc = ksp.getPC()
+    return pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps"
