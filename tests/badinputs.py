@@ -182,11 +182,11 @@ BAD = {
     ),
     "prescribed: a vector": (
         lambda s: mpm.prescribed(s.V, "left", 0, increment=(0.0, 1.0)),
-        "of its own",
+        "its own condition",
     ),
     "prescribed: a vector constant": (
         lambda s: mpm.prescribed(s.V, "left", 0, increment=s.g),
-        "a scalar one",
+        "a scalar constant",
     ),
     "prescribed: a function": (
         lambda s: mpm.prescribed(s.V, "left", 0, increment=s.u),
@@ -202,7 +202,7 @@ BAD = {
     ),
     "prescribed: no such coordinate": (
         lambda s: mpm.prescribed(s.V, lambda x: x[0] >= 0, 0, increment=lambda x: x[2]),
-        r"IndexError: .*shape \(2, \d+\), one row a coordinate",
+        r"IndexError: .*shape \(2, \d+\), one row per coordinate",
     ),
     "prescribed: nan somewhere": (
         lambda s: mpm.prescribed(

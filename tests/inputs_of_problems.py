@@ -114,7 +114,7 @@ INPUTS = {
     'carried(s, "c", 3.0)': "the expression of 'c' must be a UFL expression, got",
     'carried(s, "a b", s.c)': "name = 'a b' must be an identifier: it names a field",
     "carried(s, 3, s.c)": "name = 3 must be an identifier: it names a field",
-    'carried(s, "c", s.v)': "what 'c' carries has a test or trial function, and",
+    'carried(s, "c", s.v)': "the expression of 'c' has a test or trial function, and",
     'carried(s, "c", s.c, unit=3)': "unit = 3 of 'c' must be a word, such as 'Pa'",
     "hold(s, boundary=s.top)": "boundary = a Surface must be a Boundary: make it",
     'hold(s, boundary="left")': "boundary = 'left' must be a Boundary: make it with",

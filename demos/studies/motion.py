@@ -118,7 +118,7 @@ def nodal_velocities(problem: Any) -> tuple[Any, Any]:
         Velocities (m/s) and positions (m), shape (n, d) each.
     """
     field = problem.activate().fields[0]
-    mass, x = Mass(problem.motion.terms, problem.here), field.basis.node_coordinates()
+    mass, x = Mass(problem.terms, problem.here), field.basis.node_coordinates()
     momenta = mass.nodal()
     mapping_on(problem).to_grid(problem.points, field.stencils, x, momenta)
     (v,) = mass.solve(momenta, np.zeros_like(momenta.arrays[0])).arrays

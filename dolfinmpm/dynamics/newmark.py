@@ -31,7 +31,7 @@ from dolfinmpm.dynamics.energies import angular_momentum, momentum_of
 from dolfinmpm.dynamics.faces import Sides, divided
 from dolfinmpm.dynamics.ledger import Energies, Ledger
 from dolfinmpm.dynamics.mappings import Mapping, mapping_of
-from dolfinmpm.dynamics.mass import KINDS, mass_terms
+from dolfinmpm.dynamics.mass import KINDS, MassTerms, mass_terms
 from dolfinmpm.dynamics.motion import Motion
 from dolfinmpm.dynamics.rule import Rule
 from dolfinmpm.dynamics.timescheme import TimeScheme
@@ -113,6 +113,11 @@ class TimeStepping(QuasiStatic):
     def motion(self) -> Motion:
         """What the grid's motion was in the last step."""
         return self.scheme.motion
+
+    @property
+    def terms(self) -> MassTerms:
+        """What the mass is made of."""
+        return self.motion.terms
 
     @property
     def ledger(self) -> Ledger:

@@ -297,6 +297,7 @@ class Problem(ReadOnce):
             ("scheme", self.scheme),
         ]
 
+    @together
     def state(self) -> dict[str, Any]:
         """All that goes from step to step beside the points' fields, by name. Collective.
 
@@ -304,6 +305,7 @@ class Problem(ReadOnce):
         """
         return gathered(self.keeping())
 
+    @together
     def set_state(self, values: Mapping[str, Any]) -> None:
         """Take what `state` returned, on any number of ranks. Collective."""
         given_back(self.keeping(), values)

@@ -95,7 +95,7 @@ class FromState:
     def __enter__(self) -> FromState:
         problem = self._problem
         self._kept = KeptState(problem)
-        self._own = problem.solver, problem.here, problem._kept, problem.max_halvings
+        self._own = problem.solver, problem.here, problem.kept, problem.max_halvings
         # trials get their own solver, so that they leave no trace in the problem's solver
         newton, solver = problem.newton.anew(), problem.solver
         problem.solver = Bordered(newton, solver.border) if isinstance(solver, Bordered) else newton
@@ -116,7 +116,7 @@ class FromState:
         problem = self._problem
         self._weaken(None)
         self._kept.put()
-        problem.solver, problem.here, problem._kept, problem.max_halvings = self._own
+        problem.solver, problem.here, problem.kept, problem.max_halvings = self._own
 
     def __call__(self, factor: float) -> Trial:
         """Run a trial from the kept state. Collective.
@@ -172,16 +172,16 @@ class FromState:
     def _at_rest(self) -> Iterator[None]:
         """Set prescribed increments to zero in this context, but keep pressures. Collective."""
         problem = self._problem
-        held = problem._held
+        held = problem.held
         still = [
             condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
             for condition in held.conditions
         ]
-        problem._held = Held(still, problem.form.spaces)
+        problem.held = Held(still, problem.form.spaces)
         try:
             yield
         finally:
-            problem._held = held
+            problem.held = held
 
     def _settlement(self) -> float:
         """Largest displacement of the elastic body under the loads (m). Collective.

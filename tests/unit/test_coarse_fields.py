@@ -203,7 +203,7 @@ def test_sizes_of_cells():
 
 def test_cells_that_cannot_be_joined():
     odd = mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (5, 4), mesh.CellType.quadrilateral)
-    with pytest.raises(UnsupportedGridError, match=r"the grid has 5 × 4 of them.*multiples of 2"):
+    with pytest.raises(UnsupportedGridError, match=r"the grid has 5 × 4 cells.*multiples of 2"):
         mpm.Space(odd, coarsen=2)
     mpm.Space(odd, "gimp", coarsen=1)
     with pytest.raises(UnsupportedGridError, match="multiples of 3"):

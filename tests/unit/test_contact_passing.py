@@ -36,7 +36,7 @@ class Block:
         V = mpm.Space(self.grid, "gimp")
         u, v = V.increment, V.test
         of_tool = {"mass", "inertia", "gravity", "displacement"} & set(options)
-        rate = "velocity" if kind._in_time else "increment"
+        rate = "increment" if kind is mpm.QuasiStatic else "velocity"
         tool = {k: options.pop(k) for k in of_tool} | {rate: motion}
         self.tool = mpm.RigidBody(SHAPES[shape](), name="tool", **tool)
         touching = {k: options.pop(k) for k in {"penalty"} & set(options)}

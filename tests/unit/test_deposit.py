@@ -128,7 +128,7 @@ def test_stiffness_by_stress():
         (lambda: mpm.Deposit(1.0, [mpm.Layer(2.0, 1e4, 0.5)]), "from top to bottom"),
         (
             lambda: mpm.Deposit(1.0, [mpm.Layer(0.0, 8e3, 0.5)], water_table=0.5),
-            "less than that of water",
+            "less than the unit weight of water",
         ),
         (lambda: mpm.Layer(0.0, -1.0, 0.5), "unit_weight"),
         (lambda: mpm.Layer(0.0, 1e4, -0.5), "K0"),

@@ -20,7 +20,7 @@ def begun(energy, stiffness, V):
     reserve = Reserve()
     reserve.energy[0] = energy
     mass = SimpleNamespace(inner=lambda v, blocks, w: stiffness * float(np.sum(v * w)))
-    here = SimpleNamespace(changes=[SimpleNamespace(row_field=0)])
+    here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
     reserve.begin(here, [(0, mass, V)], 2.0, 1.0)
     return reserve
 
@@ -45,7 +45,7 @@ def test_fields_have_reserves_of_their_own():
     reserve, V = Reserve(), np.ones((1, 2))
     reserve.energy[0] = 0.5
     mass = SimpleNamespace(inner=lambda v, blocks, w: float(np.sum(v * w)))
-    here = SimpleNamespace(changes=[SimpleNamespace(row_field=k) for k in (0, 1)])
+    here = SimpleNamespace(blocks_of=lambda kind, k: [kind, k])
     reserve.begin(here, [(0, mass, V), (1, mass, V)], 2.0, 1.0)
     assert reserve.share[0] == pytest.approx(0.5)
     assert reserve.share[1] == 0.0

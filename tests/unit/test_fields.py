@@ -101,7 +101,10 @@ def test_stabilisations_are_each_fields_own():
     assert both.unknowns.total < second.unknowns.total
     stabilisation = mpm.Stabilisation("ghost", E=0.1)
     ghosts = active(["ghost", stabilisation])
-    assert {(b.row_field, b.column_field) for b in ghosts.grid} == {(0, 0), (1, 1)}
+    assert {(b.row_field, b.column_field) for b in ghosts.blocks_of("stiffness")} == {
+        (0, 0),
+        (1, 1),
+    }
     with pytest.raises(ParameterError, match=r"field 2 needs a modulus"):
         active("ghost")
     with pytest.raises(ParameterError, match=r"has 1 entries for 2 fields"):

@@ -21,7 +21,7 @@ def block(kind=mpm.QuasiStatic, basis="gimp", normal=(0, -1), **options):
     V = mpm.Space(grid, basis)
     u, v = V.increment, V.test
     load = fem.Constant(grid, (0.0, -WEIGHT))
-    face = mpm.Surface(points, lambda x: np.isclose(x[1], 0.25), normal, "base")
+    face = mpm.Surface(points, lambda x: np.isclose(x[1], 0.25), normal, name="base")
     law = mpm.materials.Hencky(E=1e4, nu=0.0)
     F = mpm.momentum(law, points, u, v) - ufl.inner(load, v) * points.dX
     F += mpm.springs(face, u, v, stiffness=K)

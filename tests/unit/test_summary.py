@@ -28,7 +28,7 @@ def test_a_problem_prints_what_it_is_made_of(parts):
         "QuasiStatic: 64 points in 2 dimensions",
         "field 1: displacement, GIMP, updated configuration; stabilisation: ghost",
         "law: Hencky(E=1e+06, nu=0.3), large strain",
-        "terms: sums over points, integrals over the grid, contact with 'disc', friction 0.3",
+        "terms: sums over points, contact with 'disc', friction 0.3, integrals over the grid",
         "conditions: left: component 0 held; bottom: component 0 held; bottom: component 1 held",
         "rigid body: 'disc'",
         "solver: Newton's method to 1e-09 of the loads in 20 iterations at most, up to 10 "
