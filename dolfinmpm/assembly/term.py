@@ -151,6 +151,7 @@ class Term:
     Attributes:
         points: The material points that it acts on.
         integrand: What stands for it in a weak form, see `as_form`.
+        kind: What messages call it.
         layers: Layers of cells around the cells of a rank that the term looks at, at least.
         tags: Tags of the points that it acts on, or None for all.
         symmetric: Whether its tangent is symmetric.
@@ -160,6 +161,7 @@ class Term:
 
     points: MaterialPoints
     integrand: Expr
+    kind: str = "term"
     layers: int = 0
     tags: Tags = None
     symmetric: bool = True

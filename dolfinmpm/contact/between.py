@@ -62,7 +62,7 @@ class Between(Term):
         parts = ("traction", "pressure", "work", "steps", "stored", "spare")
         self.names = tuple(f"{self.name}_{part}" for part in parts)
 
-    layers = LAYERS
+    kind, layers = "contact", LAYERS
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]

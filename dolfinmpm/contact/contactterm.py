@@ -78,7 +78,7 @@ class Contact(Term):
         self.means: Means | None = None
         self.in_time, self.limit = False, math.inf
 
-    definite, fusable = False, True
+    kind, definite, fusable = "contact", False, True
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]

@@ -39,6 +39,8 @@ class SpringBed(Term):
         stiffness: k (Pa/m).
     """
 
+    kind = "springs"
+
     def __init__(self, surface: Surface, u: Any, stiffness: float):
         self.points, self.surface, self.stiffness = surface.points, surface, stiffness
         self._u = u

@@ -187,7 +187,8 @@ def _form(form: ufl.Form) -> Any:
         parts += _carried(carried)
         for mark in ("term", "condition"):
             if mark in marks:
-                parts.append((f"{mark} of term {k + 1}", _mark(marks[mark])))
+                kind = marks[mark].kind if mark == "term" else mark
+                parts.append((f"{kind} of term {k + 1}", _mark(marks[mark])))
         if "boundary" in marks:
             parts.append((f"boundary of term {k + 1}", told(marks["boundary"])))
         parts.append((f"measure of term {k + 1}", integral.integral_type()))

@@ -39,8 +39,8 @@ def describe(fields: Sequence[Field], form: WeakForm, bcs: Sequence[Condition]) 
         found[f"basis of field {k + 1}"] = f'"{name}", {domains}, {more}'
         found[f"stabilisation of field {k + 1}"] = str(field.stabilisation)
     found["conditions"] = "; ".join(sorted(_condition(one) for one in bcs)) or "none"
-    told = [told for term in form.terms if (told := term.describe()) is not None]
-    found |= {f"term {k + 1}": one for k, one in enumerate(told)}
+    told = [(term.kind, told) for term in form.terms if (told := term.describe()) is not None]
+    found |= {f"{kind} {k + 1}": one for k, (kind, one) in enumerate(told)}
     return found
 
 

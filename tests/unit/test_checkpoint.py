@@ -376,7 +376,7 @@ def test_what_differs_from_the_problem_of_the_file_is_told(saved, tmp_path):
     moving().save(tmp_path / "in_time.npz")
     moving().load(tmp_path / "in_time.npz")
     for options, words in (
-        ({"friction": 0.4}, "term 1: friction = 0.1, .* there, friction = 0.4"),
+        ({"friction": 0.4}, "contact 1: friction = 0.1, .* there, friction = 0.4"),
         ({"gamma": 0.6, "beta": 0.3}, r"steps: Rule\(beta=0.25, gamma=0.5.* there, Rule\(beta=0.3"),
     ):
         with pytest.warns(errors.DifferentProblemWarning, match=words):
