@@ -36,7 +36,7 @@ class Kernel:
         own = self._function.__module__.startswith(_PACKAGE)
         return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
 
-    @property
+    @functools.cached_property
     def address(self) -> int:
         """Address of the C function."""
         return self._compiled.address

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform import stages
 from dolfinmpm.solve.linesearch import name_of
 from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome
 from dolfinmpm.solve.operator import Operator
@@ -76,7 +75,6 @@ class Bordered:
     def __init__(self, newton: Newton, border: Border):
         self.newton, self.border = newton, border
 
-    @stages.solve
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments and the border's unknowns; see `Solver`. Collective."""
         linear = self.newton.linear

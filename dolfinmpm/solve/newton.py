@@ -13,7 +13,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform import stages
 from dolfinmpm._platform.compat import DIVERGED_NAN
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.solve.guess import Guess
@@ -158,7 +157,6 @@ class Newton:
         limits = self.tolerance, self.max_iterations
         return Newton(self._comm, self._gdim, tangent, self._options, *limits)
 
-    @stages.solve
     def solve(self, operator: Operator) -> Outcome:
         """Find the increments; see `Solver`. Collective."""
         outcome = Outcome()

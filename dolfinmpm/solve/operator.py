@@ -271,29 +271,29 @@ class Operator:
             if term.kind == kind:
                 term.move(u)
 
-    @stages.assemble
     def residual(self, x: Array) -> Residual:
         """Forces out of balance. Collective.
 
         Args:
             x: Owned unknowns, shape (owned,).
         """
-        unknowns = self.here.unknowns
-        self.move(x)
-        internal = self._internal().arrays
-        external = unknowns.entries(self.external)
-        values = unknowns.entries(internal) + external
-        reactions = unknowns.reactions(internal)
-        sums = np.array([values @ values, external @ external + reactions @ reactions])
-        if len(unknowns.fields) == 1:
-            norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
-            return Residual(unknowns.shared_out(values), float(norm), float(reference))
-        each = [unknowns.squares(values), unknowns.squares(external)]
-        each[1] += [float(np.sum(r.reshape(-1)[f.places[1]] ** 2))
-                    for f, r in zip(unknowns.fields, internal)]  # fmt: skip
-        found = np.sqrt(unknowns.comm.allreduce(np.vstack([sums, np.stack(each, axis=1)])))
-        (norm, reference), parts = found[0], found[1:]
-        return Residual(unknowns.shared_out(values), float(norm), float(reference), parts)
+        with stages.assemble:
+            unknowns = self.here.unknowns
+            self.move(x)
+            internal = self._internal().arrays
+            external = unknowns.entries(self.external)
+            values = unknowns.entries(internal) + external
+            reactions = unknowns.reactions(internal)
+            sums = np.array([values @ values, external @ external + reactions @ reactions])
+            if len(unknowns.fields) == 1:
+                norm, reference = np.sqrt(unknowns.comm.allreduce(sums))
+                return Residual(unknowns.shared_out(values), float(norm), float(reference))
+            each = [unknowns.squares(values), unknowns.squares(external)]
+            each[1] += [float(np.sum(r.reshape(-1)[f.places[1]] ** 2))
+                        for f, r in zip(unknowns.fields, internal)]  # fmt: skip
+            found = np.sqrt(unknowns.comm.allreduce(np.vstack([sums, np.stack(each, axis=1)])))
+            (norm, reference), parts = found[0], found[1:]
+            return Residual(unknowns.shared_out(values), float(norm), float(reference), parts)
 
     def sizes(self, matrix: PETSc.Mat, x: PETSc.Vec) -> Array:
         """How large the terms are that each field's unknowns make in each equation. Collective.

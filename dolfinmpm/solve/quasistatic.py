@@ -289,7 +289,8 @@ class QuasiStatic(Problem):
         for term in operator.terms:
             term.clings = True
         for _ in range(_MOST_AUGMENTATIONS):
-            outcome = self.solver.solve(operator)
+            with stages.solve:
+                outcome = self.solver.solve(operator)
             record.iterations += outcome.iterations
             record.residuals = outcome.residuals
             record.linear_iterations += newton.linear.iterations
