@@ -20,9 +20,9 @@ def law_of(p: dict[str, Any]) -> Any:
     if p["law"] == "Tresca":
         return mpm.materials.Tresca(E, nu, c)
     if p["law"] == "Mohr-Coulomb":
-        return mpm.materials.MohrCoulomb(E, nu, c, phi, 0.0)
+        return mpm.materials.MohrCoulomb(E, nu, c, phi)
     if p["law"] == "Drucker-Prager":
-        return mpm.materials.DruckerPrager(E, nu, c, phi, 0.0, fit="plane strain")
+        return mpm.materials.DruckerPrager(E, nu, c, phi, fit="plane strain")
     sine = math.sin(math.radians(phi))
     p0 = pressure_of(p)
     return mpm.materials.CamClay(
