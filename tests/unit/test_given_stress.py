@@ -97,9 +97,7 @@ def test_what_no_law_can_have_is_refused():
     points["stress"] = SIGMA
     with pytest.raises(StateError, match=r"VonMises: .*lie outside the yield surface"):
         problem_of(points, mpm.materials.VonMises(1e4, 0.3, radius=1.0))
-    with pytest.raises(
-        ParameterError, match=r"NeoHookean.* only from the deformation.*-40"
-    ):
+    with pytest.raises(ParameterError, match=r"NeoHookean.* only from the deformation.*-40"):
         problem_of(points, mpm.materials.NeoHookean(1e4, 0.3))
     points["stress"] = np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
     with pytest.raises(ParameterError, match="must be symmetric"):
