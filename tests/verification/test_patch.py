@@ -135,7 +135,7 @@ def test_ghost_penalty_leaves_linear_motions_alone():
     u, v = V.increment, V.test
     F = mpm.momentum(mpm.materials.Hencky(E=0.001, nu=0.0), points, u, v)
     F += mpm.ghost(points, u, v, gamma=1e3)
-    (blocks,) = mpm.QuasiStatic(F, u, points).activate().grid
+    (blocks,) = mpm.QuasiStatic(F, u, points).activate().blocks_of("stiffness")
     assert blocks.values.size > 0
     x = V.function_space.tabulate_dof_coordinates()[:, :2]
     A = np.array([[1.0, 0.3], [0.2, -0.7]])
