@@ -1,4 +1,4 @@
-"""One look for all pictures, and how they are saved."""
+"""The common style of all pictures, and their files."""
 
 from __future__ import annotations
 
