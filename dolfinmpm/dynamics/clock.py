@@ -1,4 +1,4 @@
-"""Times of a computation in time: where steps end, and a progress bar in simulated time."""
+"""Times of a computation in time: ends of steps, and a progress bar in simulated time."""
 
 from __future__ import annotations
 
