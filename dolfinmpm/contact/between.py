@@ -1,4 +1,4 @@
-"""The term of a weak form by which two bodies with fields of their own touch each other."""
+"""The term of a weak form for contact of two deformable bodies, each with its own field."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ __all__ = ["Between", "contact_between"]
 
 
 class Between(Term):
-    """Contact of two boundaries, as a form declares it; see `contact_between`.
+    """Contact of two boundaries in a weak form; see `contact_between`.
 
     Attributes:
-        boundaries: The boundary whose markers touch, and that which they meet.
+        boundaries: The first boundary, with the markers that touch, and the second boundary.
         u: Increments that move the bodies.
-        points: The points of both.
+        points: The points of both bodies.
         friction: μ.
-        stiffness: κ (Pa/m); of no meaning before `bind` if it follows from moduli.
+        stiffness: κ (Pa/m). If κ follows from moduli, it is valid only after `bind`.
         slip_share: ε_T/ε_N.
-        penetration: Bound of the penetration (m) by multipliers, or None.
-        name: Name in records, and first part of those of the markers' fields.
-        names: Fields of the first boundary's markers: forces along the surface (N), normal ones
-            (N), the work that friction has taken (J), steps taken, what is stored (J), and what is
-            spare (J), see `dolfinmpm.contact.starts`.
+        penetration: Largest penetration (m), bounded by multipliers, or None.
+        name: Name in records, and first part of the names of the markers' fields.
+        names: Names of six fields of the first boundary's markers: tangential forces (N), normal
+            forces (N), work dissipated by friction (J), number of steps, stored energy (J), and
+            spare energy (J), see `dolfinmpm.contact.starts`.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Between(Term):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """See `Term`: what slips has no symmetric tangent."""
+        """See `Term`: slip makes the tangent unsymmetric."""
         return not self.friction
 
     @property
@@ -106,19 +106,19 @@ class Between(Term):
 
     @property
     def dissipated(self) -> float:
-        """Work that friction has taken (J), on all ranks. Collective."""
+        """Work dissipated by friction (J), on all ranks. Collective."""
         done = float(self.boundaries[0].markers[self.names[2]].sum())
         return self.points.comm.allreduce(done, op=MPI.SUM)
 
     @property
     def stored(self) -> float:
-        """Energy that the penalties have stored (J), on all ranks. Collective."""
+        """Energy stored by the penalties (J), on all ranks. Collective."""
         own = float(self.boundaries[0].markers[self.names[4]].sum())
         return self.points.comm.allreduce(own, op=MPI.SUM)
 
     @property
     def begun(self) -> bool:
-        """Whether a step has been taken. Collective."""
+        """Whether at least one step has been taken. Collective."""
         steps = self.boundaries[0].markers[self.names[3]]
         return self.points.comm.allreduce(bool(steps.any()), op=MPI.LOR)
 
@@ -130,7 +130,7 @@ class Between(Term):
         """Raise unless each boundary has its body behind it. Collective.
 
         Raises:
-            ParameterError: The points of a field's tags are in front of its boundary.
+            ParameterError: The points with the tags of a field are in front of its boundary.
         """
         points = self.points
         for boundary, u in zip(self.boundaries, self.u):
@@ -146,15 +146,15 @@ class Between(Term):
                 raise ParameterError(
                     f"the points of the tags {u._dolfinmpm_space.tags}, which the field beside "
                     f"{boundary} moves, are in front of {before} of {behind + before} of its "
-                    "markers: give u and v in the order of the boundaries, and polygons that have "
-                    "the body to the left"
+                    "markers: give u and v in the order of the boundaries, and polygons with "
+                    "the body on their left"
                 )
 
     def bind(self, declarations: Sequence[Declaration]) -> None:
-        """Give the markers the fields that it keeps, and find its penalty. Collective.
+        """Add the fields of the contact to the markers, and find the penalty. Collective.
 
         Raises:
-            ParameterError: The penalty needs moduli, and a body has none.
+            ParameterError: The penalty needs Young's modulus, and a body has none.
         """
         markers, points = self.boundaries[0].markers, self.points
         shapes, units = ((points.gdim,), (), (), (), (), ()), ("N", "N", "J", "", "J", "J")
@@ -196,47 +196,50 @@ def contact_between(
     slip_stiffness: float = 0.5,
     penetration: float | None = None,
 ) -> ufl.Form:
-    """Contact of two bodies that move with fields of their own; F += contact_between(...).
+    """Contact of two deformable bodies, a term to add: F += contact_between(...).
 
-    Each body has a field of its own, a `Space` with its tags, and a `Boundary` that follows it.
-    The markers of the first boundary are the quadrature points of contact. At the start of a step
-    each finds the piece of the other boundary that faces it, along the mean of both normals, which
-    for surfaces that lie on each other is exact to third order in the distance of markers. Gap,
-    normal and place are those of the step's start; the gap's increment is the difference of both
-    fields at the two places that face each other. So forces are equal and opposite along one
-    line, and each of the bodies feels them as exactly as its functions are integrated. A polygon of
-    one Gauss point a piece, `Boundary.from_polygon(..., rule=1, spacing=h/4)`, is cut anew at the
-    grid's lines in every step, so that even pressure and even stress are in balance.
+    Each body has its own field, a `Space` with its tags, and a `Boundary` that follows the body.
+    The markers of the first boundary are the quadrature points of contact.
 
-    Where the gap is closed the bodies are pressed apart by κ |g| per area, and rubbed by what
-    Coulomb's law allows, see `dolfinmpm.contact.penalty`; with a bound of the penetration by
-    multipliers, see `contact`.
+    At the start of a step each marker finds the facing piece of the other boundary. It searches
+    along the mean of both normals. For surfaces that lie on each other, this is exact to third
+    order in the distance of markers. Gap, normal and place are fixed at the start of the step. The
+    increment of the gap is the difference of both fields at the two facing places. So the forces
+    on both bodies are equal and opposite along one line. Their accuracy in each body is that of
+    the integration of its functions.
 
-    Bodies may go as far as a cell towards each other in a step; one that asks for more is halved.
-    Give the surface that is smaller, or finer, or of the softer body first. Cells into which a
-    boundary reaches beyond its points are active: stabilise both fields.
+    A polygon with one Gauss point per piece, `Boundary.from_polygon(..., rule=1, spacing=h/4)`, is
+    cut anew at the grid's lines in every step. Then a uniform pressure balances a uniform stress.
+
+    Where the gap is closed, a pressure κ |g| per area pushes the bodies apart. Friction follows
+    Coulomb's law, see `dolfinmpm.contact.penalty`. A bound of the penetration adds multipliers,
+    see `contact`.
+
+    In a step the bodies may approach by at most one cell. A step with a larger approach is halved.
+    The first surface should be the smaller, the finer, or that of the softer body. A boundary may
+    reach into cells without points. These cells are active, so stabilise both fields.
 
     Args:
-        boundaries: The boundary whose markers touch, and that which they meet.
-        u: Increments of the two fields, `Space.increment`, in that order.
-        v: Their test functions, `Space.test`.
+        boundaries: The first boundary, with the markers that touch, and the second boundary.
+        u: Increments of the two fields, `Space.increment`, in the order of the boundaries.
+        v: Test functions of the two fields, `Space.test`, in the same order.
         friction: Coefficient μ of Coulomb's friction.
         penalty: κ in units of E/h: E is the harmonic mean of the bodies' Young's moduli, h the
-            least height of a cell. `mpm.stiffness_per_area` tells κ.
-        stiffness_per_area: κ itself (Pa/m), instead.
-        slip_stiffness: Stiffness against slip that sticks, as a share of κ.
-        penetration: Bound of the penetration (m), or None for what the penalty leaves.
+            smallest height of a cell. `mpm.stiffness_per_area` returns κ.
+        stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
+        slip_stiffness: Tangential stiffness during stick, as a share of κ.
+        penetration: Largest penetration (m), or None for the penalty alone.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
         UnsupportedGridError: The grid is not rectangular.
     """
     first, second = _pair("boundaries", boundaries)
     for one in (first, second):
         if not isinstance(one, Boundary):
             raise ParameterError(
-                f"boundaries holds {shown(one)}, no mpm.Boundary: make one along each body, such "
-                "as with mpm.Boundary.from_polygon"
+                f"boundaries holds {shown(one)}, no mpm.Boundary: make a boundary along each body, "
+                "such as with mpm.Boundary.from_polygon"
             )
         if not (one.follows and one.activates):
             raise ParameterError(

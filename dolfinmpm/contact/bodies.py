@@ -23,18 +23,18 @@ __all__ = ["Bodies"]
 
 Array = npt.NDArray[np.float64]
 
-# Share of a cell below which a motion is rounding
+# Motions below this share of a cell are rounding
 _STILL = 1e-9
 
 
 class Bodies:
-    """The bodies that the contacts of a form are with.
+    """The rigid bodies in the contacts of a form.
 
     Args:
         contacts: The contacts.
-        grid: The grid; in one part of a step a body may go as far as its smallest cell, and as
-            far as half its own thickness: what it goes over must be within it at the end, on the
-            side that it came from.
+        grid: The grid. In one substep a body may move by at most the smallest cell, and by at most
+            half its own thickness. So points in its way are inside the body at the end, on the
+            side from which it came.
 
     Attributes:
         contacts: The argument.
@@ -42,7 +42,7 @@ class Bodies:
 
     Raises:
         FormError: Points touch a body in two contacts at once.
-        ParameterError: A body does not begin where its shape is.
+        ParameterError: A body's motion does not begin at its shape.
     """
 
     def __init__(self, contacts: Sequence[Contact], grid: Mesh):
@@ -54,10 +54,10 @@ class Bodies:
                     "twice: leave one out, or give them tags or surfaces that share the points"
                 )
         self._token, self._has_moved = object(), False
-        # looking for it is collective, and without contacts nobody asks
+        # the search for it is collective, and without contacts it is not needed
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
-        #: What the penalties of contact have stored, now and before the first step (J).
+        #: Energy stored by the penalties of contact, now and before the first step (J).
         self.stored = 0.0
         self.given: float | None = None
         self._before = 0.0
@@ -69,20 +69,20 @@ class Bodies:
 
     @property
     def free(self) -> list[RigidBody]:
-        """Those that have free components."""
+        """The bodies with free components."""
         return [b for b in self.all if b.freedom is not None and b.freedom.free.size]
 
     def kinetic(self) -> float:
-        """Kinetic energy of the free ones (J)."""
+        """Kinetic energy of the free bodies (J)."""
         return sum(body.kinetic() for body in self.free)
 
     @property
     def rubbed(self) -> float:
-        """Work that friction on them has taken (J)."""
+        """Work dissipated by friction on the bodies (J)."""
         return sum(contact.dissipated for contact in self.contacts)
 
     def check_steps(self, in_time: bool, kind: str) -> None:
-        """Raise where a body's motion is not of the steps that a problem takes.
+        """Raise if a body's motion does not fit the steps of a problem.
 
         Args:
             in_time: Whether the steps have a length in s.
@@ -99,7 +99,7 @@ class Bodies:
                         f"{course.name} is the motion of '{body.name}' per step, and the steps of "
                         f"{kind} have a length in time: give its velocity, or its motion in total"
                     )
-                # velocities of free components are those at first
+                # velocities of free components are initial values
                 held = not free.issuperset(range(first, first + course.size))
                 if held and not in_time and course.kind == "velocity":
                     raise ParameterError(
@@ -108,13 +108,13 @@ class Bodies:
                     )
 
     def take(self) -> None:
-        """Take the bodies for a step. A body that another problem has moved since is not to be had.
+        """Reserve the bodies for the steps of this problem.
 
-        A problem may go on with the body that another one of the same points has moved before.
+        A problem may continue with a body that an earlier problem of the same points has moved.
 
         Raises:
-            ParameterError: Two problems move a body in turns, or one that has moved touches other
-                points.
+            ParameterError: Two problems move a body alternately. Or a body moved by another
+                problem touches other points.
         """
         for body in self.all:
             if body.mover is None or body.mover[0] is self._token or body.time == 0.0:
@@ -122,39 +122,39 @@ class Bodies:
             if self._has_moved or body.mover[1]() is not self.contacts[0].points:
                 raise ParameterError(
                     f"'{body.name}' has been moved by another problem, to t = {body.time:g}: a "
-                    "rigid body is where the steps of one problem have brought it; make one for "
+                    "rigid body belongs to the steps of one problem; make one for "
                     "each problem, mpm.RigidBody(...)"
                 )
         self.own()
 
     def own(self) -> None:
-        """Note that the steps of this problem have brought the bodies where they are."""
+        """Mark the bodies as moved by this problem."""
         self._has_moved = True
         for body in self.all:
             body.mover = self._token, weakref.ref(self.contacts[0].points)
 
     def begin(self, dt: float) -> None:
-        """Begin a step, or a part, of that length (s; steps), and put the bodies to its end."""
+        """Begin a step or substep of length dt (s; steps), and move the bodies to its end."""
         for body in self.all:
             body.begin(dt)
             body.put(1.0)
 
     def put(self, share: float) -> None:
-        """Put them where they are at a share of the step."""
+        """Move the bodies to their poses at a share of the step."""
         for body in self.all:
             body.put(share)
 
     def reset(self) -> None:
-        """Put them back to where they were when the last part of a step ended."""
+        """Move the bodies back to their poses at the end of the last substep."""
         for body in self.all:
             body.pose = body.start
 
     def fault(self, dt: float, inertia: bool = False) -> str | None:
-        """Why a step of that length (s; steps) is too long for their motion, or None.
+        """Why a step is too long for the motion of the bodies, or None.
 
         Args:
-            dt: The length.
-            inertia: Whether free bodies go on as they move.
+            dt: Length of the step (s; steps).
+            inertia: Whether free bodies continue their motion.
         """
         for body in self.all:
             body.begin(dt)
@@ -168,7 +168,7 @@ class Bodies:
         return None
 
     def driven(self, dt: float) -> str | None:
-        """A body whose prescribed motion goes on in a step of that length (s; steps), or None."""
+        """Name of a body whose prescribed motion continues in a step of length dt, or None."""
         for body in self.all:
             body.begin(dt)
             if body.freedom is not None:
@@ -178,13 +178,13 @@ class Bodies:
         return None
 
     def followed(self, dt: float, count: int) -> int:
-        """How many steps of that length (s) can follow each other before one is too long.
+        """Number of successive steps that are not too long for the motion of the bodies.
 
-        That the first one is not has been asked `fault`.
+        `fault` has already checked the first step.
 
         Args:
-            dt: The length.
-            count: At most so many.
+            dt: Length of the steps (s).
+            count: Largest number of steps.
         """
         if count > 1:
             for body in self.all:
@@ -196,9 +196,9 @@ class Bodies:
 
         Args:
             contacts: The contacts.
-            kick: For how long the forces act (s).
+            kick: Time during which the forces act (s).
         """
-        # who put a body into the points has done work before the first step
+        # a body placed inside the points has stored work before the first step
         new = [active for active in contacts if active.contact.body.time == 0.0]
         self._before = sum(active.stored() for active in new)
         if self.given is None:
@@ -212,12 +212,12 @@ class Bodies:
             body.push(force, kick)
 
     def commit(self, contacts: Sequence[ActiveContact]) -> float:
-        """Take where the bodies are, and what acts on them. Collective.
+        """Keep the poses of the bodies, and the forces on them. Collective.
 
         Returns:
-            Work of what moves them in the step (J): of loads on what is free of them, and by the
-            mean forces of what is prescribed. In the first one of explicit steps what they were
-            pressed in before counts, too.
+            Work that moves the bodies in the step (J): work of loads on free components, and work
+            of mean forces on prescribed components. In the first explicit step the energy of an
+            initial penetration is added.
         """
         sums: dict[int, list[Array]] = {
             id(b): [np.zeros_like(b.force), np.zeros_like(b.moment)] for b in self.all
@@ -237,11 +237,11 @@ class Bodies:
         return before + sum(works)
 
     def record(self) -> dict[str, dict[str, list[float]]]:
-        """What records of steps have of the bodies, by name."""
+        """Name of a body → its part of the record of a step."""
         return {body.name: body.record() for body in self.all}
 
     def acting(self, operator: Any) -> list[ActiveContact]:
-        """Their contacts in the equations of a step.
+        """The contacts of the bodies in the equations of a step.
 
         Args:
             operator: The equations.
@@ -249,7 +249,7 @@ class Bodies:
         return [operator.of(contact) for contact in self.contacts]
 
     def state(self) -> dict[str, Any]:
-        """What they, and their contacts, keep from step to step."""
+        """The state of the bodies and their contacts from step to step."""
         if not self.all:
             return {}
         rows = {f"rigid body {k}": body.state() for k, body in enumerate(self.all)}
@@ -258,7 +258,7 @@ class Bodies:
         return {**rows, "friction's work": rubbed, "stored in contact": stored}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Take what `state` returned."""
+        """Restore a state returned by `state`."""
         for k, body in enumerate(self.all):
             body.set_state(state[f"rigid body {k}"])
         self.own()
@@ -270,7 +270,7 @@ class Bodies:
 
 
 def _same(one: Contact, other: Contact) -> bool:
-    """Whether two contacts are of one body, and points or faces of points are in both."""
+    """Whether two contacts have the same body, and common points or faces of points."""
     if one.body is not other.body or one.points is not other.points:
         return False
     if one.tags is not None and other.tags is not None and not set(one.tags) & set(other.tags):

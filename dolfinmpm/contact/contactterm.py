@@ -35,25 +35,25 @@ Array = npt.NDArray[np.float64]
 
 
 class Contact(Term):
-    """Contact of material points with a rigid body, as a form declares it; see `contact`.
+    """Contact of material points with a rigid body in a weak form; see `contact`.
 
     Attributes:
-        body, points, u: The body, the points, and the increment that moves them.
+        body, points, u: The body, the points, and the increment that moves the points.
         surface: Marked faces, or None.
-        material: Whether corners follow the points' material, or their domains.
-        tags: Tags of the points that touch, or None for all.
+        material: True if corners follow the points' material, False if they follow the domains.
+        tags: Tags of the points that touch, or None for all points.
         friction: μ.
-        stiffness: Penalty (Pa/m) that was given, or None.
-        penalty: Penalty in units of E/h, else.
+        stiffness: Penalty given by the user (Pa/m), or None.
+        penalty: Penalty in units of E/h, if `stiffness` is None.
         slip_share: ε_T/ε_N.
-        penetration: Bound of the penetration (m) by multipliers, or None.
-        names: Fields of the points: tangential forces on corners (N) in the frame of the body,
-            normal ones (N), Young's modulus (Pa), the stiffness of corners that touch (N/m), and
-            by how much gaps have closed in the last step (m).
-        dissipated: Work that friction has taken (J), on all ranks.
-        means: How mean forces over a step enter its balance; None for forces at its end.
+        penetration: Largest penetration (m), bounded by multipliers, or None.
+        names: Names of five fields of the points: tangential forces on corners (N) in the frame of
+            the body, normal forces (N), Young's modulus (Pa), stiffness of touching corners
+            (N/m), and the closing of the gaps in the last step (m).
+        dissipated: Work dissipated by friction (J), on all ranks.
+        means: How mean forces over a step enter the balance; None for forces at the end.
         in_time: Whether steps have inertia.
-        limit: How far the body may go at once (m).
+        limit: Largest motion of the body at once (m).
     """
 
     def __init__(
@@ -82,12 +82,12 @@ class Contact(Term):
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
-        """See `Term`: what slips has no symmetric tangent."""
+        """See `Term`: slip makes the tangent unsymmetric."""
         return not self.friction
 
     @property
     def loads(self) -> list[Any]:
-        """See `Term`: those on what is free of the body."""
+        """See `Term`: the loads on the free components of the body."""
         return self.body.loads
 
     def start_in_time(self, means: Means | None) -> None:
@@ -98,10 +98,10 @@ class Contact(Term):
         return f"the contact with '{self.body.name}'"
 
     def bind(self, declarations: Sequence[Declaration]) -> None:
-        """Give the points the fields that it keeps; see `names`. Collective.
+        """Add the fields of the contact to the points; see `names`. Collective.
 
         Raises:
-            ParameterError: The penalty needs moduli, and a point has none.
+            ParameterError: The penalty needs Young's modulus, and a point has none.
         """
         points, count = self.points, corner_count(self.points.gdim, self.surface)
         traction, pressure, modulus, stiffness, closing = self.names
@@ -113,7 +113,7 @@ class Contact(Term):
             return
         points.add_field(modulus, (), "Pa")
         if self._cell is None:
-            # a grid that is laid anew makes no contact stiffer
+            # a regridded grid must not change the stiffness of the contact
             self._cell = smallest_height(points.grid)
         E = points[modulus]
         new = E == 0.0
@@ -153,14 +153,14 @@ class Contact(Term):
         )
 
     def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
-        """Which points, of some rows or of all, have its tags."""
+        """Which of the given points, or of all points, have the tags of the contact."""
         return np.isin(self.points["tag"][rows], self.tags or ())
 
     def rate(self) -> float:
-        """Largest square of a frequency that contact gives the body (1/s²). Collective.
+        """Largest squared frequency due to contact (1/s²). Collective.
 
-        A point whose corners on one side touch has the stiffness κ A of a face; a node at the
-        body's edge has half of its points' mass.
+        If the corners on one side of a point touch, the point has the stiffness κ A of a face. A
+        node at the body's edge has half the mass of its points.
         """
         points = self.points
         rows = np.arange(len(points))
@@ -201,43 +201,42 @@ def contact(
     corners: str | None = None,
     tag: int | tuple[int, ...] | None = None,
 ) -> ufl.Form:
-    """Contact with a rigid body, a term to be added to the internal forces: F += contact(...).
+    """Contact with a rigid body, a term to add to the internal forces: F += contact(...).
 
-    What touches are the corners of the points' domains, see `dolfinmpm.contact.corners`, or
-    the faces of a `Surface`; where they are inside the body by g_N < 0, they are pressed out by
-    κ |g_N| per area, and rubbed by what Coulomb's law allows, see `dolfinmpm.contact.penalty`.
-    Corners have their share of the points' first faces.
+    The corners of the points' domains touch the body, see `dolfinmpm.contact.corners`, or the
+    faces of a `Surface` do. A corner with a gap g_N < 0 is inside the body. A pressure κ |g_N| per
+    area pushes the corner out. Friction follows Coulomb's law, see `dolfinmpm.contact.penalty`.
+    Each corner has a share of the initial faces of its point.
 
-    A body in contact is indented by as much as the penalty allows. With a bound of the penetration,
-    multipliers take over the pressure (Uzawa's augmented Lagrangian): after Newton's method has
-    found balance, it does so again with the pressure found so far as multiplier, until the bound
-    holds, whatever the penalty.
+    The penalty leaves some penetration. With the argument `penetration`, multipliers take over the
+    pressure (Uzawa's augmented Lagrangian). Newton's method finds balance. The pressure then
+    becomes the multiplier, and Newton's method finds balance again. This ends when the bound of
+    the penetration holds. So the bound does not depend on the penalty.
 
-    Against axisymmetric bodies a body of revolution acts, whose meridian is the right half of the
-    shape, and which moves along the axis alone: give the whole shape, symmetric about x[0] = 0,
-    such as a `Wedge` for a cone.
+    In axisymmetric problems the rigid body is a body of revolution, and moves along the axis
+    only. Its meridian is the right half of the shape. Give the whole shape, symmetric about
+    x[0] = 0, such as a `Wedge` for a cone.
 
     Args:
-        body: The body. One that points or bodies touch in several terms is one body.
+        body: The rigid body. The same body may be in several terms.
         points: Material points.
         u: Increment of the step, `Space.increment`.
         v: Test function, `Space.test`.
         friction: Coefficient μ of Coulomb's friction.
-        penalty: κ in units of E/h: E is Young's modulus of the points' first state, h the least
-            height of a cell. Some 100 for stiff bodies that are confined.
-            `mpm.stiffness_per_area` tells κ.
-        stiffness_per_area: κ itself (Pa/m), instead.
-        slip_stiffness: Stiffness against slip that sticks, as a share of κ.
-        penetration: Bound of the penetration (m), or None for what the penalty leaves.
+        penalty: κ in units of E/h: E is Young's modulus in the first state of the points, h the
+            smallest height of a cell. About 100 for stiff confined bodies.
+            `mpm.stiffness_per_area` returns κ.
+        stiffness_per_area: κ itself (Pa/m), instead of `penalty`.
+        slip_stiffness: Tangential stiffness during stick, as a share of κ.
+        penetration: Largest penetration (m), or None for the penalty alone.
         surface: Marked faces that touch, instead of all corners.
         corners: "domains" for corners of the points' domains, "material" for corners that turn
-            and shear with the points' material, see `dolfinmpm.contact.corners`; by default the
-            latter of marked faces, and the former otherwise, for the ground that flows.
-        tag: Tags of the points that can touch, one or several; None means all that the field of u
-            is of.
+            and shear with the points' material, see `dolfinmpm.contact.corners`. The default is
+            "material" for marked faces, and else "domains", for flowing soil.
+        tag: Tag or tags of the points that can touch. None means all points of the field of u.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
     check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
     check_points(points)
@@ -264,7 +263,7 @@ def contact(
     corners = choice("corners", corners, ("domains", "material"))
     tags = as_tags(tag)
     if tags is None:
-        # corners of others would not move
+        # corners of points outside the field of u would not move
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
     term = Contact(
         body, points, u, surface, corners == "material", tags, friction,

@@ -1,17 +1,18 @@
-"""Where a body of material points touches: corners of the points' domains, or of marked faces.
+"""Contact points of a body of material points: corners of the points' domains or of marked faces.
 
-A corner is a quadrature point of contact, with a stencil of its own. Corners are those of the
-points' domains, x ± l, where a basis averages over these (GIMP, averaged splines), or they follow
-the points' own material, x + F R with R = ±l0, which turns and shears: then neighbours share their
-corners as a body bends, and what bends is no stair. In large shear it is far from its point.
+A corner is a quadrature point of contact, with its own stencil. There are two kinds of corners.
+Corners of domains are at x ± l, where a basis averages over the domains (GIMP, averaged splines).
+Corners of the material are at x + F R with R = ±l0, and turn and shear with the points. Then
+neighbours share their corners when a body bends, and a bent surface has no steps. In large shear a
+corner of the material is far from its point.
 
-Where the basis has domains a corner sees the functions as they are there, from a cell that the
-domain overlaps: nodes that its point sees too, so that contact makes no node active and couples
-none anew. Elsewhere it moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`. In steps in time every
-corner moves as its point's new state will put it, see `dolfinmpm.contact.motions`.
+If the basis has domains, a corner uses the functions at its position, in a cell that the domain
+overlaps. Its nodes are nodes of its point. So contact makes no further nodes active and adds no
+couplings. With other bases a corner moves by u + ∇ũ·F R, as in `dolfinmpm.body.surface`. In steps
+in time every corner moves with its point's new state, see `dolfinmpm.contact.motions`.
 
-Of a marked face whose normal is an axis only the corners on that face touch; of one from arrays the
-face's middle does.
+If the normal of a marked face is an axis, only the corners on this face touch. A face from arrays
+touches with its middle.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _signs(gdim: int) -> Array:
 
 
 def corner_count(gdim: int, surface: Surface | None) -> int:
-    """Corners that a point has."""
+    """Number of corners per point."""
     return 1 if surface is not None and surface.normal is None else 2**gdim
 
 
@@ -59,11 +60,11 @@ class Corners:
     """Corners of some points on an activation.
 
     Attributes:
-        rows: Their points, shape (m,).
-        which: Which of its point's corners each is, likewise.
+        rows: Point of each corner, shape (m,).
+        which: Number of each corner at its point, shape (m,).
         x: Positions at the start of the step (m), shape (m, gdim).
-        nodes: Nodes that any of them sees, shape (k,).
-        seen: What they see of these nodes.
+        nodes: Nodes in the stencils of the corners, shape (k,).
+        seen: Stencils of the corners on these nodes.
     """
 
     rows: Rows
@@ -81,23 +82,24 @@ class Corners:
         out[self.nodes] += self.seen.nodal(forces)
 
     def entries(self) -> Seen:
-        """What each corner sees of which node."""
+        """Stencils of the corners as rows of a sparse matrix; see `Seen`."""
         start, nodes, weights = self.seen.entries()
         return start, self.nodes[nodes], weights
 
 
 @dataclass(frozen=True)
 class Sight:
-    """How corners see the functions of a displacement.
+    """The functions of a displacement for corners.
 
     Attributes:
-        basis: Its basis.
+        basis: Basis of the displacement.
         total: Whether stencils are those at first positions.
-        C: Matrix from the nodes that remain to all nodes, or None.
-        stencils: Stencils of some points, which count from 0 there, by their rows.
-        place: Where forces have a node of the basis, shape (nodes,), or None for there.
-        growth: How domains grow where corners move as their points' states put them, in steps in
-            time; None where they move with the functions at the corners.
+        C: Prolongation from the independent nodes to all nodes, or None.
+        stencils: Function from rows of points to their stencils, with points numbered from 0.
+        place: Row of each node of the basis in nodal forces, shape (nodes,); None for the same
+            numbering.
+        growth: Growth of domains, in steps in time, where corners move with the states of their
+            points. None where corners move with the functions at the corners.
     """
 
     basis: Basis
@@ -109,12 +111,12 @@ class Sight:
 
     @property
     def columns(self) -> int:
-        """Number of the nodes that remain."""
+        """Number of the independent nodes."""
         return self.basis.nodes.size if self.C is None else self.C.shape[1]
 
     @staticmethod
     def of(field: ActiveField, total: bool, count: int, in_time: bool = False) -> Sight:
-        """That of so many points in a field on an activation, in steps in time or others."""
+        """The functions of an active field for a number of points, in steps in time or others."""
 
         def stencils(rows: Rows) -> Stencils:
             chosen = np.zeros(count, bool)
@@ -127,17 +129,17 @@ class Sight:
 
 
 class Sites:
-    """Where the points of a body touch.
+    """Contact points of a body.
 
     Args:
         points: Material points.
-        sight: How they see the displacement.
+        sight: The functions of the displacement.
         surface: Marked faces, or None for all corners.
-        material: Whether corners follow the points' material and not their domains.
+        material: True if corners follow the points' material, False if they follow the domains.
 
     Attributes:
-        which: Which of its corners a point touches with, shape (corners,).
-        boxes: Whether corners are those of domains, and between the nodes that they see.
+        which: Numbers of the corners with which a point touches, shape (corners,).
+        boxes: Whether corners belong to domains and lie between the nodes of their stencils.
     """
 
     def __init__(
@@ -147,7 +149,7 @@ class Sites:
         self._surface = surface
         self._F: Array = in_section(points, points["F"])
         self._middles = surface is not None and surface.normal is None
-        # whether corners see functions as they are there, and whether domains say where that is
+        # whether corners use the functions at their positions, and whether domains give positions
         placed = not (self._middles or sight.total) and sight.basis.averaged
         self.boxes = placed and not material
         self._placed = placed and sight.growth is None
@@ -157,7 +159,7 @@ class Sites:
             self.which = np.flatnonzero(signs @ surface.normal > 0)
 
     def reach(self, rows: Which = ALL) -> Array:
-        """How far the corners of points are from their centres at most (m), shape (points,)."""
+        """Largest distance of a point's corners from its centre (m), shape (points,)."""
         points = self._points
         if self.boxes:
             return _length(points["l"][rows])
@@ -175,16 +177,17 @@ class Sites:
         return np.any(self._points[self._surface.area.name][rows] != 0.0, axis=1)
 
     def areas(self, corners: Corners, normal: Array) -> Array:
-        """The share of the body's face that goes with each corner (m^(d-1)), shape (m,).
+        """Area of the body's face per corner (m^(d-1)), shape (m,).
 
-        Corners of a marked face share its area at first. A domain shows A·n = Σ |n_i| A_i of its
-        first faces towards the normal, which its corners on that side share: exact for the sides
-        of a body that the grid's axes follow. Of axisymmetric bodies it is that all around, at the
-        radius of the point, as its volume is: even pressure and even stress are then in balance.
+        Corners of a marked face share its initial area. The initial faces A_i of a domain have the
+        area A·n = Σ |n_i| A_i towards the normal n. The corners on this side share it. This is
+        exact for sides of a body along the grid's axes. In axisymmetric problems the area is that
+        all around, at the radius of the point, like the volume. Then a uniform pressure balances a
+        uniform stress.
 
         Args:
             corners: The corners.
-            normal: Normal of the rigid surface at each, shape (m, gdim).
+            normal: Normal of the rigid surface at each corner, shape (m, gdim).
         """
         points, rows = self._points, corners.rows
         if self._surface is not None:
@@ -193,7 +196,7 @@ class Sites:
         half = points["l0"][rows]
         d = half.shape[1]
         if not self.boxes:
-            # as the material sees the normal
+            # the normal in the frame of the material
             normal = np.einsum("pij,pi->pj", self._F[rows], normal)
             normal /= np.linalg.norm(normal, axis=1)[:, None]
         faces = np.stack([np.prod(np.delete(half, i, axis=1), axis=1) for i in range(d)], axis=1)
@@ -205,7 +208,7 @@ class Sites:
 
         Args:
             rows: The points, increasing, shape (n,).
-            kept: Tells of positions of corners which of them are to be kept, increasing.
+            kept: Function from positions of corners to the corners to keep, increasing.
         """
         points = self._points
         which = np.tile(self.which, rows.size)
@@ -227,7 +230,7 @@ class Sites:
             M = self._seen_in(x, how)
         else:
             M = self._seen_with(each, how) if grows else self._seen_from(each, how)
-        # by a table of all nodes, which is cheaper than to sort those of all corners
+        # a table of all nodes is cheaper than sorting the nodes of all corners
         seen = np.zeros(self._sight.columns, np.int32)
         seen[M.indices] = 1
         nodes: npt.NDArray[np.int32] = np.flatnonzero(seen).astype(np.int32)
@@ -239,7 +242,7 @@ class Sites:
         return Corners(each, which, x, nodes, found)
 
     def _in_place(self, rows: Rows) -> tuple[Array, Rows]:
-        """Positions of corners, and the cells in the halo's tables that they see functions in."""
+        """Positions of corners, and their cells for functions, in the halo's tables."""
         basis = self._sight.basis
         assert isinstance(basis, LatticeBasis)
         points = self._points
@@ -253,17 +256,17 @@ class Sites:
             return at, np.where(signs > 0, last[:, None], low[:, None]).reshape(at.shape)
         R = signs * points["l0"][rows][:, None]
         at = x[:, None] + np.einsum("pij,pcj->pci", self._F[rows], R)
-        # beyond what the domain overlaps functions go on as they are in the last cell
+        # beyond the cells of the domain, the functions of the last cell are continued
         own = basis.lattice.cells_at(at.reshape(-1, points.gdim)) - basis.halo.origin
         cell = np.clip(own.reshape(at.shape), low[:, None], last[:, None])
         return at.reshape(-1, points.gdim), cell.reshape(-1, points.gdim)
 
     def _seen_in(self, x: Array, cell: Rows) -> scipy.sparse.csr_matrix:
-        """What corners see of functions as they are in some cells."""
+        """Stencils of corners from the functions of given cells."""
         basis, C = self._sight.basis, self._sight.C
         assert isinstance(basis, LatticeBasis)
         found = values_in_cells(basis, x, np.ascontiguousarray(cell, np.int32))
-        # the cells are some that the points' own stencils have nodes in
+        # the points' own stencils have nodes in these cells
         assert found is not None
         nodes, values = found
         start = values.shape[1] * np.arange(len(x) + 1)
@@ -272,18 +275,18 @@ class Sites:
         return N if C is None else scipy.sparse.csr_matrix(N @ C)
 
     def _of_material(self, each: Rows, which: Rows) -> tuple[Array, Array]:
-        """Positions of corners, and the offsets by which their points' gradients move them."""
+        """Positions of corners, and offsets from their points for motion by the gradients."""
         points = self._points
         if self._surface is not None and self._middles:
             R = points[self._surface.offset.name][each]
         else:
             R = _signs(points.gdim)[which] * points["l0"][each]
         r = np.einsum("cij,cj->ci", self._F[each], R)
-        # gradients at first positions go with offsets at first
+        # gradients at first positions need initial offsets
         return points["x"][each] + r, R if self._sight.total else r
 
     def _seen_from(self, each: Rows, along: Array) -> scipy.sparse.csr_matrix:
-        """What corners see by the stencils of their points, which go on by the gradient."""
+        """Stencils of corners from the stencils of their points, continued by the gradient."""
         N, *dN = self._stencils(each)[2:]
         data = N.data.copy()
         for k, part in enumerate(dN):
@@ -291,7 +294,7 @@ class Sites:
         return self._behind_ties(N, data)
 
     def _seen_with(self, each: Rows, signs: Array) -> scipy.sparse.bsr_matrix:
-        """What corners of domains see that grow with their points' gradients."""
+        """Stencils of corners of domains that grow with their points' gradients."""
         d, points, growth = self._points.gdim, self._points, self._sight.growth
         assert growth is not None
         rows, own, N, *dN = self._stencils(each)
@@ -304,14 +307,14 @@ class Sites:
         return self._behind_ties(N, W)
 
     def _stencils(self, each: Rows) -> list[Any]:
-        """The different points, which of them each is of, N and ∂N/∂x_k of each in one pattern."""
+        """The distinct points, the point of each corner, and N and ∂N/∂x_k in one pattern."""
         rows, own = np.unique(each, return_inverse=True)
         s, shape = self._sight.stencils(rows), (rows.size, self._sight.basis.nodes.size)
         values = [s.N, *s.dN.T]
         return [rows, own, *(stencil_matrix(s, v, shape)[own] for v in values)]
 
     def _behind_ties(self, N: scipy.sparse.csr_matrix, data: Array) -> Any:
-        """A matrix of N's pattern, by the nodes that ties leave, with numbers or blocks."""
+        """A matrix of N's pattern on the independent nodes, with numbers or blocks."""
         C, d = self._sight.C, self._points.gdim
         if data.ndim == 1:
             M = scipy.sparse.csr_matrix((data, N.indices, N.indptr), shape=N.shape)

@@ -25,23 +25,21 @@ class Course:
 
     Args:
         size: Number of its components.
-        motions: The motion in total, its velocity and its increment per step, in that order and
-            by their names, of which one may be given: a function of time (s; steps), a DOLFINx
-            constant for the motion in total, numbers for the others.
+        motions: Name → total motion, velocity, and increment per step, in this order. Only one
+            may be given: a function of time (s; steps), or a DOLFINx constant for the total
+            motion, or numbers for velocity and increment.
 
     Attributes:
         size: The argument.
-        name: Name of the motion that is given, or "".
+        name: Name of the given motion, or "".
         kind: "total", "velocity" or "increment"; "" for a body that stands still.
-        given: The motion in total, or None.
-        rate: Its velocity or its increment per step, or None.
+        given: The total motion, or None.
+        rate: The velocity or the increment per step, or None.
         absolute: Whether a rotation is a rotation vector in total.
-
-    Attributes:
-        unit: What it is given in, by m or rad.
+        unit: Unit of the given numbers, in m or rad.
 
     Raises:
-        ParameterError: Two motions are given, or one is not what it may be.
+        ParameterError: Two motions are given, or a motion has the wrong type or value.
     """
 
     unit = 1.0
@@ -76,22 +74,22 @@ class Course:
             self.value(self.rate, 0.0)
 
     def check_start(self) -> None:
-        """Raise ParameterError where it is not zero at first."""
+        """Raise ParameterError if the total motion is not zero at t = 0."""
         if self._first.any():
             raise ParameterError(
                 f"{self.name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
-                "got since it was made; make the shape where the body is at first"
+                "moved since it was made; make the shape at the body's initial position"
             )
 
     def value(self, function: Motion, t: float) -> Array:
-        """What a function of time gives at t, shape (size,)."""
+        """Value of a function of time at t, shape (size,)."""
         answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
         return vector(f"{self.name}({t:g})", answer, self.size)
 
     def change(self, start: Array, t: float, dt: float) -> Array:
         """Change from the start of a step, at t, to dt later."""
         if isinstance(self.given, fem.Constant):
-            # the solver has set it to what belongs to the part of the step
+            # the solver has set the constant to its value for the substep
             return self.unit * (np.array(self.given.value, float).ravel() - self._first) - start
         if self.given is not None:
             return self.unit * (self.value(self.given, t + dt) - self._first) - start
@@ -103,7 +101,7 @@ class Course:
 
 
 def first_rate(course: Course) -> Array:
-    """What a velocity, or an increment, is at first; zero where there is none."""
+    """Initial velocity, or first increment; zero where neither is given."""
     if course.rate is None:
         return np.zeros(course.size)
     return course.unit * course.value(course.rate, 0.0)

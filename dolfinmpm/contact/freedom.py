@@ -1,7 +1,7 @@
-"""The motion of a rigid body that forces decide: its mass, loads, velocity, and increments.
+"""The free motion of a rigid body: its mass, loads, velocity, and increments.
 
-The motion of a step has a component for each direction and each rotation: (u_x, u_y, θ) in 2D,
-(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow what is prescribed.
+The motion in a step has one component per direction and per rotation: (u_x, u_y, θ) in 2D,
+(u_x, u_y, u_z, θ_x, θ_y, θ_z) in 3D. Components that are not free follow the prescribed motion.
 """
 
 from __future__ import annotations
@@ -23,26 +23,28 @@ Array = npt.NDArray[np.float64]
 
 
 class Freedom:
-    """Which components of a body's motion are free, and what moves them.
+    """The free components of a body's motion, with their inertia and loads.
 
     Args:
         gdim: Dimension of space.
-        free: Which components are free, shape (3,) or in 3D (6,).
-        mass: Mass (kg), or None where inertia does not count.
+        free: Whether each component is free, shape (3,) or in 3D (6,).
+        mass: Mass (kg), or None without inertia.
         inertia: Moment of inertia about the centre (kg m²): a number, or in 3D three for the axes
-            of the body at first.
-        gravity: Acceleration (m/s²) that gives it weight, shape (gdim,), or a DOLFINx constant.
+            of the body in its initial position.
+        gravity: Acceleration of gravity (m/s²), shape (gdim,), or a DOLFINx constant.
         force: Further force at its centre (N), likewise, or a function of time.
         moment: Further moment (N m), shape (1,) or in 3D (3,), likewise.
-        velocity: Velocity of its components at first (m/s, rad/s), shape (components,).
+        velocity: Initial velocity of the components (m/s, rad/s), shape (components,).
 
     Attributes:
         free: The argument, as indices.
-        velocity, acceleration: Of all components, in s; the latter None before it is known.
-        increment: Of the step, of all components (m, rad).
+        velocity: Velocity of all components (m/s, rad/s), shape (components,).
+        acceleration: Acceleration of all components (m/s², rad/s²), likewise. None before it is
+            known.
+        increment: Increment of all components in the step (m, rad), likewise.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     def __init__(
@@ -83,12 +85,12 @@ class Freedom:
 
     @property
     def loads(self) -> list[fem.Constant]:
-        """DOLFINx constants that load it."""
+        """DOLFINx constants in its loads."""
         parts = self._gravity, self._force, self._moment
         return [p.given for p in parts if isinstance(p.given, fem.Constant)]
 
     def external(self, t: float) -> Array:
-        """Forces and moments on it that are no contact (N, N m), shape (components,)."""
+        """Forces and moments other than contact (N, N m), shape (components,)."""
         force = self._force.value(t)
         if self.mass is not None:
             force = force + self.mass * self._gravity.value(t)
@@ -114,13 +116,14 @@ class Freedom:
         return out
 
     def begin(self, pose: Pose, force: Array, t: float, afresh: bool) -> None:
-        """Find the acceleration at the start of a step where it is not known.
+        """Find the acceleration at the start of a step if it is unknown.
 
         Args:
-            pose: Where the body is.
-            force: Force and moment of what it touches (N, N m), shape (components,).
+            pose: The body's pose.
+            force: Force and moment of contact (N, N m), shape (components,).
             t: Time (s).
-            afresh: Whether a load jumps, so that it is another one than at the end of the last.
+            afresh: Whether a load jumps, so that the acceleration differs from the end of the last
+                step.
         """
         if self.mass is None or (self.acceleration is not None and not afresh):
             return
@@ -130,14 +133,14 @@ class Freedom:
         self.acceleration[self.free] = np.linalg.solve(self.inertia(pose)[at], out[self.free])
 
     def go_on(self, dt: float) -> None:
-        """Take the increment of a body that goes on as it moves for so long (s)."""
+        """Set the increment of a body that continues its motion for a time dt (s)."""
         free, self.increment = self.free, np.zeros_like(self.increment)
         self.increment[free] = dt * self.velocity[free]
         if self.acceleration is not None:
             self.increment[free] += 0.5 * dt**2 * self.acceleration[free]
 
     def parts(self, share: float) -> tuple[Array, Array]:
-        """Shift (m) and turn (rad) of the free components at a share of the step."""
+        """Translation (m) and rotation (rad) of the free components at a share of the step."""
         return share * self.increment[: self._gdim], share * self.increment[self._gdim :]
 
 
@@ -163,10 +166,10 @@ class _Load:
 
 
 def vector(what: str, given: Any, size: int) -> Array:
-    """Finite numbers as an array of that many.
+    """A given number of finite numbers as an array, shape (size,).
 
     Raises:
-        ParameterError: They are not.
+        ParameterError: The values are not finite numbers, or their number is wrong.
     """
     try:
         values = np.atleast_1d(np.asarray(given, float))

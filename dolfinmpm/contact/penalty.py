@@ -1,14 +1,14 @@
 """The force on a corner against a rigid surface: penalty or multiplier, Coulomb friction.
 
-With the gap g, the outward normal n and H = ∇n of the surface at a corner at ξ, all in the frame
-of the body, so that what the body does itself is no slip:
+The gap g, the outward normal n and H = ∇n of the surface are those at a corner at ξ. All are in the
+frame of the body, so that a motion of the body itself is no slip:
 
     p = max(0, λ − ε_N g),    w = t_n − ε_T (ξ − ξ_n),    t = P w if |P w| ≤ μ p,
     t = μ p P w/|P w| else,    f = p n + t,    P = I − n ⊗ n,
 
-the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
-Mechanics, 2006, ch. 10; AMPSSIE takes the same in the material point method). Its derivative by ξ
-is exact, that of the normal included, and not symmetric where a corner slips.
+This is the return mapping of Coulomb's law with an elastic slip (Wriggers, Computational Contact
+Mechanics, 2006, ch. 10; AMPSSIE uses it in the material point method). The derivative of f by ξ is
+exact, with the derivative of the normal. It is not symmetric where a corner slips.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def forces_on_corners(
         multiplier: λ (N), shape (m,).
         normal_stiffness, slip_stiffness: ε_N and ε_T (N/m), shape (m,).
         friction: μ.
-        holds: Which corners are held even where they are outside, by p < 0, shape (m,).
-        force: Written: f (N), shape (m, d).
-        traction: Written: t (N), likewise.
-        pressure: Written: p (N), shape (m,).
-        slope: Written: ∂f/∂ξ (N/m), shape (m, d, d).
-        state: Written: FREE, STICKS or SLIPS, shape (m,).
+        holds: Corners that stay in contact even outside the body, with p < 0, shape (m,).
+        force: Output: f (N), shape (m, d).
+        traction: Output: t (N), shape (m, d).
+        pressure: Output: p (N), shape (m,).
+        slope: Output: ∂f/∂ξ (N/m), shape (m, d, d).
+        state: Output: FREE, STICKS or SLIPS, shape (m,).
     """
     d = at.shape[1]
     w, trial, dn = np.empty(d), np.empty(d), np.empty(d)
@@ -108,17 +108,18 @@ def forces_on_corners(
 
 
 def lessened(gap, closing, pressure):
-    """What an explicit step takes from normal forces, (p/2) max(0, 1 − |g|/|Δg|) (N), shape (m,).
+    """Reduction of normal forces in an explicit step, (p/2) max(0, 1 − |g|/|Δg|) (N), shape (m,).
 
-    A force at the start of a step acts for half a step before and after. Where a corner has been,
-    or will be, outside within it, p = −ε_N g over that half has another work than what the penalty
-    stores, ½ ε_N g²: half the force acts by the share |g|/|Δg| of the time inside. The work over
-    a contact is then that of the penalty whenever in a step it begins and ends, to second order.
+    A force at the start of a step acts for half a step before and for half a step after. In one of
+    these halves the corner may be outside for some time. The work of p = −ε_N g over this half
+    then differs from the energy of the penalty, ½ ε_N g². So half of the force acts only by the
+    share |g|/|Δg| of the time inside. The work over a contact is then that of the penalty to
+    second order, wherever in a step the contact begins and ends.
 
     Args:
         gap: g (m), shape (m,).
-        closing: By how much they close, or have opened, in a step (m), likewise.
-        pressure: p (N), likewise.
+        closing: Closing or opening of the gaps in a step (m), shape (m,).
+        pressure: p (N), shape (m,).
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         outside = 1.0 - np.abs(gap) / np.abs(closing)

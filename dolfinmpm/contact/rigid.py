@@ -1,4 +1,4 @@
-"""Rigid bodies: a surface, and how it moves."""
+"""Rigid bodies: their surface and their motion."""
 
 from __future__ import annotations
 
@@ -30,56 +30,57 @@ _numbers = itertools.count(1)
 
 
 class RigidBody(ReadOnce):
-    """A rigid body that touches material points through `contact`; all ranks know it.
+    """A rigid body that touches material points through `contact`; all ranks know the body.
 
-    It stands still, or its motion is prescribed: by increments in quasi-static problems, by
-    velocities in problems in time, or in total in both. Time t is that of the problem in s, or for
-    quasi-static problems the number of steps since the body was made. In parts of a step the body
-    goes that part of the way.
+    The body stands still, or its motion is prescribed. Quasi-static problems prescribe increments,
+    problems in time prescribe velocities, and both may prescribe the total motion. The time t is
+    the time of the problem (s). In quasi-static problems t is the number of steps since the body
+    was made. In a substep the body moves by the same share of its way as the load.
 
     Args:
         shape: `Plane`, `Wedge`, `Polygon`, `Disc`, `Box` or `TurnedBox` in 2D; `Plane`, `Cone`,
             `Ball`, `Box` or a closed surface mesh in 3D: a file that meshio reads (STL, Gmsh), or
-            a `meshio.Mesh`, of triangles whose normals point out of the body.
+            a `meshio.Mesh`. The mesh has triangles with outward normals.
         increment: Motion of its centre in every step of a quasi-static problem (m), shape (gdim,):
             numbers, or a function of t.
         velocity: Velocity of its centre in a problem in time (m/s), likewise.
-        displacement: Where the centre has got to since the body was made (m): a function of t that
-            is 0 at t = 0, or a DOLFINx constant, which steps set and solvers scale like a load;
-            the first step brings about what the constant holds already. One of `increment`,
-            `velocity` and `displacement` may be given.
+        displacement: Displacement of the centre since the body was made (m): a function of t that
+            is 0 at t = 0, or a DOLFINx constant. The user sets the constant before a step, and
+            substeps scale it like a load. The first step applies a value that the constant holds
+            already. Only one of `increment`, `velocity` and `displacement` may be given.
         rotation_increment: Rotation about the centre in every step of a quasi-static problem
             (degrees), counter-clockwise: a number, in 3D a vector of shape (3,); or a function
             of t.
-        angular_velocity: Its velocity in a problem in time (degrees/s), likewise.
-        rotation: How far the body has turned since it was made (degrees), given as `displacement`
-            is: an angle, in 3D a rotation vector.
-        centre: What it turns about (m); by default the middle of a box around it, or a plane's
-            point.
-        fillet: Radius (m) by which convex edges are rounded, so that what slides around them meets
-            no jump of the normal. The body stays within its shape.
-        name: What messages, records and files call it.
-        free: Which components of its motion forces decide, the directions first, then the
-            rotations; all if only a mass or a load is given. The other ones are prescribed.
-            Velocities of free ones are those at first.
-        mass: Its mass (kg; kg/m in plane strain), without which only quasi-static problems can
-            have it free.
-        inertia: Moment of inertia about its centre (kg m²): a number, in 3D one or three, about
-            the axes of the grid as the body is at first.
-        gravity: Acceleration (m/s²) that gives it weight, shape (gdim,), or a DOLFINx constant.
-        force: Force that acts at its centre (N), likewise, or a function of t.
+        angular_velocity: Angular velocity in a problem in time (degrees/s), likewise.
+        rotation: Rotation since the body was made (degrees): an angle, in 3D a rotation vector. It
+            is given in the same ways as `displacement`.
+        centre: Centre of rotation (m). By default the middle of the bounding box, or the point of
+            a plane.
+        fillet: Radius (m) that rounds convex edges. So points that slide around an edge meet no
+            jump of the normal. The body stays within its shape.
+        name: Name of the body in messages, records and files.
+        free: Per component of the motion, whether forces decide it: first the directions, then the
+            rotations. By default all are free if a mass or a load is given. The other components
+            are prescribed. A prescribed velocity of a free component is its initial velocity.
+        mass: Mass (kg; kg/m in plane strain). Without a mass, only quasi-static problems can have
+            free components.
+        inertia: Moment of inertia about the centre (kg m²): a number, in 3D one or three, about
+            the axes of the grid in the initial position of the body.
+        gravity: Acceleration of gravity (m/s²), shape (gdim,), or a DOLFINx constant.
+        force: Force at the centre (N), likewise, or a function of t.
         moment: Moment (N m), a number or in 3D three, likewise.
 
     Attributes:
-        freedom: What is free of its motion, or None.
-        surface: Its surface, where it was at first.
-        name: Its name.
-        pose: Where it is.
-        time: Time that it is of (s; steps).
+        freedom: The free components of the motion, or None.
+        surface: The surface in its initial position.
+        name: The name.
+        pose: The present position and rotation.
+        time: The time of the present position (s; steps).
 
     Raises:
-        ParameterError: An argument is not what it may be, or a mesh is open, inside out, or meets
-            itself at an edge; the message tells where. Or an argument is assigned to later.
+        ParameterError: An argument has the wrong type or a value outside its range. Or a mesh is
+            open, inside out, or meets itself at an edge; the message names the place. Or an
+            argument is assigned to later.
         OSError: A file cannot be read.
     """
 
@@ -135,10 +136,10 @@ class RigidBody(ReadOnce):
         self._moment: Array = np.zeros(turns)
 
     def require_axis(self) -> None:
-        """Raise unless it can be the meridian of a body of revolution, which moves along the axis.
+        """Raise unless the body can be a body of revolution, with motion along the axis only.
 
         Raises:
-            ParameterError: It is free to go across the axis x[0] = 0 or to turn, or begins to.
+            ParameterError: The body can, or does, move across the axis x[0] = 0 or turn.
         """
         across = [c for c in ([] if self.freedom is None else self.freedom.free) if c != 1]
         first = np.concatenate([first_rate(self._shift), first_rate(self._turn)])
@@ -162,7 +163,7 @@ class RigidBody(ReadOnce):
 
     @property
     def moment(self) -> Array:
-        """Their moment about its centre (N m), shape (1,), in 3D (3,)."""
+        """Moment of the material points about its centre (N m), shape (1,), in 3D (3,)."""
         return self._moment
 
     def _called(self) -> str:
@@ -188,47 +189,47 @@ class RigidBody(ReadOnce):
 
     @property
     def position(self) -> Array:
-        """Where its centre is (m), shape (gdim,)."""
+        """Position of its centre (m), shape (gdim,)."""
         return self.pose.centre
 
     @property
     def angle(self) -> Array:
-        """How far it has turned (degrees), shape (1,), in 3D (3,), see `Pose`."""
+        """Rotation since it was made (degrees), shape (1,), in 3D (3,), see `Pose`."""
         return np.degrees(self.pose.turn)
 
     @property
     def courses(self) -> tuple[Course, Course]:
-        """Its prescribed motions, those of the centre and those about it."""
+        """Its prescribed motions: the motion of the centre, and the rotation."""
         return self._shift, self._turn
 
     @property
     def loads(self) -> list[fem.Constant]:
-        """DOLFINx constants that prescribe its motion or load it."""
+        """DOLFINx constants that prescribe its motion or its loads."""
         prescribe = [c.given for c in self.courses if isinstance(c.given, fem.Constant)]
         return prescribe + ([] if self.freedom is None else self.freedom.loads)
 
     def prescribed(self, t: float) -> list[Array]:
-        """What functions prescribe at a time (s; steps): places or rates, shift before turn."""
+        """Values of prescribing functions at a time (s; steps): translation, then rotation."""
         both = [(c, f) for c in self.courses for f in (c.given, c.rate) if f is not None]
         return [c.value(f, t) for c, f in both if not isinstance(f, fem.Constant)]
 
     def check_start(self) -> None:
-        """Raise ParameterError where it would not begin where its shape is."""
+        """Raise ParameterError if its prescribed motion does not begin at its shape."""
         for course in self.courses:
             course.check_start()
 
-    # -- what solvers do with it ----------------------------------------------
+    # -- for solvers ----------------------------------------------------------
 
     def begin(self, dt: float) -> None:
-        """Begin a step, or a part of one, of that length (s; steps)."""
+        """Begin a step, or a substep, of the length dt (s; steps)."""
         self.dt = dt
 
     def put(self, share: float) -> None:
-        """Put it where it is at that share of the step."""
+        """Move it to its pose at a share of the step."""
         self.pose = self.at(share)
 
     def at(self, share: float) -> Pose:
-        """Where it is at that share of the step."""
+        """Its pose at a share of the step."""
         start, t = self.start, self.time
         shift = self._shift.change(start.shift, t, share * self.dt)
         turn = self._turn.change(start.turn, t, share * self.dt)
@@ -248,7 +249,7 @@ class RigidBody(ReadOnce):
 
         Args:
             force: Forces and moments.
-            kick: For how long they act (s).
+            kick: Time during which they act (s).
         """
         free = self.freedom
         assert free is not None
@@ -260,19 +261,19 @@ class RigidBody(ReadOnce):
         free.increment[own] = self.dt * free.velocity[own]
 
     def commit(self, force: Array, moment: Array, *, mean: bool = False) -> float:
-        """Take where it has been put for where it is, and what acts on it.
+        """Keep the pose at the end of the step, and the forces on the body.
 
         Args:
-            force, moment: Of the points on it (N, N m), at the end of the step.
-            mean: Whether these are means over the step.
+            force, moment: Force and moment of the points on it (N, N m), at the end of the step.
+            mean: True if force and moment are means over the step.
 
         Returns:
-            Work of what moves it (J): on what is prescribed of it, against the means of the forces
-            before and after, and of its loads on what is free.
+            Work that moves the body (J). On prescribed components: against the means of the forces
+            before and after the step. On free components: work of the loads.
         """
         before, after = self.start, self.pose
         turned = after.rotation @ before.rotation.T
-        # of a small rotation
+        # the rotation vector of a small rotation
         W = 0.5 * (turned - turned.T)
         spin = W[1:, 0] if self.gdim == 2 else np.array([W[2, 1], W[0, 2], W[1, 0]])
         way = np.concatenate([after.shift - before.shift, spin])
@@ -288,7 +289,7 @@ class RigidBody(ReadOnce):
         return float(against @ way)
 
     def kinetic(self) -> float:
-        """Kinetic energy of what is free of it (J)."""
+        """Kinetic energy of its free components (J)."""
         free = self.freedom
         if free is None or free.mass is None:
             return 0.0
@@ -297,19 +298,19 @@ class RigidBody(ReadOnce):
         return 0.5 * float(v @ free.inertia(self.start) @ v)
 
     def travel(self) -> float:
-        """How far any part of it, but of a plane its centre, goes in this step (m)."""
+        """Largest motion of its surface in this step (m); of a plane the motion of its centre."""
         return travelled(self.surface, self.start, self.at(1.0))
 
     def ahead(self, dt: float, count: int, limit: float) -> int:
-        """How many steps of a length follow each other in which it goes no further than a limit.
+        """Number of successive steps of equal length in which it moves no further than a limit.
 
-        Of free components, which forces decide, nothing is known. What prescribes the motion, or
-        loads, in time may raise at later times: then the steps end before.
+        Motions of free components follow from forces and are not known ahead. A function of the
+        user may raise an error at a later time. Then the steps end before this time.
 
         Args:
-            dt: The length (s).
-            count: At most so many, of which the first one is not looked at.
-            limit: The limit (m).
+            dt: Length of the steps (s).
+            count: Largest number of steps. The first step is not checked.
+            limit: Largest motion (m).
         """
         kept = self.start, self.pose, self.time
         try:
@@ -330,7 +331,7 @@ class RigidBody(ReadOnce):
         return count
 
     def record(self) -> dict[str, list[float]]:
-        """Position, angle, force and moment, as records of steps have them."""
+        """Position, angle, force and moment for the record of a step."""
         parts = {
             "position": self.position, "angle": self.angle, "force": self.force,
             "moment": self.moment,
@@ -338,7 +339,7 @@ class RigidBody(ReadOnce):
         return {name: [float(v) for v in values] for name, values in parts.items()}
 
     def state(self) -> Array:
-        """What a checkpoint keeps, as one row of numbers."""
+        """The state for a checkpoint, as one row of numbers."""
         pose = self.start
         parts = [pose.shift, pose.rotation.ravel(), pose.turn, self.force, self.moment]
         free = self.freedom
@@ -350,7 +351,7 @@ class RigidBody(ReadOnce):
         return np.concatenate([np.array([self.time]), *parts])
 
     def set_state(self, row: Array) -> None:
-        """Take what `state` returned."""
+        """Restore a state returned by `state`."""
         d, turns = self.gdim, len(self.moment)
         sizes = np.cumsum([1, d, d * d, turns, d])
         sizes = np.append(sizes, sizes[-1] + turns)
@@ -364,12 +365,16 @@ class RigidBody(ReadOnce):
             self.freedom.acceleration = rest[n : 2 * n].copy() if rest[2 * n] else None
 
     def outline(self, low: Array, high: Array) -> Array:
-        """Facets that draw it there, shape (facets, gdim, gdim); see `RigidSurface.outline`."""
+        """Facets of its picture in a box, shape (facets, gdim, gdim); see `RigidSurface.outline`.
+
+        Args:
+            low, high: Corners of the box (m), shape (gdim,).
+        """
         return self.pose.forth(self.surface.outline(low, high))
 
 
 def check_bodies(bodies: Any, gdim: int) -> None:
-    """Raise ParameterError unless these are rigid bodies in space of that dimension."""
+    """Raise ParameterError unless `bodies` are rigid bodies in space of the dimension gdim."""
     if not isinstance(bodies, (list, tuple)):
         raise ParameterError(f"bodies = {shown(bodies)} must be a list of mpm.RigidBody")
     for body in bodies:
@@ -381,5 +386,5 @@ def _middle(surface: RigidSurface) -> Array:
     if np.isfinite(surface.low).all():
         return np.asarray(0.5 * (surface.low + surface.high))
     g, n, _ = surface.probe(np.zeros((1, surface.gdim)))
-    # the point of a plane that is nearest to the origin
+    # for a plane: its point nearest to the origin
     return np.asarray(-g[0] * n[0])

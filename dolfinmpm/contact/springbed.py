@@ -1,8 +1,7 @@
 """A bed of springs under a face of a body (Winkler 1867): t = −k (n·d) n.
 
-d is the displacement of the face since it was marked, n its normal at first. The bed stands for
-ground that is not in the grid. The whole kind of force is in this file, see
-`dolfinmpm.assembly.term`.
+d is the displacement of the face since it was marked, and n is its initial normal. The bed stands
+for ground outside the grid. This file contains the whole term; see `dolfinmpm.assembly.term`.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 
 class SpringBed(Term):
-    """A bed of springs, as a form declares it; see `springs`.
+    """A bed of springs in a weak form; see `springs`.
 
     Attributes:
         surface: The face.
@@ -84,7 +83,7 @@ class SpringBed(Term):
 class ActiveSprings(ActiveTerm):
     """A bed of springs on an activation; see `ActiveTerm`."""
 
-    # the springs store energy, and are no load
+    # the springs store energy, and are not a load
     is_load = False
 
     def __init__(self, bed: SpringBed, here: Activation):
@@ -127,8 +126,8 @@ class ActiveSprings(ActiveTerm):
 def springs(surface: Surface, u: Any, v: Any, *, stiffness: float) -> ufl.Form:
     """A bed of springs at a face of a body, a term to be added: F += mpm.springs(...).
 
-    The springs act along the normal of the face, in pressure and in tension, and are without
-    tension as the face is marked.
+    The springs act along the normal of the face, in compression and in tension. They are free of
+    stress when the face is marked.
 
     Args:
         surface: The face, `mpm.Surface`.
@@ -137,8 +136,8 @@ def springs(surface: Surface, u: Any, v: Any, *, stiffness: float) -> ufl.Form:
         stiffness: k, force per area and displacement (Pa/m).
 
     Raises:
-        ParameterError: An argument is not what it may be, or the field keeps the cells of the first
-            positions.
+        ParameterError: An argument has the wrong type or a value outside its range. Or the space
+            of the field has configuration="total".
     """
     check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
     check_displacement(surface.points, u=u, v=v)

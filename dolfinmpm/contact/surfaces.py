@@ -1,8 +1,8 @@
 """Surfaces of rigid bodies: signed distance, outward normal and curvature at any position.
 
-A surface lives where its body was at first. `probe` tells of positions how far outside they
-are, g (m), the outward normal n = ∇g and its derivative H = ∇∇g (1/m), which a consistent
-tangent of contact needs.
+A surface stays at the initial position of its body. For given positions `probe` returns the signed
+distance g (m), positive outside, the outward normal n = ∇g and its derivative H = ∇∇g (1/m). The
+consistent tangent of contact needs H.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Probe = tuple[Array, Array, Array]
 
 
 class RigidSurface(Protocol):
-    """What contact asks of a surface.
+    """Interface of a surface for contact.
 
     Attributes:
         gdim: Dimension of space.
-        low, high: Corners of a box around it (m), shape (gdim,); infinite where it has no end.
+        low, high: Corners of a bounding box (m), shape (gdim,); infinite for an infinite surface.
     """
 
     gdim: int
@@ -32,14 +32,17 @@ class RigidSurface(Protocol):
     high: Array
 
     def probe(self, x: Array) -> Probe:
-        """g (m), shape (n,), n, shape (n, gdim), and H (1/m), shape (n, gdim, gdim).
+        """Values of g (m), shape (n,), n, shape (n, gdim), and H (1/m), shape (n, gdim, gdim).
 
         Args:
             x: Positions (m), shape (n, gdim).
         """
 
     def outline(self, low: Array, high: Array) -> Array:
-        """Facets that draw it, those of an endless one within a box (m).
+        """Facets of its picture; for an infinite surface the facets within a box.
+
+        Args:
+            low, high: Corners of the box (m), shape (gdim,).
 
         Returns:
             Corners, shape (facets, gdim, gdim): segments in 2D, triangles in 3D.
@@ -47,7 +50,7 @@ class RigidSurface(Protocol):
 
 
 class HalfSpace:
-    """What lies behind a plane, or in 2D behind a line.
+    """The half-space behind a plane, or in 2D behind a line.
 
     Args:
         point: A point of the plane (m), shape (gdim,).
@@ -71,7 +74,7 @@ class HalfSpace:
 
     def outline(self, low: Array, high: Array) -> Array:
         """See `RigidSurface`."""
-        # a basis of the plane, from the axis that the normal has least of
+        # a basis of the plane, from the axis with the smallest component of the normal
         n, middle = self.normal, 0.5 * (low + high)
         middle = middle - ((middle - self.point) @ n) * n
         reach = float(np.linalg.norm(high - low))
@@ -121,10 +124,9 @@ class Round:
 
 
 class Rounded:
-    """A surface that another one is the core of: all that is within a radius of the core.
+    """The surface at a given distance around a core.
 
-    Convex edges and corners of the core become cylinders and balls, which is how sharp edges are
-    filleted.
+    Convex edges and corners of the core become cylinders and balls. So sharp edges are rounded.
 
     Args:
         core: The core.
@@ -168,7 +170,7 @@ def revolved(profile: Array, sectors: int = 32) -> Array:
     """Triangles of a surface of revolution about the z-axis, shape (n, 3, 3).
 
     Args:
-        profile: Radius and height of its points in order (m), shape (m, 2).
+        profile: Radius and height of the profile's points in order (m), shape (m, 2).
         sectors: Number of sectors.
     """
     at = np.linspace(0.0, 2 * np.pi, sectors + 1)
@@ -178,5 +180,5 @@ def revolved(profile: Array, sectors: int = 32) -> Array:
     both = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)])
     triangles = both.reshape(-1, 3, 3)
     sides = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    # at the axis two corners are one
+    # at the axis two corners coincide
     return triangles[np.linalg.norm(np.cross(*sides), axis=1) > 0]

@@ -1,4 +1,4 @@
-"""Shapes that rigid bodies have besides those that are filled with points."""
+"""Shapes for rigid bodies only."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["Cone", "Plane", "Wedge"]
 
 
 class Plane(Shape):
-    """All that lies behind a plane, in 2D behind a line.
+    """The half-space behind a plane, in 2D behind a line.
 
     Args:
         point: A point of the plane (m).
-        normal: Normal of the plane, out of what is behind it; of any length.
+        normal: Normal of the plane, out of the half-space; of any length.
 
     Raises:
-        ParameterError: The normal has no length, or the two have not as many coordinates.
+        ParameterError: The normal is zero, or point and normal differ in dimension.
     """
 
     def __init__(self, point: Sequence[float], normal: Sequence[float]):
@@ -45,7 +45,7 @@ class Wedge(Polygon):
     Args:
         tip: Its tip (m).
         semi_angle: Angle between its sides and the vertical (degrees).
-        height: How high it is (m).
+        height: Its height (m).
 
     Raises:
         ParameterError: The angle is not between 0 and 90 degrees, or the height not positive.
@@ -63,12 +63,12 @@ class Wedge(Polygon):
 
 
 class Cone(Shape):
-    """A cone in 3D on a shaft, as of a penetrometer, that points against its axis.
+    """A cone in 3D on a shaft, such as a penetrometer. The tip points against the axis.
 
     Args:
         tip: Its tip (m).
         radius: Radius of the shaft, and of the cone's base (m).
-        semi_angle: Angle between the cone's side and the axis (degrees): 30 of a tip of 60°.
+        semi_angle: Angle between the cone's side and the axis (degrees): 30 for a tip of 60°.
         length: Length from the tip to the upper end of the shaft (m).
         axis: Direction from the tip to the shaft.
 

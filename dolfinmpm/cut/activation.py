@@ -1,8 +1,8 @@
 """What takes part in a step: stencils, active cells, ghost facets, C, unknowns, pattern.
 
-An activation is made for where the points are, or reused, and never changed. Before
-any stencil is made the overlap of the ranks is grown to what domains, roots and cell
-means need, so that no numbering changes behind what was computed in it.
+An activation belongs to the present positions of the points. It is made anew or reused, and never
+changed. Before any stencil is made, the overlap of the ranks grows to the size required by
+domains, roots and cell means. So numberings do not change after data have been computed in them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def activate(
     kept: KeptCouplings | None = None,
     blocks: Callable[[int], bool] | None = None,
 ) -> Activation:
-    """The activation for where the points are now. Collective.
+    """The activation for the present positions of the points. Collective.
 
     Args:
         points: Material points.
@@ -65,9 +65,10 @@ def activate(
         held: Its essential conditions.
         terms: Its weak form.
         share: Share of the step's prescribed increments.
-        old: A former activation of the same problem, of which is kept what did not change.
-        kept: Couplings that the pattern is to have if the same nodes are active.
-        blocks: Whether so many unknowns are to stand in blocks, see `Unknowns`; never without.
+        old: A former activation of the same problem. Its unchanged parts are reused.
+        kept: Couplings of the pattern if the same nodes are active.
+        blocks: Function: whether a number of unknowns is to be stored in blocks, see `Unknowns`.
+            None means no blocks.
     """
     total = fields[0].space.configuration == "total"
     bodies = points.placement(fields[0].space.configuration)
@@ -98,7 +99,7 @@ def activate(
 
 
 def _pattern(every, active, unknowns: Unknowns, couplings, pairs, former: Pattern | None):
-    """Where the matrix has entries."""
+    """The sparsity pattern of the matrix."""
     lists = lists_of(every, active, unknowns) + [one.lists(unknowns) for one in couplings]
     return Pattern.build(lists, unknowns, pairs, former)
 
@@ -106,13 +107,13 @@ def _pattern(every, active, unknowns: Unknowns, couplings, pairs, former: Patter
 def _boundaries(
     terms: Sequence[BoundaryOf], found: dict[int, ActiveBoundary], here: Participants
 ) -> dict[int, ActiveBoundary]:
-    """Boundaries with their parts on what is active."""
+    """Boundaries with their active parts."""
     number = {of.boundary.markers.number: of for of in terms}
     return {n: replace(one, regions=regions_of(number[n], here)) for n, one in found.items()}
 
 
 def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
-    """Active nodes that this rank owns, as the field's space numbers them."""
+    """Active nodes owned by this rank, in the numbering of the field's space."""
     basis, base = field.basis, field.space.basis
     if basis.grid_nodes is None:
         return field.active[field.active < basis.nodes.owned]
@@ -122,7 +123,7 @@ def active_on_grid(field: ActiveField) -> npt.NDArray[np.int32]:
 
 
 def _in_blocks(fields: Sequence[ActiveField], fixed, blocks: Callable[[int], bool]) -> bool:
-    """Whether the unknowns of one field with several components are to stand in blocks."""
+    """Whether the unknowns of one field with several components are stored in blocks."""
     if len(fields) > 1 or fields[0].space.components == 1:
         return False
     nodes, numbering = fields[0].nodes, fields[0].basis.nodes
@@ -136,7 +137,7 @@ def _unmoved(
     """Whether points and markers are those of an activation at first positions. Collective."""
     same = where.x is old.where.x and where.cell.size == old.where.cell.size
     for of in boundaries:
-        # what a wall meets is found anew
+        # the place where a wall meets the body is found anew
         former = old.boundaries[of.boundary.markers.number].seen
         same = same and of.boundary.follows and of.boundary.seen is former.x
     return points.comm.allreduce(same, op=MPI.LAND)
@@ -158,14 +159,14 @@ def _renewed(
 
 @dataclass
 class _Draft:
-    """A field while it is built. Fields of one key see the same, and share what is found.
+    """A field while it is built. Fields with equal keys share their results.
 
     Attributes:
         field: The field.
         number: Its number.
-        chosen: Which points it sees, or None for all.
-        sees: Whether it sees the markers of each boundary, by their number.
-        basis: Its basis, with the overlap that the step needs.
+        chosen: Mask of its points, or None for all points.
+        sees: Whether it has the markers of each boundary, by the number of the boundary.
+        basis: Its basis, with the overlap for the step.
         seen: Stencils of points and markers on all active nodes.
         nodes: Active nodes.
         roots: Roots of ill-filled cells on meshes that are no lattices.
@@ -184,14 +185,14 @@ class _Draft:
 
     @property
     def key(self) -> Hashable:
-        """What is the same for fields that see the same."""
+        """Key that is equal for fields with the same points, markers and basis."""
         return id(self.field.space.basis), self.field.space.tags, tuple(self.sees.values())
 
     def stencils(self, where: Placement, sets: dict[int, ActiveBoundary]) -> Stencils:
-        """Stencils in the basis; what the field does not see is there without nodes. Collective.
+        """Stencils in the basis; points outside the field get empty stencils. Collective.
 
         Args:
-            where: The points, behind them the markers that take part of each boundary.
+            where: The points, followed by the active markers of each boundary.
             sets: The boundaries, by the number of their markers.
         """
         if self.chosen is None:
@@ -208,7 +209,7 @@ class _Builder:
         points: Material points.
         fields: Fields of the problem.
         terms: The weak form.
-        bodies: The points as the stencils see them.
+        bodies: The points as a placement for stencils.
 
     Attributes:
         boundaries: Boundaries that do not fit the grid, by the number of their markers.
@@ -224,7 +225,7 @@ class _Builder:
         for of in terms.boundaries:
             rows = np.asarray(np.flatnonzero(of.boundary.present()), np.int32)
             of_all[of.boundary.markers.number] = ActiveBoundary(of.boundary.placement(), rows)
-        # markers activate cells as points without volume do
+        # markers activate cells like points without volume
         where = together([bodies, *(one.seen for one in of_all.values())])
         averages = any(region.averages for region in terms.regions)
         bases = _bases(fields, where, averages, points.partition, terms.layers)
@@ -236,7 +237,7 @@ class _Builder:
         self._where = where
 
     def _draft(self, number: int, field: Field, basis: Basis) -> _Draft:
-        """A field, and which points and markers it sees."""
+        """A field with its points and markers."""
         space = field.space
         chosen = None if space.tags is None else np.isin(self._points["tag"], space.tags)
         sees = {
@@ -246,10 +247,10 @@ class _Builder:
         return _Draft(field, number, chosen, sees, basis)
 
     def _in_active_cells(self, sets: dict[int, ActiveBoundary]) -> dict[int, ActiveBoundary]:
-        """Markers that take part: those of passive boundaries in cells that points see. Collective.
+        """Active markers: of passive boundaries only markers in active cells. Collective.
 
         Args:
-            sets: The boundaries, with all markers that are present.
+            sets: The boundaries, with all their markers.
         """
         flags = {of.boundary.markers.number: of.boundary.present() for of in self._terms}
         once = {(id(d.basis), tuple(d.sees.values()), d.field.space.tags): d for d in self._drafts}
@@ -266,10 +267,10 @@ class _Builder:
         return {n: replace(one, rows=rows[n]) for n, one in sets.items()}
 
     def fields(self, held: Held, share: float) -> tuple[list[ActiveField], Any, Any]:
-        """The active fields; what is held of each, and by which increments. Collective.
+        """The active fields, with constrained components and prescribed increments. Collective.
 
         Args:
-            held: The essential conditions; nodes that they hold are not tied to others.
+            held: The essential conditions. Constrained nodes do not follow other nodes.
             share: Share of the step's prescribed increments.
         """
         self._share("seen", lambda d: d.stencils(self._where, self.boundaries))
@@ -282,7 +283,7 @@ class _Builder:
         return active, fixed, prescribed
 
     def _share(self, name: str, make: Callable[[_Draft], Any]) -> None:
-        """Find something for each field, once for all fields that see the same. Collective."""
+        """Compute an attribute per field, once for all fields with the same key. Collective."""
         made: dict[Hashable, Any] = {}
         for draft in self._drafts:
             if draft.key not in made:
@@ -290,7 +291,7 @@ class _Builder:
             setattr(draft, name, made[draft.key])
 
     def _find_roots(self) -> None:
-        """Let bases know roots on other ranks, for grids that are not rectangular. Collective."""
+        """Add roots on other ranks to bases, for grids that are not rectangular. Collective."""
         for draft in self._drafts:
             tying, basis = draft.field.tying, draft.basis
             if tying is None or isinstance(basis, LatticeBasis):
@@ -299,7 +300,7 @@ class _Builder:
             draft.roots = mesh_roots(basis, draft.nodes, filled, tying.level(basis.degree))
             wider = basis.knowing(*draft.roots.unknown)
             for other in self._drafts:
-                # fields of one basis stay fields of one basis
+                # fields that share a basis must still share it
                 other.basis = wider if other.basis is basis else other.basis
         self._share("nodes", lambda d: active_nodes(d.seen, d.basis.nodes))
 
@@ -335,7 +336,7 @@ class _Builder:
         )  # fmt: skip
 
     def _parted(self, field: ActiveField) -> ActiveField:
-        """A field with the stencils of the points, and those of each boundary's markers apart."""
+        """A field with separate stencils of the points and of each boundary's markers."""
         if not self.boundaries:
             return field
         n = len(self._bodies.x)
@@ -365,11 +366,11 @@ def _bases(
     partition: Partition | None,
     least: int = 0,
 ) -> list[Basis]:
-    """The bases with the overlap that domains, roots and cell means need. Collective."""
+    """The bases, with the overlap for domains, roots and cell means. Collective."""
     reach = {id(f.space.basis): f.space.basis for f in fields}
     reaches = {key: basis.reach(where) for key, basis in reach.items()}
     layers: dict[int, int] = {}
-    # cell means are of all fields' nodes around the cells that the first one's domains overlap
+    # cell means use the nodes of all fields around the cells of the first field's domains
     span = max(count for _, count in reaches.values())
     for one in fields:
         basis = one.space.basis

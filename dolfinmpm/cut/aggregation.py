@@ -3,12 +3,13 @@
 Aggregated finite elements (Badia, Verdugo & Martín 2018, doi
 10.1016/j.cma.2018.03.022; for material points Coombs, Bird & Pretti 2025, doi
 10.1016/j.cma.2025.118012) and extended B-splines (Höllig, Reif & Wipper 2001, doi
-10.1137/S0036142900373208) are one mechanism: a node that the body supports too little
-is tied to a root cell, whose polynomial is continued. Linear functions are supported
-too little if all their active cells are filled to less than a threshold; the two
-stabilisations then differ in which cells may be roots. A spline reaches over several cells,
-and may have next to nothing in the only one that is full: it is judged by the share
-of its own integral that lies in the body, and both stabilisations are the same.
+10.1137/S0036142900373208) are one mechanism. A node with too little support by the body is
+constrained to a root cell: the polynomial of the root cell is continued to the node.
+
+A linear function has too little support if all its active cells are filled to less than a
+threshold. The two stabilisations then differ in the cells that may be roots. A spline reaches over
+several cells, and may have a very small share in the only full cell. So the criterion of a spline
+is the share of its integral inside the body. Then both stabilisations are the same.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SEARCH_RADIUS", "MeshRoots", "mesh_roots", "ties"]
 
-# Cells around a node in which its root is looked for.
+# Cells around a node in which its root is searched.
 SEARCH_RADIUS = 4
 
 
@@ -48,7 +49,7 @@ def _linear_index(ijk, origin, shape):
 
 @numba.njit(cache=True, error_model="numpy")
 def _inner(nodes, node_ijk, degree, origin, shape, good, inner):
-    """Whether each node has a good cell among those of its support."""
+    """Whether each node has a good cell in its support."""
     gdim = node_ijk.shape[1]
     c = np.empty(gdim, np.int64)
     for a in nodes:
@@ -69,13 +70,13 @@ def _roots(
     outer, node_ijk, x, middles, middle_start, size, degree, origin, shape, root, radius, growth,
     found,
 ):  # fmt: skip
-    """Root cell of every outer node: the one whose continuation grows least, then the nearest.
+    """Root cell of every outer node: the cell with the least growth, then the nearest cell.
 
-    `growth` has the logarithm of what the continuation by so many functions along one
-    direction does to a size; remaining ties are broken by lattice position.
+    `growth` is the logarithm of the growth by a continuation over k functions along one direction.
+    Among equal cells the lattice position decides.
 
-    A node on the grid's edge looks only at cells on that edge, so that conditions
-    there are those of the nodes that it is tied to.
+    A node on the grid's edge uses only cells on this edge. So it has the same conditions as the
+    nodes of its root.
     """
     gdim = node_ijk.shape[1]
     c = np.empty(gdim, np.int64)
@@ -130,7 +131,7 @@ def _growth(degree: int):
 
 
 def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, extended: bool):
-    """Which nodes need no help, and which cells of the halo's table may be roots."""
+    """The nodes with enough support, and the cells of the halo's table that may be roots."""
     halo, degree = basis.halo, basis.degree
     cells, table = halo.cell_table.ravel(), halo.node_table
     shape = np.array(halo.cell_table.shape, np.int64)
@@ -139,12 +140,12 @@ def _inner_and_roots(basis: LatticeBasis, nodes, filled, threshold: float, exten
         good = np.zeros(cells.size, bool)
         good[known] = filled[cells[known]] >= threshold - 1e-9
         inner = np.zeros(basis.nodes.size, bool)
-        # a node without a cell of the body has no well-filled one
+        # a node without a cell of the body has no well-filled cell
         _inner(nodes, halo.node_ijk, degree, halo.origin, shape, good, inner)
         if not extended:
             return inner, good
     else:
-        # what the last function has where the body ends in a cell filled to the threshold
+        # share of the last function if the body ends in a cell filled to the threshold
         least = threshold ** (degree + 1) / math.factorial(degree + 1)
         inner = filled >= least * (1 - 1e-9)
     of_node = np.where(table >= 0, inner[table], False)
@@ -185,7 +186,7 @@ def _lattice_ties(basis: LatticeBasis, nodes, filled, threshold: float, extended
 def _all_roots(basis: LinearBasis, good):
     """Well-filled cells of all ranks: corners, global nodes and their owners. Collective.
 
-    They are sorted by their middles, so that the choice among equals is the same on any
+    The cells are sorted by their middles. So the choice among equal cells does not depend on the
     number of ranks.
     """
     comm, index_map = basis.grid.comm, basis.nodes.index_map
@@ -206,10 +207,10 @@ class MeshRoots:
     """Roots on a grid of any cells.
 
     Attributes:
-        outer: Nodes that need one, shape (n,).
-        corners: Corners of the root of each (m), shape (n, nodes of a cell, 3).
+        outer: Nodes that need a root, shape (n,).
+        corners: Corners of the root of each node (m), shape (n, nodes of a cell, 3).
         nodes: Global numbers of the root's nodes, shape (n, nodes of a cell).
-        unknown: Global numbers, owners and positions (m) of those that are not known here.
+        unknown: Global numbers, owners and positions (m) of root nodes not known on this rank.
     """
 
     outer: npt.NDArray[np.int32]
@@ -223,9 +224,9 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
 
     Args:
         basis: The basis.
-        nodes: Active nodes known here.
+        nodes: Active nodes known on this rank.
         fraction: Fill fraction of every local cell, shape (cells,).
-        threshold: Fraction from which a cell is well filled.
+        threshold: Fraction from which a cell is well-filled.
     """
     d, owned = basis.grid.geometry.dim, basis.cells.owned
     good = np.flatnonzero(fraction[:owned] >= threshold - 1e-9)
@@ -251,7 +252,7 @@ def mesh_roots(basis: LinearBasis, nodes, fraction, threshold: float) -> MeshRoo
 
 
 def _mesh_ties(basis: LinearBasis, roots: MeshRoots):
-    """Ties to the roots, all of whose nodes the basis knows."""
+    """Constraints to the roots. The basis must know all nodes of the roots."""
     d, m = basis.grid.geometry.dim, basis.dofs.shape[1]
     X = basis.node_coordinates()[:, :d]
     local = basis.nodes.index_map.global_to_local(roots.nodes.ravel())
@@ -276,20 +277,20 @@ def ties(
 
     Args:
         basis: The basis.
-        nodes: Active nodes known here.
+        nodes: Active nodes known on this rank.
         filled: Fill fraction of every local cell, shape (cells,); for splines the
             share of every function's integral in the body, shape (nodes,).
-        threshold: t, the share to which a cell must be filled to need no help. A
-            spline of degree q needs the share t^(q+1)/(q+1)!, which the last one has
-            of a body that ends, straight, in a cell filled to t.
-        extended: Whether any cell of inner functions may be a root, not only a
-            well-filled one.
-        fixed: Which components are prescribed, shape (nodes, components); a node
-            with such ones is tied only to nodes where they are prescribed too.
+        threshold: Fill fraction t from which a cell is well-filled. A spline of degree q needs the
+            share t^(q+1)/(q+1)!. The last spline has this share if a body with a straight edge
+            ends in a cell filled to t.
+        extended: Whether every cell of inner functions may be a root, not only a
+            well-filled cell.
+        fixed: Mask of prescribed components, shape (nodes, components). A node with prescribed
+            components follows only nodes with the same prescribed components.
         roots: Roots of a grid that is not rectangular; see `mesh_roots`.
 
     Returns:
-        C, shape (nodes, nodes). A node for which no root is near keeps its value.
+        C, shape (nodes, nodes). A node without a root nearby keeps its value.
     """
     from scipy import sparse
 

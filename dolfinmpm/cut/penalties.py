@@ -33,7 +33,7 @@ __all__ = ["ghost", "soft"]
 
 SCALINGS = ("scaled", "literal", "tangent")
 ADAPTIVE = "adaptive"
-# Local constant aimed at: from 20 to 50 neither conditioning nor locking is worth a word
+# Target of the local constant: from 20 to 50 conditioning and locking hardly change
 TARGET = 30.0
 # Factors of the ghost penalty for linear functions, quadratic and cubic splines
 GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
@@ -43,7 +43,7 @@ def penalty_factor(what: str, value: Any) -> float:
     """A penalty's factor, finite and not negative.
 
     Raises:
-        ParameterError: It is anything else.
+        ParameterError: The value is not a finite number, or negative.
     """
     if number(what, value) < 0:
         raise ParameterError(f"{what} = {value:g} must be finite and not negative")
@@ -100,35 +100,36 @@ def ghost(
     """Ghost penalty: jumps of the increment's normal derivatives across ghost facets.
 
     Σ_{k=1..q} γ h^{2k+1} / ((2k+1) (k!)²) ∫ [[∂ₙᵏ u]] · [[∂ₙᵏ v]] dΓ
-    (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). It acts on the step's
-    increment, so that nothing accumulates. On splines of degree q, which are smooth
-    up to the derivative q − 1, only the term k = q is there. Of axisymmetric points facets
-    go around the axis, with areas of 2π r times their lengths.
+    (Burman 2010; Coombs 2023, doi 10.1002/nme.7332). The penalty acts on the step's increment, so
+    that no force accumulates. Splines of degree q are smooth up to the derivative q − 1, and have
+    only the term k = q. In axisymmetric problems facets go around the axis, with the areas 2π r
+    times their lengths.
 
     Args:
-        points: Material points; the facets are those of their boundary cells.
+        points: Material points; the ghost facets are those of their boundary cells.
         u: Increment of the step.
         v: Test function.
-        gamma: γ (Pa). For a stiffness E/30 works well, for a mass ρ/4 with `scaling="literal"`.
+        gamma: γ (Pa). E/30 works well for a stiffness. For a mass ρ/4 works well, with
+            `scaling="literal"`.
         order: q, the degree of the basis by default.
-        scaling: "scaled" divides γ by h², so that the term scales with h as a
-            stiffness does and conditioning does not depend on units; "literal" is
-            the published form, with γ in Pa/m² (or kg/m³ for a mass).
-        target: Local constant that "adaptive" aims at, 30 by default; no less than twice the
-            constant of functions without jumps, which no γ can lower: 10 to 14 of linear
-            functions on squares and cubes, 180 to 250 of quadratic and thousands of cubic
-            splines.
-        factor: γ in units of M/30, in place of γ. M is the P-wave modulus of the laws' tangent at
-            the facet, a mean over the points of its two cells (see `dolfinmpm.cut.facetmoduli`):
-            a penalty in units of E loses its hold near incompressibility, where the local
-            constant rises from 414 to 7340 (ν = 0, 0.49), against 441 with M. "adaptive" takes,
-            facet by facet, the least γ by which the local constant of its two cells is no more
-            than `target`, under the tangent of the laws there; see
+        scaling: "scaled" divides γ by h². The term then scales with h like a stiffness, and
+            conditioning does not depend on units. "literal" is the published form, with γ in
+            Pa/m² (or kg/m³ for a mass).
+        target: Target of the local constant for "adaptive", 30 by default. It must be at least
+            twice the constant of functions without jumps, which no γ can lower. This constant is
+            10 to 14 for linear functions on squares and cubes, 180 to 250 for quadratic splines,
+            and thousands for cubic splines.
+        factor: γ in units of M/30, instead of `gamma`. M is the P-wave modulus of the laws' tangent
+            at the facet: a mean over the points of its two cells (see
+            `dolfinmpm.cut.facetmoduli`). A penalty in units of E is too weak near
+            incompressibility: the local constant rises from 414 at ν = 0 to 7340 at ν = 0.49,
+            but only to 441 with M. "adaptive" chooses γ per facet: the smallest γ for which the
+            local constant of the two cells is at most `target`, with the tangent of the laws; see
             `dolfinmpm.assembly.facetpairs`.
 
     Raises:
-        ParameterError: γ or the factor is negative or no number, both are given, the order, the
-            scaling or the target is not what it may be, or u and v are no increment and no test
+        ParameterError: γ or the factor is negative or not a number, both are given, or the order,
+            the scaling or the target has a wrong value. Or u and v are not increment and test
             function of one field.
     """
     check_points(points)
@@ -151,7 +152,7 @@ def ghost(
     elif target is None:
         gamma = _scalar("factor", factor, points) / 30
     order = None if order is None else whole("order", order, 1)
-    # before γ, always: FFCx tells forms apart by the order in which their constants were made
+    # always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
     if of_law:
@@ -181,7 +182,7 @@ def ghost(
     ]
     facets = points.dS
     if smooth:
-        # exact on the rectangular grids of splines, where UFL would reckon with any shape
+        # exact on the rectangular grids of splines, where UFL would allow for cells of any shape
         metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
         facets = facets.reconstruct(metadata=metadata)
     jumps = sum(terms[1:], start=terms[0])
@@ -192,14 +193,14 @@ def ghost(
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:
-    """Soft stiffness: η times the linear elastic stiffness of the whole of all active cells.
+    """Soft stiffness: η times the linear elastic stiffness of all active cells, as whole cells.
 
-    It belongs into the tangent alone, not among the forces (Wang, Vardon, Hicks &
-    Chen 2016, doi 10.1016/j.compgeo.2016.05.003): Newton's method ends in the same
-    state, more slowly.
+    It belongs into the tangent alone, not into the forces (Wang, Vardon, Hicks & Chen 2016, doi
+    10.1016/j.compgeo.2016.05.003). Newton's method then converges to the same state, but more
+    slowly.
 
     Args:
-        points: Material points, whose cells are meant.
+        points: Material points that make the cells active.
         u: Increment of the step.
         v: Test function.
         E: Young's modulus (Pa).
@@ -207,7 +208,7 @@ def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: 
         eta: η, the share, about 1e-5 ... 1e-2.
 
     Raises:
-        ParameterError: A number is not what it may be, or u and v are no increment and no test
+        ParameterError: A number is outside its range, or u and v are not increment and test
             function of a displacement.
     """
     check_points(points)

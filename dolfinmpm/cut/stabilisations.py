@@ -36,7 +36,7 @@ __all__ = ["Stabilisation"]
 
 KINDS = ("none", "ghost", "aggregation", "weak-aggregation", "extended", "soft")
 
-# Arguments that a kind makes use of, beside the moduli
+# Arguments of each kind, besides the moduli
 _OWN = {
     "ghost": ("factor", "scaling", "target"),
     "aggregation": ("threshold",),
@@ -47,7 +47,7 @@ _OWN = {
 
 # Factors of the penalty of weak aggregation for linear functions, quadratic and cubic splines
 WEAK_FACTORS = {1: 1.0, 2: 0.3, 3: 0.1}
-# Fill fractions below which they are tied to others
+# Fill fractions below which nodes are constrained to others
 THRESHOLDS = {1: 0.5, 2: 0.7, 3: 0.9}
 
 
@@ -56,31 +56,35 @@ class Stabilisation:
     """A stabilisation against small cuts and its parameters.
 
     Args:
-        kind: "none"; "ghost" (penalty on jumps across ghost facets);
-            "aggregation" (nodes of ill-filled cells follow the nearest well-filled
-            cell); "weak-aggregation" (the distance from that is penalised); "extended"
-            (as extended B-splines choose their inner functions); "soft" (a share
-            of the elastic stiffness of whole cells, in the tangent only).
-        E: Young's modulus (Pa) that penalties are scaled with; the law's by default.
-        nu: Poisson's ratio, likewise.
-        factor: Penalty in units of M/30, or E/30, for "ghost" and of E for "weak-aggregation";
-            or "adaptive", see `ghost`. By default 1; on quadratic and cubic splines 100 and 10⁴
-            for a ghost penalty, because their last functions are so much smaller where a
-            body ends, and 0.3 and 0.1 for weak aggregation, whose continuations weigh the more.
-        scaling: Of the ghost penalty, see `ghost`; by default "tangent", M being the P-wave
-            modulus of the laws' tangent at the facet, and "scaled" where E is given.
-        target: Local constant of an adaptive ghost penalty; see `ghost`.
-        threshold: Share to which a cell must be filled to need no help; 0.5 by default,
-            0.7 and 0.9 for quadratic and cubic splines. See `ties` in
-            `dolfinmpm.cut.aggregation` for what this means for splines.
-        eta: Share of the elastic stiffness of "soft", 1e-3 by default.
+        kind: One of
 
-    E and nu are those of the soil, and any kind takes them; the others are of the kinds that they
-    are told of, see `takes`.
+            - "none";
+            - "ghost": penalty on jumps across ghost facets;
+            - "aggregation": nodes of ill-filled cells follow the nearest well-filled cell;
+            - "weak-aggregation": a penalty on the distance from the aggregated values;
+            - "extended": aggregation with the inner functions of extended B-splines;
+            - "soft": a share of the elastic stiffness of whole cells, in the tangent only.
+        E: Young's modulus (Pa) for the scaling of penalties; by default that of the law.
+        nu: Poisson's ratio, likewise.
+        factor: Penalty in units of M/30, or E/30, for "ghost", and of E for "weak-aggregation"; or
+            "adaptive", see `ghost`. The default is 1 on linear functions. A ghost penalty has 100
+            on quadratic and 10⁴ on cubic splines, because their last functions are much smaller
+            where a body ends. Weak aggregation has 0.3 and 0.1, because the weights of
+            continuations are larger.
+        scaling: Scaling of the ghost penalty, see `ghost`. The default is "tangent": M is the
+            P-wave modulus of the laws' tangent at the facet. Where E is given it is "scaled".
+        target: Local constant of an adaptive ghost penalty; see `ghost`.
+        threshold: Fill fraction from which a cell is well-filled. The default is 0.5, and 0.7 and
+            0.9 for quadratic and cubic splines. For its meaning on splines see `ties` in
+            `dolfinmpm.cut.aggregation`.
+        eta: Share of the elastic stiffness for "soft", 1e-3 by default.
+
+    E and nu are moduli of the soil, and every kind accepts them. The other parameters belong to
+    single kinds, see `takes`.
 
     Raises:
-        ParameterError: A parameter is not what it may be, or the kind has none of that name; the
-            message names it.
+        ParameterError: A parameter has the wrong type or a value outside its range, or the kind
+            has no such parameter. The message names the parameter.
     """
 
     kind: str = "none"
@@ -95,18 +99,18 @@ class Stabilisation:
 
     @staticmethod
     def takes(kind: str) -> tuple[str, ...]:
-        """Names of the arguments that a kind makes use of, beside E and nu.
+        """Names of the arguments of a kind, besides E and nu.
 
         Args:
             kind: The stabilisation's kind.
 
         Raises:
-            ParameterError: There is none of that name.
+            ParameterError: There is no stabilisation with this name.
         """
         return _OWN.get(choice("stabilisation", kind, KINDS), ())
 
     def __post_init__(self):
-        # frozen: the words are kept as they are spelt here
+        # frozen: the words are kept in the spelling of this module
         object.__setattr__(self, "kind", choice("stabilisation", self.kind, KINDS))
         if self.scaling is not None:
             scaling = choice("stabilisation's scaling", self.scaling, SCALINGS)
@@ -142,7 +146,7 @@ class Stabilisation:
 
     @property
     def needs_modulus(self) -> bool:
-        """Whether it cannot do without E."""
+        """Whether it needs Young's modulus E."""
         if self.kind == "ghost":
             return not self.follows_tangent
         return self.kind in ("weak-aggregation", "soft")
@@ -158,11 +162,11 @@ class Stabilisation:
     def force_terms(
         self, points: MaterialPoints, u: Expr, v: Expr, known: Expr | None = None
     ) -> ufl.Form | None:
-        """What it adds to the weak form.
+        """Its term in the weak form, or None.
 
         Args:
             points, u, v: See `ghost`.
-            known: γ in literal scaling, where a term of the form tells it.
+            known: γ in literal scaling, if a term of the form gives it.
         """
         if self.kind != "ghost":
             return None
@@ -187,7 +191,7 @@ class Stabilisation:
         return GHOST_FACTORS[space.basis.degree if space is not None else 1]
 
     def tangent_terms(self, points: MaterialPoints, u: Expr, v: Expr) -> ufl.Form | None:
-        """What it adds to the tangent only."""
+        """Its term in the tangent only, or None."""
         if self.kind != "soft":
             return None
         assert self.E is not None
@@ -197,11 +201,11 @@ class Stabilisation:
 
     @property
     def ties_nodes(self) -> bool:
-        """Whether nodes follow others, or are drawn to where they would be if they did."""
+        """Whether constraints, or penalties on constraints, make nodes follow others."""
         return self.kind in ("aggregation", "weak-aggregation", "extended")
 
     def level(self, degree: int) -> float:
-        """Share to which a cell must be filled to need no help, for functions of that degree."""
+        """Fill fraction from which a cell is well-filled, for functions of a degree."""
         return THRESHOLDS[degree] if self.threshold is None else self.threshold
 
     def measure(self, where: Placement, stencils: Stencils, basis) -> npt.NDArray[np.float64]:
@@ -225,16 +229,15 @@ class Stabilisation:
         nodes,
         radius: npt.NDArray[np.float64] | None = None,
     ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-        """Weak aggregation: factor E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the tied nodes.
+        """Weak aggregation: factor E h^{d−2} Σ (u − C u)_a · (v − C v)_a over the following nodes.
 
-        The distance of a node from the continued polynomial is penalised in place
-        of being made zero (after Badia, Neiva & Verdugo 2022, doi
-        10.1016/j.cma.2021.114093). The continuation is taken to have the scale of a
-        stiffness, E h^{d−2}; of axisymmetric bodies, which have a radius, with the factor 2π r, r
-        being no less than half a cell.
+        Aggregation makes the distance of a node from the continued polynomial zero. Weak
+        aggregation penalises this distance (after Badia, Neiva & Verdugo 2022, doi
+        10.1016/j.cma.2021.114093). The penalty has the scale of a stiffness, E h^{d−2}. In
+        axisymmetric bodies, with a radius r, it has the factor 2π r, with r at least half a cell.
 
         Returns:
-            Rows, columns and blocks, as the ordinary terms give them.
+            Rows, columns and blocks, in the format of the ordinary terms.
         """
         from scipy import sparse
 
@@ -243,7 +246,7 @@ class Stabilisation:
         own = np.zeros(C.shape[0], bool)
         own[nodes] = True
         D = sparse.identity(C.shape[0], format="csr") - C
-        # so that a far continuation, whose weights are large, does not outweigh the body
+        # a far continuation has large weights, and must not outweigh the body
         norms = np.asarray(D.multiply(D).sum(axis=1)).ravel()
         share = own / np.maximum(norms, 1.0)
         factor = WEAK_FACTORS[space.basis.degree] if self.factor is None else self.factor

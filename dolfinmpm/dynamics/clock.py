@@ -1,4 +1,4 @@
-"""Times of a computation in time: where steps end, and a progress bar in simulated time."""
+"""Times of a computation in time: ends of steps, and a progress bar in simulated time."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _MOST = 10**9
 
 
 class Time(float):
-    """A time (s) to step to; an open one lets the solver choose where its step ends.
+    """A time to step to (s). With an open time the solver chooses the end of the step.
 
     Attributes:
-        open: Whether this is the time at the start of a step whose length the solver chooses.
-        end: Latest time that the step may end at.
-        at_once: How many fused explicit steps may be taken at most.
-        reached: Where a solver ended the step, or None before.
+        open: True for the time at the start of a step with a length chosen by the solver.
+        end: Latest end of the step (s).
+        at_once: Largest number of fused explicit steps.
+        reached: End of the step (s), or None before the step.
     """
 
     def __new__(cls, value: float, end: float | None = None, at_once: int = 1):  # noqa: D102
@@ -54,14 +54,13 @@ _waiting: list[Time] = []
 
 
 def as_yielded(t: Any, now: float) -> Any:
-    """What a step was given; the open time of a loop where it is that time's bare number.
+    """The argument of a step, or the open time of a loop with the same number.
 
-    A script may well write `problem.step(float(t))`, or hand on what it has computed with t. A
-    plain time that is not later than the state's is no time to go to, so that nothing else can be
-    meant.
+    A script may write `problem.step(float(t))`, or pass on a number computed from t. A plain
+    number that is not later than the state is no valid time. So it must mean the open time.
 
     Args:
-        t: What a step was given.
+        t: Argument of the step.
         now: Time of the state (s).
     """
     if isinstance(t, Time) or not isinstance(t, numbers.Real) or float(t) > now:
@@ -77,25 +76,25 @@ def times(
     label: str = "",
     at_once: int = 20,
 ) -> Iterator[Time]:
-    """Times to step to, with a progress bar in simulated time on rank 0, as `steps` draws it.
+    """Times to step to, with a progress bar in simulated time on rank 0; see `steps`.
 
-    `for t in mpm.times(0.6, dt=2.5e-4): problem.step(t)`. With `dt="auto"` the solver chooses
-    each step, and takes several fused explicit ones at once: `t` is then the time at its start, and
-    the loop ends when the end is reached.
+    `for t in mpm.times(0.6, dt=2.5e-4): problem.step(t)`. With `dt="auto"` the solver chooses the
+    length of each step, and takes several fused explicit steps at once. Then `t` is the time at
+    the start of the step, and the loop ends when the end is reached.
 
     Args:
-        end: The last time (s), which the last step ends at exactly; or all times to step to.
-        dt: Length of the steps (s), made a little shorter if the whole is no multiple of it; or
-            "auto". Not of times that are all given.
+        end: The last time (s), at which the last step ends exactly; or all times to step to (s).
+        dt: Length of the steps (s), or "auto". If the whole time is no multiple of dt, the steps
+            are a little shorter. Leave dt out if all times are given.
         start: Time before the first step (s).
-        label: What is computed, written before the bar.
-        at_once: With "auto", how many fused explicit steps a call takes at most, up to 20; one by
-            one they take a fifth to two fifths longer, or three times as long where fields are
-            changed between them.
+        label: Text before the bar.
+        at_once: With "auto": largest number of fused explicit steps per call, up to 20. With 1
+            the steps take a fifth to two fifths longer, or three times as long if the script
+            changes fields between the steps.
 
     Raises:
-        ParameterError: The times do not rise, or are too many, dt is given beside several of them,
-            at_once is not positive, or a step was not taken in an automatic loop.
+        ParameterError: The times do not increase, or are too many. Or dt is given together with
+            several times, at_once is not positive, or a pass of an automatic loop took no step.
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:
@@ -154,11 +153,11 @@ def _chosen(start: float, end: float, label: str, at_once: int) -> Iterator[Time
 
 @dataclass
 class MotionRecord(StepRecord):
-    """What one step in time did.
+    """Report of one call of `step` in time.
 
     Attributes:
-        time: Where it ended (s).
-        dt: Length of its last part (s).
+        time: Time at the end of the step (s).
+        dt: Length of the last substep (s).
     """
 
     time: float = 0.0
@@ -166,7 +165,7 @@ class MotionRecord(StepRecord):
 
 
 def check_clock(time: Any, grid: Mesh) -> None:
-    """Raise ParameterError unless it is a constant that can hold the time, or None."""
+    """Raise ParameterError unless `time` is a scalar constant on the grid, or None."""
     if time is None:
         return
     if not isinstance(time, fem.Constant) or time.ufl_shape != ():
@@ -188,16 +187,16 @@ def mean_increment(velocity: Callable[[float], float], step: Step) -> float:
 
 
 def end_of(t: float | None, now: float, wanted: float | None) -> float:
-    """Where a step ends (s).
+    """End of a step (s).
 
     Args:
-        t: What the user gave: a time, or one of `times`.
+        t: Argument of the user: a time, or a time of `times`.
         now: Time of the state (s).
-        wanted: Length that the error of the last step allows (s), 0 before the first; None if
-            no error chooses lengths.
+        wanted: Length allowed by the error of the last step (s); 0 before the first step. None if
+            the problem has no bound of the error.
 
     Raises:
-        ParameterError: It is no time, or not later than now.
+        ParameterError: t is not a time, or not later than now.
     """
     if t is None:
         raise ParameterError("step(t) needs the time to go to (s)")

@@ -1,26 +1,30 @@
 """Bodies that collide at the nodes of the grid: Bardenhagen's contact.
 
-Each body has masses and momenta of its own at the nodes. Where two of them share a node, fill what
-its function has room for, and come nearer to each other along the normal n, they exchange the
-momentum by which both have the velocity of their common centre of mass along n, and rub:
+Each body has its own masses and momenta at the nodes. Two bodies touch at a node if three
+conditions hold: they share the node, they fill the room of its function, and they approach each
+other along the normal n. They then exchange momentum until both have the velocity v̄ of their
+common centre of mass along n. Friction acts along the slip, with its direction t:
 
-    v_a −= [(v_a − v̄)·n] (n + μ' t),    μ' = min(μ, |(v_a − v̄)_t| / (v_a − v̄)·n),
+    v_a −= [(v_a − v̄)·n] (n + μ' t),    μ' = min(μ, |(v_a − v̄)_t| / (v_a − v̄)·n)
 
-t being the direction of the slip (Bardenhagen et al. 2001, CMES 2, 509). Momentum is kept, for n is
-common to both: that of V_a ∇m_a/m_a − V_b ∇m_b/m_b, where ∇m_a = Σ m ∇N points out of a body.
+(Bardenhagen et al. 2001, CMES 2, 509). Momentum is conserved, because both bodies have the same n:
+the direction of V_a ∇m_a/m_a − V_b ∇m_b/m_b, where ∇m_a = Σ m ∇N points out of a body.
 
-Without the second condition bodies feel each other as soon as they share a node, up to two cells
-before they touch. With it they do where the volumes that they have at a node, Σ V N of both,
-are the integral of its function: a gap leaves room there, on whichever side of the node it is.
+Without the second condition, bodies feel each other as soon as they share a node, up to two cells
+before they touch. With the second condition, the volumes Σ V N of both bodies at the node must
+reach the integral of its function. A gap on either side of the node leaves room there.
 
-Bodies move and strain by the velocities that their points map to the nodes at the end of a step
-("musl"), and these come nearer still: a node's impulse reaches them through the points, which
-share it with nodes around. Bodies so run into each other as they are pressed, and where they part
-again the impulses would drive them: collisions of coarse bodies made up to 20 % of their energy.
-So impulses are sought by which the mapped velocities v* do not come nearer, in passes that each
-add the momentum above as of v*, and that converge since the points' mass matrix is at most the
-lumped one. Impulses J change the points' energy by J · (v + v*)/2 of the bodies' relative
-velocities, v of the step's begin: they dissipate where bodies meet, and make none where they stay.
+In "musl", bodies move and strain by the velocities that their points map to the nodes at the end of
+a step. These velocities may still approach each other: a node's impulse reaches them only through
+the points, and the points share it with nodes around. Pressed bodies would then penetrate each
+other, and the impulses would drive them apart later. Collisions of coarse bodies gained up to 20 %
+of their energy in this way.
+
+So the impulses are chosen such that the mapped velocities v* do not approach. This takes several
+passes. Each pass adds the momentum above, computed from v*. The passes converge because the
+points' mass matrix is at most the lumped one. Impulses J change the points' energy by
+J · (v + v*)/2, with the bodies' relative velocities v at the start of the step and v* at its end.
+They dissipate energy where bodies meet, and make none where bodies stay in contact.
 """
 
 from __future__ import annotations
@@ -40,24 +44,25 @@ __all__ = ["BodyAtNodes", "Collision", "Touching"]
 
 Array = npt.NDArray[np.float64]
 
-# Share of a node's room that may be left where bodies touch: their surfaces are curved
+# Largest empty share of a node's room where bodies touch, because surfaces are curved
 _ROOM = 0.02
-# ... and at most this share of the volume that the lesser body has there
+# ... and at most this share of the volume of the smaller body at the node
 _LEFT = 0.25
 
 
 @dataclass(frozen=True)
 class Collision:
-    """Bodies that touch each other at the grid's nodes, for `Explicit`.
+    """Contact of bodies at the grid's nodes, for `Explicit`.
 
     Args:
-        tags: Tags of the points of each body, at least two; a tuple where a body has several.
+        tags: Tag of the points of each body, for at least two bodies. A body with several tags has
+            a tuple of tags.
         friction: Coefficient μ of Coulomb's friction.
-        gap_test: Whether bodies touch only where they leave no room between them at a node; if
-            not, as soon as they share one, where energy may grow on coarse grids.
+        gap_test: True: bodies touch only where they leave no room between them at a node. False:
+            bodies touch as soon as they share a node. Then energy may grow on coarse grids.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     tags: Sequence[int | tuple[int, ...]] = (1, 2)
@@ -79,17 +84,17 @@ class Collision:
         truth("gap_test", self.gap_test)
 
     def bodies(self, tags: npt.NDArray[np.integer]) -> list[npt.NDArray[np.bool_]]:
-        """Which points belong to each body, by their tags."""
+        """Masks of the points of each body, by their tags, shape (points,) each."""
         return [np.isin(tags, body) for body in self.tags]
 
 
 @dataclass
 class BodyAtNodes:
-    """What one body has at the nodes.
+    """Nodal sums of one body.
 
     Attributes:
         mass: Mass (kg), shape (nodes,).
-        volume: Volume (m^d), likewise.
+        volume: Volume (m^d), shape (nodes,).
         slope: Σ m ∇N (kg/m), shape (nodes, d), which points out of the body.
     """
 
@@ -99,7 +104,7 @@ class BodyAtNodes:
 
 
 class Touching:
-    """Where bodies touch at the nodes in a step, and what they have exchanged there.
+    """Nodes at which bodies touch in a step, and the momentum exchanged there.
 
     Args:
         bodies: The bodies.
@@ -115,7 +120,7 @@ class Touching:
             both = (a.mass > 0.0) & (b.mass > 0.0)
             if room is not None:
                 left = room - sum(body.volume for body in bodies)
-                # beside the surface a node has next to nothing of one body: no gap is small there
+                # beside the surface a node has very little of one body, so that no gap is small
                 both &= left <= np.minimum(_ROOM * room, _LEFT * np.minimum(a.volume, b.volume))
             k = np.flatnonzero(both)
             # by volume: where one body ends beside the node, the other's surface counts for more
@@ -125,7 +130,7 @@ class Touching:
 
     @property
     def nodes(self) -> npt.NDArray[np.bool_]:
-        """At which nodes bodies touch, shape (nodes,)."""
+        """Mask of the nodes at which bodies touch, shape (nodes,)."""
         found = np.zeros(len(self._bodies[0].mass), bool)
         for _, _, k, *_ in self._pairs:
             found[k] = True
@@ -133,7 +138,7 @@ class Touching:
 
     @property
     def got(self) -> Array:
-        """Momentum that the first body of all has got (kg m/s), shape (nodes, d)."""
+        """Momentum received by the first body (kg m/s), shape (nodes, d)."""
         found = np.zeros_like(self._bodies[0].slope)
         for i, _, k, _, impulse, _ in self._pairs:
             if i == 0:
@@ -141,18 +146,18 @@ class Touching:
         return found
 
     def push(self, velocities: Sequence[Array], ahead: float = 0.0) -> list[Array]:
-        """Exchange the momentum that stops bodies from coming nearer; changes the velocities.
+        """Exchange the momentum that stops the approach of bodies. Changes the velocities.
 
-        Pushes of one step add up: a later one may take back momentum that an earlier one gave, but
-        no sum of them draws bodies together or rubs more than friction may.
+        The pushes of one step add up. A later push may take back momentum of an earlier push. But
+        their sum never pulls bodies together, and never exceeds the limit of friction.
 
         Args:
-            velocities: Of each body (m/s), shape (nodes, d).
-            ahead: Share of the impulses' change by which velocities go beyond it, for the next
-                push to find more (Nesterov 1983); 0 in the last one.
+            velocities: Velocities of each body (m/s), shape (nodes, d) each.
+            ahead: Share of the impulses' change by which the velocities are extrapolated, to speed
+                up the passes (Nesterov 1983); 0 in the last pass.
 
         Returns:
-            How much the velocities have changed (m/s), likewise.
+            Change of the velocities of each body (m/s), shape (nodes, d) each.
         """
         before = [V.copy() for V in velocities]
         for i, j, k, n, impulse, at in self._pairs:

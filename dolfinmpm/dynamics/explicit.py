@@ -1,7 +1,7 @@
-"""Explicit steps in time: how many and how long, what drives them and what ends them.
+"""Explicit steps in time: their number and length, their loads and their end.
 
-A step itself is that of `dolfinmpm.dynamics.general`, or of the loops of
-`dolfinmpm.dynamics.fused` where these know the form.
+`dolfinmpm.dynamics.general` takes a single step. The loops of `dolfinmpm.dynamics.fused` take it
+where they support the form.
 """
 
 from __future__ import annotations
@@ -59,59 +59,62 @@ Array = npt.NDArray[np.float64]
 class Explicit(Problem):
     """A weak form in time, by explicit steps: no tangent, no Newton iteration, no factorisation.
 
-    The form is that of the quasi-static problem, internal forces less loads; what it moves has
-    mass, the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
+    The form is that of the quasi-static problem: internal forces less loads. The mass comes from
+    the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²).
 
-    Velocities are half a step behind positions, and forces at a time change them over half of the
-    step before and half of that after: steps may change their length. `energies()` has the kinetic
-    energy at the time of the positions.
+    Velocities are half a step behind positions. A force changes the velocities over half of the
+    step before and half of the step after. So steps may change their length. `energies()` gives
+    the kinetic energy at the time of the positions.
 
-    `step(t)` goes to a time in as many steps as stability asks for; in a loop over
-    `times(end, dt="auto")` each call takes twenty fused ones, or one where they are not. A run
-    that turns out unstable ends with an `InstabilityError` and goes back to the beginning of the
-    call of `step`, or to one of each hundred steps since at which no energy had come from nowhere:
-    `time` tells which.
+    `step(t)` goes to the time t in as many steps as stability requires. In a loop over
+    `times(end, dt="auto")` each call takes twenty fused steps, or one step that is not fused.
+
+    An unstable run ends with an `InstabilityError`. The state then goes back to the start of the
+    call of `step`, or to a later state. Such a state is kept every hundred steps, after a check
+    of the energy balance. `time` is then the time of the restored state.
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
-            Penalties on the increment do nothing here: explicit steps take no tangent. Weak
-            conditions act with what they have kept until a step, and their stiffness counts in
-            `critical_step`: "penalty" with a penalty of some 10 costs a half of a step. What they
-            prescribe changes by the constant `time`, or from call to call.
+            Penalties on the increment do nothing here, because explicit steps use no tangent.
+            Weak conditions act with their state before the step. Their stiffness counts in
+            `critical_step`: "penalty" with a penalty of some 10 halves the step. Their prescribed
+            values change by the constant `time`, or from call to call.
         scheme: "musl", "usl" or "usf".
-        mapping: How velocities go to the grid and come back; "flip" by default.
+        mapping: The velocity mapping between points and grid; "flip" by default.
         mass: "lumped", or "consistent" with conjugate gradients in each step.
         ghost_mass: See `Newmark`.
-        courant: Share of the critical step that is taken, at most 1; math.inf takes the steps that
-            `step` is asked for as they are.
-        damping: Share α of local damping, −α |f| sign v (Cundall 1987).
-        mass_scaling: Factor of the mass in the inertia, not in loads: steps grow by its root.
+        courant: Length of a step as a share of the critical step, at most 1. With math.inf,
+            `step` takes one step to the given time without this bound.
+        damping: Factor α of local damping, −α |f| sign v (Cundall 1987).
+        mass_scaling: Factor of the mass in the inertia, not in the loads. Steps grow by the square
+            root of the factor.
         bulk_viscosity: Linear and quadratic coefficients of the pressure ρ h (b₁ c |ε̇| + b₂² h ε̇²)
             against fast compression (von Neumann & Richtmyer 1950), about (0.06, 1.2).
-        mass_cutoff: Nodes of less than this share of the largest mass stand still (Sulsky,
+        mass_cutoff: Nodes with less than this share of the largest mass stand still (Sulsky,
             Zhou & Schreyer 1995).
-        redistribution: Nodes of less than this share of the largest mass hand that part of
-            their forces that their mass lacks to their neighbours (Ma, Zhang & Qiu 2010).
-        time: DOLFINx constant that holds the time (s), for forms that depend on it.
-        fused: Whether one loop may do a step of a form that it knows: laws of one measure of
-            strain, loads, contact with rigid bodies, lumped mass, a rectangular grid in two or
-            three dimensions, "flip", "pic", "apic" or "tpic"; F-bar in two dimensions. `unfused`
-            says why it does not.
-        collision: Bodies that touch each other at the nodes, see `Collision`; without, all points
-            move in one field of velocities, which cannot slide nor part.
+        redistribution: Nodes with less than this share of the largest mass pass a part of their
+            forces to their neighbours. This part is the share of mass that they lack (Ma, Zhang &
+            Qiu 2010).
+        time: DOLFINx constant that holds the time (s), for forms that depend on the time.
+        fused: Whether one compiled loop may take a whole step, where it supports the form. It
+            supports laws of one strain formulation, loads, contact with rigid bodies, lumped
+            mass, rectangular grids in 2D and 3D, "flip", "pic", "apic" and "tpic", and F-bar in
+            2D. `unfused` says why the loop is not used.
+        collision: Bodies that touch each other at the nodes, see `Collision`. Without it all
+            points move in one velocity field. Then bodies neither slide nor separate.
 
     Attributes:
-        history: One record a call of `step`.
-        time: Time that the state is of (s).
+        history: One record per call of `step`.
+        time: Time of the present state (s).
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
     scheme: Marching
 
-    # `time` is that of the state
+    # `time` is the time of the state
     _live = frozenset({"courant", "time"})
 
     @together
@@ -146,8 +149,8 @@ class Explicit(Problem):
         self.courant = checked_courant(courant)
         if len(u) > 1 or u[0].ufl_shape != (points.gdim,):
             raise ParameterError(
-                "explicit steps move one field, a displacement of as many components as space has "
-                "dimensions; bodies collide in it with collision=mpm.Collision(tags)"
+                "explicit steps move one field, a displacement with one component per dimension of "
+                "space; bodies collide in this field with collision=mpm.Collision(tags)"
             )
         check_clock(time, points.grid)
         settings.mapping.add_fields(points)
@@ -189,29 +192,32 @@ class Explicit(Problem):
 
     @property
     def collision_force(self) -> Array:
-        """What other bodies did to the first of a `Collision` in the last step (N), shape (d,)."""
+        """Force of the other bodies on the first body of a `Collision` (N), shape (d,).
+
+        It is the mean over the last step.
+        """
         if not isinstance(self._loop, Colliding):
             return np.zeros(self.points.gdim)
         return self._loop.force
 
     @property
     def ledger(self) -> Ledger:
-        """Where energy comes from and goes to."""
+        """The account of energies and works."""
         return self.balance.ledger
 
     @property
     def settings(self) -> Settings:
-        """How steps are taken."""
+        """The settings of the steps."""
         return self.scheme.settings
 
     @property
     def terms(self) -> MassTerms:
-        """What the mass is made of."""
+        """The terms of the mass."""
         return self.scheme.terms
 
     @property
     def mapping(self) -> Mapping:
-        """How velocities go to the grid and come back."""
+        """The velocity mapping between points and grid."""
         return self.settings.mapping
 
     def _fused(self, sides: Sides, options: dict[str, Any]) -> Fused | str:
@@ -230,10 +236,10 @@ class Explicit(Problem):
 
     @together
     def energies(self) -> Energies:
-        """Energies of the body now, and work done since the first step. Collective.
+        """Present energies of the body, and work done since the first step. Collective.
 
-        The kinetic energy is that at the time of the positions, half a step after the velocities.
-        Bodies that meet in one field of velocities lose energy by the mapping, see `Energies`.
+        The kinetic energy is at the time of the positions, half a step after the velocities.
+        Where bodies meet in one velocity field, the mapping takes energy from them, see `Energies`.
         """
         return self.ledger.energies()
 
@@ -246,18 +252,18 @@ class Explicit(Problem):
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
-        That of the affine parts which "apic" gives the points is counted.
+        With "apic", the points' affine velocities are included.
         """
         spins = self.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
     @together
     def critical_step(self, exact: bool = False) -> float:
-        """The longest step that is stable (s). Collective.
+        """The longest stable step (s). Collective.
 
         Args:
-            exact: Whether it is that of the eigenproblem K x = λ M x of the present state,
-                2/√λ_max, for which the tangent is compiled; else it is by wave speed and grid.
+            exact: True gives 2/√λ_max of the eigenproblem K x = λ M x in the present state. The
+                tangent is then compiled. False gives an estimate by wave speed and grid.
         """
         scaling = self.settings.scaling
         if truth("exact", exact):
@@ -271,7 +277,7 @@ class Explicit(Problem):
             field.stabilisation.kind in ("aggregation", "extended") or field.prolongate is not None
         )
         found = critical_step(self.points, field.space.basis, declarations, self.terms.kind, tied)
-        # a corner in contact is a spring on a light node
+        # a corner in contact acts as a spring on a node of small mass
         springs = sum(term.rate() for term in self.form.terms)
         held = self._loop.held() if isinstance(self._loop, General) else Stiffness()
         rate = (1.0 + held.share) / found**2 + 0.25 * (springs + held.rate)
@@ -285,13 +291,13 @@ class Explicit(Problem):
         """Go to a time. Collective.
 
         Args:
-            t: The time (s), later than `time`; or one of `times(end, dt="auto")`, for the steps
-                that are taken at once: fused ones as it says, or one.
+            t: The time (s), later than `time`. A time of `times(end, dt="auto")` stands for
+                several fused steps, as many as `times` says, or for one step that is not fused.
 
         Raises:
-            ParameterError: The time is not later.
-            InstabilityError: The state is not finite, or energy comes from nowhere; it is then
-                that of `time` again.
+            ParameterError: The time is not later than `time`.
+            InstabilityError: The state is not finite, or the energy balance shows a gain. The
+                state is then an earlier one, at `time`.
             PointsOutsideGridError: Points would leave the grid.
         """
         return Call(self, self._loop, self._between, t).run()
@@ -300,20 +306,20 @@ class Explicit(Problem):
     def save(self, path: str | os.PathLike[str]) -> None:
         """See `Problem.save`. Collective."""
         super().save(path)
-        # what goes on from the file begins with points in order, and so does this run
+        # a run from the file begins with sorted points, so this run must do the same
         self._loop.renew()
         self._between.moment = None
 
 
 class Marching(Scheme):
-    """What explicit steps keep, and say of themselves.
+    """Scheme of explicit steps: their summary, and their state from step to step.
 
     Args:
         problem: The problem.
 
     Attributes:
-        settings: How steps are taken.
-        terms: What the mass is made of.
+        settings: The settings of the steps.
+        terms: The terms of the mass.
     """
 
     record = MotionRecord

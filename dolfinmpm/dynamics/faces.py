@@ -1,4 +1,4 @@
-"""Faces of the grid that rub against the body, or let its waves out, in steps in time."""
+"""Frictional and absorbing faces of the grid, in steps in time."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Face:
     Attributes:
         space: Space of the displacement.
         nodes: Local nodes, shape (n,).
-        axis, end: Direction that it faces, and 0 for the lower or 1 for the upper end.
+        axis, end: Direction of its normal, and 0 for the lower or 1 for the upper end.
         friction: Coulomb's coefficient, or None.
-        impedance: Those of pressure and shear waves, ρ c (Pa s/m), or None.
-        where: What it says in messages.
+        impedance: Impedances of pressure and shear waves, ρ c (Pa s/m), or None.
+        where: Name of the side in messages.
     """
 
     space: Space
@@ -53,11 +53,11 @@ class Face:
 
     @property
     def kind(self) -> str:
-        """What messages call it."""
+        """Kind of the face in messages."""
         return "absorbing" if self.friction is None else "frictional"
 
     def same_as(self, other: Face) -> bool:
-        """Whether another one is of the same kind at the same side."""
+        """Whether another face has the same kind and the same side."""
         mine = self.kind, self.axis, self.end
         return self.space is other.space and mine == (other.kind, other.axis, other.end)
 
@@ -69,10 +69,10 @@ class Face:
 
 @together
 def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
-    """Sides of the grid that the body may leave but not pass, with Coulomb friction. Collective.
+    """Sides of the grid with Coulomb friction: the body may leave them, not pass. Collective.
 
-    For explicit steps: a node that would move out loses that velocity, and of the velocity along
-    the side at most the friction's share of it.
+    They are for explicit steps. A node that would move out loses its outward velocity v_n. It also
+    loses at most μ v_n of its velocity along the side.
 
     Args:
         space: Space of the displacement.
@@ -80,7 +80,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
         friction: Coefficient μ; 0 is a smooth side that the body may leave.
 
     Raises:
-        ParameterError: A side is not known, or μ is negative.
+        ParameterError: A side is unknown, or μ is negative.
     """
     _check_sides(space, sides)
     mu = friction_coefficient(friction)
@@ -93,8 +93,8 @@ def absorbing(
 ) -> list[Face]:
     """Sides of the grid with dashpots that let waves out. Collective.
 
-    Tractions −ρ c_p v_n and −ρ c_s v_t, which leave nothing of waves that meet the side at right
-    angles (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859).
+    The tractions are −ρ c_p v_n and −ρ c_s v_t. They absorb waves at normal incidence completely
+    (Lysmer & Kuhlemeyer 1969, J. Eng. Mech. Div. ASCE 95, 859).
 
     Args:
         space: Space of the displacement, on a rectangular grid.
@@ -103,8 +103,8 @@ def absorbing(
         p_speed, s_speed: Speeds of pressure and shear waves (m/s).
 
     Raises:
-        ParameterError: A side is not known, a number is not positive, or shear waves are the
-            faster ones.
+        ParameterError: A side is unknown, a number is outside its range, or s_speed exceeds
+            p_speed.
         UnsupportedGridError: The grid is not rectangular.
     """
     _check_sides(space, sides)
@@ -126,7 +126,7 @@ def absorbing(
 
 
 def _check_sides(space: Any, sides: tuple[Any, ...]) -> None:
-    """Raise ParameterError unless it is the space of a displacement, and each side is there once.
+    """Raise ParameterError unless the space has a displacement, and each side is given once.
 
     Args:
         space: The space.
@@ -152,10 +152,10 @@ def _face(space: Space, side: str, friction, impedance) -> Face:
 
 
 def divided(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
-    """Conditions, and faces, of a list of both.
+    """Separate a list into conditions and faces.
 
     Raises:
-        ParameterError: It is no list.
+        ParameterError: The argument is not a list.
     """
     if not isinstance(bcs, (list, tuple)):
         return bcs, []  # type: ignore[return-value]
@@ -169,8 +169,8 @@ def set_velocities(
     """Set the increments of conditions that prescribe velocities.
 
     Args:
-        conditions: Conditions, of which others stay as they are.
-        value: Gives the increment (m) for a velocity by time.
+        conditions: Conditions. Conditions without a velocity stay unchanged.
+        value: Function from a velocity by time (m/s) to the increment (m).
     """
     for condition in conditions:
         if condition.velocity is not None:
@@ -183,9 +183,9 @@ class Faces:
 
     Args:
         faces: The faces.
-        basis: Basis with the overlap that steps need.
+        basis: Basis, with the overlap for steps.
         d: Dimension of space.
-        axisymmetric: Whether the body's points are axisymmetric, and the faces with them.
+        axisymmetric: Whether points and faces are axisymmetric.
 
     Attributes:
         dashpots: Coefficients of the dashpots (N s/m), shape (nodes, d), or None without any.
@@ -216,16 +216,16 @@ class Faces:
     def by_nodes(
         self, place: npt.NDArray[np.intp], size: int
     ) -> tuple[npt.NDArray[np.uint64], Array, Array]:
-        """The same for compiled loops over nodes in another order.
+        """The faces for compiled loops over nodes in another order.
 
         Args:
-            place: Where the nodes are in it, shape (nodes,); -1 where not known.
-            size: How many nodes it has.
+            place: Position of each node in the other order, shape (nodes,); -1 if unknown.
+            size: Number of nodes in the other order.
 
         Returns:
-            Faces that rub at each node, as bits, shape (size,), or (0,) without any; axis, outward
-            sign and friction of each face, shape (faces, 3); and coefficients of the dashpots
-            (N s/m), shape (size, d), or (0, d) without any.
+            Frictional faces at each node, as bits, shape (size,), or (0,) without such faces.
+            Axis, outward sign and friction of each face, shape (faces, 3). Coefficients of the
+            dashpots (N s/m), shape (size, d), or (0, d) without dashpots.
         """
         marks = np.zeros(size if self._rubbing else 0, np.uint64)
         rubbing = np.array([one[1:] for one in self._rubbing]).reshape(-1, 3)
@@ -238,10 +238,10 @@ class Faces:
         return marks, rubbing, dashpots
 
     def rub(self, V: Array) -> None:
-        """Stop nodes that would move out, and let friction act on what slides.
+        """Stop nodes that would move out, and apply friction to sliding nodes.
 
         Args:
-            V: Changed, velocities at the end of a step (m/s), shape (nodes, at least d).
+            V: Velocities at the end of a step (m/s), shape (nodes, at least d). Changed.
         """
         for rows, axis, outward, mu in self._rubbing:
             out = outward * V[rows, axis]
@@ -255,7 +255,7 @@ class Faces:
 
 
 def _refuse_held(face: Face, condition: Condition) -> None:
-    """Raise ParameterError if a condition holds all dashpots of a face. Collective."""
+    """Raise ParameterError if a condition constrains all dashpots of a face. Collective."""
     if condition.space is not face.space or not face.damps(condition.component):
         return
     free = bool(np.setdiff1d(face.nodes, condition.nodes).size)
@@ -268,7 +268,7 @@ def _refuse_held(face: Face, condition: Condition) -> None:
 
 
 def _refuse_stuck(face: Face, conditions: Sequence[Condition]) -> None:
-    """Raise ParameterError if conditions hold all that could rub along a face. Collective."""
+    """Raise ParameterError if conditions prevent all sliding along a face. Collective."""
     if not face.friction:
         return
     held = set()
@@ -289,12 +289,12 @@ class Sides:
 
     Args:
         faces: The faces.
-        points: Material points that they act on.
+        points: Material points on which the faces act.
         conditions: Essential conditions of the problem.
 
     Raises:
-        ParameterError: A condition holds all of a face in a direction that it damps, or two faces
-            of one kind are at one side.
+        ParameterError: A condition constrains all nodes of a face in a direction of its damping.
+            Or two faces of one kind are at one side.
     """
 
     def __init__(
@@ -310,18 +310,18 @@ class Sides:
                 _refuse_held(face, condition)
             _refuse_stuck(face, conditions)
         self._faces, self._d, self._axisymmetric = list(faces), points.gdim, points.axisymmetric
-        # a basis goes with the partition of the lattice that it is for
+        # a basis belongs to one partition of the lattice
         self._on: weakref.WeakKeyDictionary[Any, Faces] = weakref.WeakKeyDictionary()
 
     def __len__(self):
         return len(self._faces)
 
     def regrid(self) -> None:
-        """Forget areas of where the grid's lines were."""
+        """Discard areas that depend on the old grid lines."""
         self._on.clear()
 
     def on(self, basis: Any) -> Faces | None:
-        """The faces in a basis's numbering, or None without any. Collective when asked first."""
+        """The faces in a basis's numbering, or None without faces. The first call is collective."""
         if not self._faces:
             return None
         if basis not in self._on:

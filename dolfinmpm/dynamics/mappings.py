@@ -1,8 +1,8 @@
-"""How velocities go from the points to the grid, and what comes back.
+"""Velocity mappings: from the points to the grid, and back.
 
-Every mapping starts from mass-weighted sums at the nodes, and the mass that divides them decides
-most: behind a consistent (ghosted) mass PIC is a projection, which damps nothing; behind a lumped
-one it loses a share of what varies from node to node in every step.
+Every mapping starts from mass-weighted sums at the nodes, divided by a nodal mass. The kind of mass
+matters most. With a consistent (ghosted) mass PIC is a projection and damps nothing. With a
+lumped mass PIC damps velocities that vary from node to node, in every step.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
 
 Array = npt.NDArray[np.float64]
 KINDS = ("pic", "flip", "accel", "apic", "tpic", "xpic", "fmpm")
-# they put back what a lumped mass smears; a consistent one smears nothing
+# they undo the smoothing by a lumped mass; a consistent mass does not smooth
 _OF_LUMPED = ("apic", "tpic", "xpic", "fmpm")
 
 
@@ -35,9 +35,9 @@ class NodalMotion:
 
     Attributes:
         V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
-        V_end, A_end: Those at its end.
-        u: Their displacement (m); Δt V_end if it is None.
-        push: Mean accelerations (m/s²) besides, by contact; None for none.
+        V_end, A_end: Velocities and accelerations at its end, shape (nodes, d).
+        u: Displacements in the step (m), shape (nodes, d); None for Δt V_end.
+        push: Additional mean accelerations by contact (m/s²), shape (nodes, d); None for none.
     """
 
     V: Array
@@ -53,29 +53,30 @@ class Mapping:
     """A velocity mapping.
 
     - "pic": the points take the grid's velocity (Harlow 1964);
-    - "flip": they add its change (Brackbill & Ruppel 1986, doi 10.1016/0021-9991(86)90211-1), or
-      the share of "pic" that `share` leaves;
-    - "accel": they integrate its accelerations (Xie's implicit algorithm, doi 10.1002/nag.3599);
+    - "flip": the points add the change of the grid's velocity (Brackbill & Ruppel 1986, doi
+      10.1016/0021-9991(86)90211-1); with `share` < 1 the rest is "pic";
+    - "accel": the points integrate the grid's accelerations (Xie's implicit algorithm, doi
+      10.1002/nag.3599);
     - "apic": "pic" with an affine part that keeps angular momentum (Jiang et al. 2015, doi
       10.1145/2766996; in implicit steps Jiang, Schroeder & Teran 2017, doi
       10.1016/j.jcp.2017.02.050); it is "tpic" on linear functions, whose second moments
       vanish at nodes;
     - "tpic": the same with the velocity's gradient as affine part (Nakamura et al. 2023, doi
       10.1016/j.cma.2022.115720);
-    - "xpic": "flip" whose old velocity has been filtered in `order` stages (Hammerquist & Nairn
-      2017, doi 10.1016/j.cma.2017.01.035);
-    - "fmpm": "pic" of the new velocity filtered so (Nairn & Hammerquist 2021, doi
+    - "xpic": "flip" with the old velocity filtered in `order` stages (Hammerquist & Nairn 2017,
+      doi 10.1016/j.cma.2017.01.035);
+    - "fmpm": "pic" with the new velocity filtered in the same way (Nairn & Hammerquist 2021, doi
       10.1016/j.cma.2021.113997).
 
-    The last four put back what a lumped mass smears, and go with that alone.
+    The last four undo the smoothing by a lumped mass, and need a lumped mass.
 
     Args:
-        kind: Its name.
-        share: Of "flip", the share of the change; the rest is "pic".
-        order: Of "xpic" and "fmpm", the number of stages; 1 is "pic".
+        kind: Name of the mapping.
+        share: For "flip": share of the change of velocity; the rest is "pic".
+        order: For "xpic" and "fmpm": number of stages; 1 is "pic".
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     kind: str = "flip"
@@ -101,10 +102,10 @@ class Mapping:
         return self.kind in ("apic", "tpic")
 
     def on(self, basis: Any, mass: str) -> Mapping:
-        """The mapping as it is for a basis and a kind of mass.
+        """The mapping for a basis and a kind of mass.
 
         Raises:
-            ParameterError: It does not go with the mass.
+            ParameterError: The mapping does not work with this kind of mass.
         """
         if mass == "consistent" and self.kind in _OF_LUMPED:
             raise ParameterError(
@@ -117,7 +118,7 @@ class Mapping:
         return self
 
     def add_fields(self, points: MaterialPoints) -> None:
-        """Add the fields that it needs of the points. Collective."""
+        """Add the fields of the mapping to the points. Collective."""
         d = points.gdim
         points.add_field("velocity", (d,), "m/s")
         points.add_field("acceleration", (d,), "m/s^2")
@@ -140,8 +141,8 @@ class Mapping:
             points: The points.
             s: Their stencils.
             x_node: Positions of the nodes (m).
-            out: Added to.
-            new: Velocities and affine parts other than those of the points, by field.
+            out: Nodal sums to add to.
+            new: Field → velocities or affine parts to use instead of the points' values.
         """
         given = points.fields if new is None else new
         m, v = point_masses(points), given["velocity"]
@@ -173,8 +174,9 @@ class Mapping:
             mass: Mass at the nodes.
             dt: The step (s).
             gamma: Newmark's γ, by which "accel" weighs the new acceleration.
-            gradient: Gradient of the velocity at the end of the step, by positions there or, where
-                the points have yet to move, at its start (1/s), for "tpic", shape (points, d, d).
+            gradient: Gradient of the velocity at the end of the step (1/s), for "tpic", shape
+                (points, d, d). It is by positions at the end, or at the start if the points have
+                yet to move.
         """
         v, a_new = points["velocity"], collect(s, motion.A_end)
         new = {"acceleration": a_new}
@@ -199,7 +201,7 @@ class Mapping:
                 V_p = new["velocity"]
                 B = moments(s, motion.V_end, V_p, x_node[:, : points.gdim], points["x"])
                 if motion.u is not None:
-                    # angular momentum is about where nodes and points have moved to
+                    # angular momentum refers to the new positions of nodes and points
                     W = moments(s, motion.V_end, V_p, motion.u, collect(s, motion.u))
                     B += 0.5 * (W - np.swapaxes(W, 1, 2))
                 new["velocity_moment"] = B
@@ -229,10 +231,10 @@ class Mapping:
 
 
 def mapping_of(given: Any, default: str) -> Mapping:
-    """The mapping that an argument names.
+    """The mapping named by an argument.
 
     Raises:
-        ParameterError: It names none.
+        ParameterError: The argument is neither a `Mapping` nor the name of one.
     """
     if given is None:
         return Mapping(default)

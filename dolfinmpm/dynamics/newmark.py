@@ -1,13 +1,13 @@
 """Implicit steps in time: Newmark's rule and the generalised-α method around a weak form.
 
-A step solves f(w) + M a_α = 0 for the increment w at the time level where forces balance, with
-the accelerations that the rule gives for it; f is the quasi-static form, and the mass is that of
-`dolfinmpm.dynamics.mass`. Newmark's rule (1959) is, with the increment u of the whole step,
+A step solves f(w) + M a_α = 0 for the increment w at the time level at which forces balance. Here
+f is the quasi-static form, and the rule gives the acceleration a_α for w. The mass M is that of
+`dolfinmpm.dynamics.mass`. Newmark's rule (1959), with the increment u of the whole step, is
 
     a' = (u − Δt v) / (β Δt²) − (1/(2β) − 1) a,    v' = v + Δt ((1 − γ) a + γ a'),
 
-and the generalised-α method (Chung & Hulbert 1993, doi 10.1115/1.2900803) balances the forces at
-w = (1 − α_f) u, under the loads of that time, with the acceleration (1 − α_m) a' + α_m a.
+The generalised-α method (Chung & Hulbert 1993, doi 10.1115/1.2900803) balances the forces at
+w = (1 − α_f) u, under the loads at that time, with the acceleration (1 − α_m) a' + α_m a.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class TimeStepping(QuasiStatic):
         if u.ufl_shape != (points.gdim,):
             raise ParameterError(
                 f"the first increment must be a displacement of {points.gdim} components, got "
-                f"shape {u.ufl_shape}: it moves the points"
+                f"shape {u.ufl_shape}: the first increment moves the points"
             )
         if error is not None:
             number("error", error, 0.0)
@@ -89,8 +89,8 @@ class TimeStepping(QuasiStatic):
         for face in faces:
             if face.friction is not None:
                 raise ParameterError(
-                    f"the frictional face at '{face.where}' is of explicit steps; hold the side "
-                    "with mpm.rollers or mpm.fixed, or take mpm.Explicit"
+                    f"the frictional face at '{face.where}' is for explicit steps only; hold the "
+                    "side with mpm.rollers or mpm.fixed, or take mpm.Explicit"
                 )
         ties = mass == "consistent" and ghost_mass is None
         own = rule.alpha_m == rule.alpha_f == 0.0
@@ -111,7 +111,7 @@ class TimeStepping(QuasiStatic):
 
     @property
     def motion(self) -> Motion:
-        """What the grid's motion was in the last step."""
+        """Motion of the grid's nodes in the last step."""
         return self.scheme.motion
 
     @property
@@ -121,19 +121,19 @@ class TimeStepping(QuasiStatic):
 
     @property
     def ledger(self) -> Ledger:
-        """Where energy comes from and goes to."""
+        """The account of energies and works."""
         return self.motion.ledger
 
     @property
     def time(self) -> float:
-        """Time that the state is of (s)."""
+        """Time of the present state (s)."""
         return self.scheme.clock.time
 
     @together
     def energies(self) -> Energies:
-        """Energies of the body now, and work done since the first step. Collective.
+        """Present energies of the body, and work done since the first step. Collective.
 
-        Bodies that meet in one field of velocities lose energy by the mapping, see `Energies`.
+        Where bodies meet in one velocity field, the mapping takes energy from them, see `Energies`.
         """
         return self.ledger.energies()
 
@@ -146,49 +146,49 @@ class TimeStepping(QuasiStatic):
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
-        That of the affine parts which "apic" gives the points is counted.
+        With "apic", the points' affine velocities are included.
         """
         spins = self.motion.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
 
 class Newmark(TimeStepping):
-    """A weak form in time, by Newmark's rule; the trapezoidal one by default.
+    """A weak form in time, by Newmark's rule; the trapezoidal rule by default.
 
-    The form is that of the quasi-static problem: internal forces less loads. What it moves
-    has mass, the points' `density`, and the points carry `velocity` (m/s) and `acceleration`
-    (m/s²), which may be set before the first step. All else is as with `QuasiStatic`.
+    The form is that of the quasi-static problem: internal forces less loads. The mass comes from
+    the points' `density`. The points carry `velocity` (m/s) and `acceleration` (m/s²). Both may
+    be set before the first step. All else is as in `QuasiStatic`.
 
-    The first step begins with the acceleration that the loads give the body, M a₀ = f, and so
-    does every step at whose start a load jumps: free fall is exact from the first step.
+    The first step begins with the acceleration that follows from the loads, M a₀ = f. Every step
+    with a jump of a load at its start does the same. So free fall is exact from the first step.
 
     Args:
         form, increment, points, bcs, options: See `QuasiStatic`. The first field moves the points.
         beta, gamma: β and γ.
         mass: "consistent" or "lumped".
-        mapping: How velocities go to the grid and come back: a `Mapping` or the name of one.
-            By default "pic" with a consistent mass, which is then a projection and damps
-            nothing, and "accel" with a lumped one.
+        mapping: The velocity mapping between points and grid: a `Mapping` or its name. The
+            default is "pic" with a consistent mass, and "accel" with a lumped mass. With a
+            consistent mass "pic" is a projection and damps nothing.
         ghost_mass: γ_M of a ghost penalty of the consistent mass, in units of the largest density:
-            Coombs (2023) has 1/4. By default there is none. Nodes that the points hardly support
-            are tied to well-filled cells instead, as "aggregation" ties them, whatever the
-            stabilisation; and the ghost penalty of `stabilisation="ghost"` acts on what a step
-            changes of the velocity, on u − Δt v, not on u, and gives back no more energy than it
+            Coombs (2023) has 1/4. By default there is no such penalty. Instead, nodes with little
+            support by points are constrained to well-filled cells as by "aggregation", whatever
+            the stabilisation. The ghost penalty of `stabilisation="ghost"` then acts on the
+            step's change of velocity, u − Δt v, not on u. It gives back no more energy than it
             has taken (`dolfinmpm.dynamics.reserve`). So neither takes energy from the body.
-            A penalty of the mass takes some in every step, the more the smaller the steps. With a
-            `prolongation`, contact, and beside weak aggregation, the default is 1/4, and on
-            quadratic and cubic splines 100 and 10⁴ times that. With 0 nodes with small shares of
-            points make the mass singular.
+            A penalty of the mass takes energy in every step, and more with smaller steps.
+            With a `prolongation`, with contact and with weak aggregation the default is 1/4; on
+            quadratic and cubic splines it is 100 and 10⁴ times 1/4. With 0, nodes with small
+            shares of points make the mass singular.
         error: Largest error of a step's displacement, as a share of the largest displacement of a
-            step so far; a step that exceeds it is halved. None for no bound.
-        time: DOLFINx constant that holds the time (s), for forms that depend on it.
+            step so far. A step with a larger error is halved. None for no bound.
+        time: DOLFINx constant that holds the time (s), for forms that depend on the time.
 
     Attributes:
         history: One record per step.
-        motion: What the grid's motion was in the last step.
+        motion: Motion of the grid's nodes in the last step.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     @together
@@ -206,7 +206,7 @@ class Newmark(TimeStepping):
         if number("gamma", gamma) < 0.5:
             raise ParameterError(
                 f"gamma = {gamma:g} must be at least 0.5: with less every vibration grows from "
-                "step to step, however short they are"
+                "step to step, even in short steps"
             )
         rule = Rule(number("beta", beta, 0.0), float(gamma))
         super().__init__(rule, form, increment, points, bcs, **options)
@@ -216,14 +216,14 @@ class GeneralisedAlpha(TimeStepping):
     """A weak form in time, by the generalised-α method: second order, with damping.
 
     Args:
-        form, increment, points, bcs, options: See `Newmark`, also for what options there are.
-        rho_inf: ρ∞ in [0, 1], the share of the highest frequencies' amplitudes that a step keeps;
-            1 is the midpoint rule, which keeps all.
+        form, increment, points, bcs, options: See `Newmark`.
+        rho_inf: Spectral radius ρ∞ in [0, 1]: a step keeps this share of the amplitudes of the
+            highest frequencies. 1 is the midpoint rule without damping.
 
     Raises:
-        ParameterError: An argument is not what it may be.
-        FormError: The form carries fields from the end of a step to that of the next, and does not
-            know of the level within a step where forces balance; `poromechanics` is told it by its
+        ParameterError: An argument has the wrong type or a value outside its range.
+        FormError: The form carries fields from the end of a step to the end of the next step,
+            without the time level at which forces balance. `poromechanics` gets this level by its
             own rho_inf.
     """
 

@@ -1,4 +1,4 @@
-"""Quasi-static steps in time: no inertia, but rates, such as those of water that flows."""
+"""Quasi-static steps in time: no inertia, but rates, such as those of pore water flow."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _RATE = "rate"
 
 
 class Rates(InTime):
-    """Quasi-static steps in time; rates are over the length of the step.
+    """Scheme of quasi-static steps in time. A rate is an increment over the length of the step.
 
     Args:
         points: Material points.
@@ -76,7 +76,7 @@ class Rates(InTime):
         return state
 
     def _judge(self, operator: Operator, state: NewState, dt: float) -> str | None:
-        """Bound the error ½ Δt |u/Δt − rate| of a step, and choose the next. Collective."""
+        """Check the error ½ Δt |u/Δt − rate| of a step, and choose the next length. Collective."""
         assert self.error is not None
         u, clock = operator.points.motion(operator.here.movers)[0], self.clock
         rate = u / dt
@@ -92,23 +92,24 @@ class Rates(InTime):
 
 
 class Transient(QuasiStatic):
-    """Quasi-static steps in time: forces balance at the end of each, rates are over `points.dt`.
+    """Quasi-static steps in time: forces balance at the end of each step.
 
-    For weak forms with rates and without inertia, such as consolidation; see `poromechanics`.
-    Each step, and each part of one that is halved, sets the constant `points.dt` to its length.
+    It is for weak forms with rates and without inertia, such as consolidation; see
+    `poromechanics`. A rate is an increment over `points.dt`. Each step and each substep sets the
+    constant `points.dt` to its length (s).
 
     Args:
         form, increment, points, bcs, options: See `QuasiStatic`.
-        error: Largest error of a step's displacement, half its length times the change of the
-            rate (that of backward Euler's rule), as a share of the largest displacement of a
-            step so far; a step that exceeds it is halved. None for no bound.
-        time: DOLFINx constant that holds the time (s), for forms that depend on it.
+        error: Largest error of a step's displacement, as a share of the largest displacement of a
+            step so far. The error is that of backward Euler's rule: half the length of the step
+            times the change of the rate. A step with a larger error is halved. None for no bound.
+        time: DOLFINx constant that holds the time (s), for forms that depend on the time.
 
-    The first step ends with an error if a pressure is determined up to a constant alone, or is held
-    where the body is not.
+    The first step raises an error if a pressure is determined only up to a constant. It also does
+    if a condition prescribes a pressure outside the body.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
@@ -144,5 +145,5 @@ class Transient(QuasiStatic):
 
     @property
     def time(self) -> float:
-        """Time that the state is of (s)."""
+        """Time of the present state (s)."""
         return self.scheme.clock.time

@@ -1,4 +1,4 @@
-"""What leaves a computation: ParaView series and pictures."""
+"""Output of a computation: ParaView series and pictures."""
 
 from dolfinmpm.io.figures import figure
 from dolfinmpm.io.paraview import ParaView

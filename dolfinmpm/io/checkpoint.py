@@ -1,10 +1,10 @@
-"""Checkpoints: all that the points, and a solver, need to go on, in one archive of NumPy (.npz).
+"""Checkpoints: the state of points and solver for a restart, in one archive of NumPy (.npz).
 
-In the file, whose version is `VERSION`:
+The file has the version `VERSION` and these arrays:
 
 - `points/<field>`: every field of the points, rank by rank;
-- `cells/<name>`: arrays of one row for every cell of the grid, rank by rank, with `cells/middle`;
-- `local/<name>`: what a rank keeps for itself;
+- `cells/<name>`: arrays with one row per cell of the grid, rank by rank, with `cells/middle`;
+- `local/<name>`: data of a single rank;
 - `header.json`, written last: fingerprint and partition of the grid, fields and laws of the
   points, the solver's numbers, and its history.
 
@@ -39,20 +39,20 @@ State = dict[str, Any]
 
 FORMAT, VERSION = "dolfinmpm checkpoint", 2
 
-# Positions of which ranks ask each other at a time.
+# Number of positions that ranks exchange at a time.
 _ASKED = 50_000
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a file holds for this rank; nothing is changed by reading it.
+    """Content of a checkpoint for this rank. Reading a checkpoint changes nothing.
 
     Attributes:
         fields: Fields of the points by name, shape (points, ...).
-        state: What `write` was given; without what is `Local` if ranks or the partition of the
-            grid are others.
+        state: The state given to `write`. `Local` data are missing if the number of ranks or the
+            partition of the grid has changed.
         history: Records of the steps.
-        computed: Which rank computes the points in a cell, None if nobody but DOLFINx says so.
+        computed: Rank that computes the points of each cell; None for the partition by DOLFINx.
     """
 
     fields: Arrays
@@ -61,7 +61,7 @@ class Checkpoint:
     computed: Partition | None = None
 
     def put(self, points: MaterialPoints) -> None:
-        """Give the points what was read for them. Collective."""
+        """Copy the fields from the file to the points. Collective."""
         for name in points.fields:
             points.fields[name] = self.fields[name]
         points.partition = self.computed
@@ -76,20 +76,19 @@ def write(
     history: list[dict[str, Any]],
     laws: Sequence[str] = (),
 ) -> None:
-    """Write a checkpoint: beside the file of that name, which it replaces when whole. Collective.
+    """Write a checkpoint. A complete new file replaces an old file of this name. Collective.
 
     Args:
-        path: File to write, in a folder that is there.
+        path: File to write, in an existing folder.
         points: Material points.
-        state: What the problem keeps, see `dolfinmpm.assembly.state`: numbers, words, None and
+        state: State of the problem, see `dolfinmpm.assembly.state`: numbers, words, None and
             small arrays that are the same on all ranks; `Local` and `OfCells` of the same names
             on all ranks.
         history: Records of the steps, the same on all ranks.
-        laws: What the laws at the points are, in words.
+        laws: Descriptions of the laws at the points.
 
     Raises:
-        CheckpointError: The file cannot be written. A file that had the name before is as it
-            was.
+        CheckpointError: The file cannot be written. An old file of this name is unchanged.
     """
     grid = points.grid
     local = {name: one.values for name, one in state.items() if isinstance(one, Local)}
@@ -120,13 +119,13 @@ def read(
 ) -> Checkpoint:
     """Read a checkpoint on any number of ranks. Collective.
 
-    On as many ranks as wrote it, and with the same partition of the grid, every rank
-    gets its own rows in their order; else those of the cells that it owns, by the points' id.
+    With the same number of ranks and the same partition of the grid, every rank gets its own rows
+    in their order. Else every rank gets the points in its own cells, sorted by their id.
 
     Args:
         path: The file.
         points: Points of the same grid, with the same fields; they are not changed.
-        laws: What the laws at the points are, as `write` was given them.
+        laws: Descriptions of the laws at the points, as in `write`.
 
     Raises:
         CheckpointError: The file is missing, cut short, damaged, of a newer version, of
@@ -187,7 +186,7 @@ def _sent(grid, rows: Arrays, position: str, path: str) -> Arrays:
     comm, x = grid.comm, rows[position]
     rank, cell = np.empty(len(x), np.int32), np.empty(len(x), np.int64)
     most = comm.allreduce(len(x), op=MPI.MAX)
-    # few at a time: ranks are told all positions that another one does not know
+    # a few at a time: all ranks get every position whose cell its own rank does not find
     for begin in range(0, most, _ASKED):
         some = slice(begin, begin + _ASKED)
         to = destinations(grid, x[some])
@@ -214,7 +213,7 @@ def _mismatch(
     here: dict[str, Any],
     laws: Sequence[str],
 ) -> CheckpointError | None:
-    """What the file has that the points have not, or the other way round."""
+    """Error about fields or laws that only the file or only the points have, or None."""
     apart = differs(header["grid"], here)
     if apart:
         return CheckpointError(f"{path} is of another grid: {apart} of this one; build the same")
@@ -238,7 +237,7 @@ def _listed(fields: dict[str, Any]) -> Sequence[str]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON knows for a number of NumPy or a small array."""
+    """JSON's value for a number of NumPy or a small array."""
     if isinstance(value, np.ndarray):
         return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
     return value.item() if isinstance(value, np.generic) else value

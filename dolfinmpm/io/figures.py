@@ -1,4 +1,4 @@
-"""One look for all pictures, and how they are saved."""
+"""The common style of all pictures, and their files."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ def figure(
     dpi: int = 300,
     **subplots: Any,
 ) -> Iterator[tuple[Any, Any]]:
-    """A Matplotlib figure in the look of all pictures, saved when its context ends.
+    """A Matplotlib figure in the common style, saved at the end of its context.
 
-    `with mpm.figure("output/error.png") as (fig, ax): ax.loglog(h, error)`. Not
-    collective: all ranks may enter or rank 0 alone, and only rank 0 saves.
+    `with mpm.figure("output/error.png") as (fig, ax): ax.loglog(h, error)`. Not collective: all
+    ranks may call it, or rank 0 alone. Only rank 0 saves the figure.
 
     Args:
-        path: File to write; its ending chooses the format (.png, .pdf, ...). Parent
-            folders are created.
+        path: File to write. Its ending selects the format (.png, .pdf, ...). Parent folders are
+            created.
         width: Width (inch); 3.5 is one column of a paper.
         height: Height (inch).
         dpi: Dots per inch.
         subplots: Arguments of Matplotlib's `Figure.subplots`, such as nrows and ncols.
 
     Raises:
-        ParameterError: An argument is not what it may be.
+        ParameterError: An argument has the wrong type or a value outside its range.
         OSError: The file cannot be written; on rank 0 only.
     """
     import matplotlib
@@ -109,7 +109,7 @@ def two_numbers(what: str, values: Any) -> tuple[float, float]:
 
 
 def check_picture(path: Any, cmap: Any = None) -> None:
-    """Raise ParameterError if Matplotlib cannot write such a file, or has no such colours."""
+    """Raise ParameterError if Matplotlib cannot write the format, or lacks the colour map."""
     import matplotlib
     from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.colors import Colormap
@@ -127,7 +127,7 @@ def check_picture(path: Any, cmap: Any = None) -> None:
 
 
 def save(result, path: str | os.PathLike[str], dpi: int) -> None:
-    """Write a Matplotlib figure, and the folders that it goes into."""
+    """Write a Matplotlib figure, and create its parent folders."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a script keeps of every step: load–settlement curves and the like."""
+"""Numbers recorded in every step, such as load–settlement curves."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ __all__ = ["History"]
 
 
 class History:
-    """Named numbers, one of each a step.
+    """Named numbers, one value per name and step.
 
-    `history.record(settlement=s.value, load=footing.load())` after every step;
-    `record(crest=crest)` of an `mpm.probe` records its displacement (m) as `crest_x`, `crest_y` and
-    in 3D `crest_z`; what the step took goes with them as
-    `record(..., **problem.history[-1].stages)` after `measure_stages()`;
-    `history["load"]` is then an array, and `history.write("curve.csv")` a table.
+    Call `history.record(settlement=s.value, load=footing.load())` after every step. Then
+    `history["load"]` is an array, and `history.write("curve.csv")` writes a table.
+
+    `record(crest=crest)` with an `mpm.probe` records its displacement (m) as `crest_x`, `crest_y`
+    and in 3D `crest_z`. After `measure_stages()`, `record(..., **problem.history[-1].stages)`
+    records the times of the stages (s).
 
     Args:
         comm: Ranks that record the same numbers.
@@ -42,11 +43,17 @@ class History:
         self.names: tuple[str, ...] = ()
 
     def record(self, *unnamed: Any, **values: float | Probe) -> None:
-        """Add one of each number, and the displacement of each probe, for which all ranks call it.
+        """Add one value per name, and the displacement of each probe.
+
+        With a probe the call is collective.
+
+        Args:
+            unnamed: Not allowed; values need names.
+            values: Name → number, or name → probe.
 
         Raises:
-            ParameterError: There is no number, or one without a name, the names are not those of
-                the first record, or a value is not a single number.
+            ParameterError: There is no value, or a value without a name. Or the names differ from
+                those of the first record, or a value is not a single number.
         """
         if unnamed:
             raise ParameterError(
@@ -78,7 +85,8 @@ class History:
         """Write a table as .csv or .json; see `study.write_table`. Collective.
 
         Raises:
-            ParameterError: The path is none, or another `History` that still lives writes it.
+            ParameterError: The path is invalid, nothing has been recorded, or another existing
+                `History` writes to the path.
         """
         at = file_path("path", path)
         check_suffix(at)

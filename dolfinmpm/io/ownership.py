@@ -1,4 +1,4 @@
-"""Which object writes a file: two that wrote one path in turns would leave a mixture of both."""
+"""Owners of output files: two objects that write to one path would mix their files."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def _other(owner: Any, path: Path) -> bool:
 
 
 def take_paths(owner: Any, paths: Iterable[Path]) -> None:
-    """Make an object the one that writes some files, whoever did so before."""
+    """Make an object the owner of some files, in place of an earlier owner."""
     for path in paths:
         _owners[_key(path)] = owner
 
 
 def refuse_other(owner: Any, path: Path, what: str) -> None:
-    """Raise where another object writes a file.
+    """Raise if another object owns a file.
 
     Args:
-        owner: What is about to write it.
+        owner: Object that is about to write the file.
         path: The file.
-        what: What writes it, for the message.
+        what: Kind of object, for the message.
 
     Raises:
-        ParameterError: Another one does.
+        ParameterError: Another object owns the file.
     """
     if _other(owner, path):
-        # a script that ended, as in a notebook, may have left one that nothing can reach any more
+        # an earlier script, such as in a notebook, may have left an unreachable object
         gc.collect()
     if _other(owner, path):
         raise ParameterError(

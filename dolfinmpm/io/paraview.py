@@ -1,4 +1,4 @@
-"""Time series of material points and background grid that ParaView opens."""
+"""Time series of material points and background grid for ParaView."""
 
 from __future__ import annotations
 
@@ -38,15 +38,14 @@ __all__ = ["ParaView"]
 class ParaView:
     """Time series of the material points, and of the background grid, for ParaView.
 
-    `output/column.pvd` is the series of the points and `output/column_grid.pvd` that
-    of the grid. Each lists, for every time, an index of one compressed piece per rank
-    in the folder `output/column/`. Both are complete after every write, so that a
-    run that was broken off can still be opened. Parent folders are created; files
-    of an earlier run are replaced. Collective: made on rank 0 alone, it waits for the
-    others.
+    `output/column.pvd` is the series of the points, and `output/column_grid.pvd` is the series of
+    the grid. Each series lists one index per time. The index lists one compressed piece per rank in
+    the folder `output/column/`. Both series are complete after every write, so that ParaView opens
+    the files of an interrupted run. Parent folders are created. Files of an earlier run are
+    replaced. Collective: all ranks must create the writer.
 
-    The points carry, with two components padded to three and 2 × 2 tensors to nine
-    (F_zz is 1 then, the rest 0), d being the dimension of space:
+    The points carry the following fields, where d is the dimension of space. Two components are
+    padded to three, and 2 × 2 tensors to nine (with F_zz = 1 and the rest 0).
 
     =============  ==========  =======  =======================================
     name           components  unit     meaning
@@ -59,27 +58,27 @@ class ParaView:
     F              9           -        deformation gradient
     l, l0          3           m        half-lengths of the GIMP domain
     stress         9           Pa       Cauchy stress
-    any other one  as it is    its own  as `points.add_field` was told
+    other fields   as it is    its own  meaning given to `points.add_field`
     =============  ==========  =======  =======================================
 
     The unit is also in the file, as the array's UNITS_LABEL. The grid's cells carry
     `active`: 1 where a material point is in the cell, else 0.
 
     Args:
-        path: The series of the points; ends in ".pvd".
+        path: File of the points' series; ends in ".pvd".
         points: Material points.
-        fields: Names of the points' fields to write; all of the table by default.
+        fields: Names of the points' fields to write; all fields of the table by default.
         increments: Lagrange or piecewise constant functions on the grid, such as
-            `Space.increment` (m), that are written with `active` every time. Without
-            any, the mesh alone is written, once.
-        active: Write the grid with `active` every time even without increments.
-        bodies: Rigid bodies, whose facets go with `body`, their number in this list, and the
-            `force` (N) and `moment` (N m) on them into a series of their own,
-            `output/column_bodies.pvd`.
+            `Space.increment` (m). They are written with `active` at every time. Without
+            increments only the mesh is written, once.
+        active: True writes the grid with `active` at every time, even without increments.
+        bodies: Rigid bodies. Their facets are a separate series, `output/column_bodies.pvd`. The
+            facets carry `body`, the number of the body in this list, and the `force` (N) and
+            `moment` (N m) on the body.
 
     Raises:
         ParameterError: The path does not end in ".pvd", the points have no field of
-            a name, an increment cannot be written, or an argument is something else.
+            a given name, an increment cannot be written, or an argument has the wrong type.
         OSError: The folder or the file cannot be written.
     """
 
@@ -94,7 +93,7 @@ class ParaView:
         active: bool = False,
         bodies: Sequence[RigidBody] = (),
     ):
-        # a missing package must be told before a run, not at its first write
+        # report a missing package before a run, not at the first write
         import vtkmodules.vtkIOXML  # noqa: F401
 
         self.path = file_path("path", path)
@@ -117,19 +116,19 @@ class ParaView:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Nothing is left to do: the files are complete after every write."""
+        """Do nothing: the files are complete after every write."""
 
     @together
     @stages.output
     def write(self, time: float) -> None:
-        """Write the present state of the points, and of the grid. Collective.
+        """Write the present state of the points and of the grid. Collective.
 
         Args:
-            time: Time (s), or the share of the load; more than at the last write.
+            time: Time (s), or share of the load; larger than at the last write.
 
         Raises:
-            ParameterError: The time is not finite or not after the last one, or another series
-                has been begun at this path since.
+            ParameterError: The time is not finite, or not after the last time. Or another series
+                has begun at this path in the meantime.
             OSError: A file cannot be written.
         """
 
@@ -215,7 +214,7 @@ class ParaView:
         self._write(stem, "vtu", self._mesh.vtk(), point_data, cell_data, {})
 
     def _write_bodies(self, count: int) -> None:
-        """The facets of all bodies, of endless ones those on the grid."""
+        """Write the facets of all bodies; for infinite bodies the facets within the grid."""
         from vtkmodules.vtkCommonDataModel import vtkPolyData
 
         d = self.points.gdim
@@ -236,7 +235,7 @@ class ParaView:
         write_piece(piece, file, {}, data, {"force": "N", "moment": "N m"})
 
     def _write(self, stem, kind, piece, point_data: Arrays, cell_data: Arrays, units) -> None:
-        """One piece per rank, and their index on rank 0. Collective."""
+        """Write one piece per rank, and the index of all pieces on rank 0. Collective."""
         file = self._folder / f"{stem}_{self.comm.rank}.{kind}"
         call_together(self.comm, lambda: write_piece(piece, file, point_data, cell_data, units))
         files = [f"{stem}_{rank}.{kind}" for rank in range(self.comm.size)]
@@ -267,7 +266,7 @@ class ParaView:
 
 
 def _words(what: str, given: Any) -> list[str] | None:
-    """Names of fields, one or several; None means those by default."""
+    """Names of fields, one or several; None means the default fields."""
     if given is None:
         return None
     several = [given] if isinstance(given, str) else given
@@ -292,14 +291,14 @@ def _functions(what: str, given: Any) -> list[fem.Function]:
 
 
 class _GridMesh:
-    """This rank's own cells with the nodes of the increments, or without any those of the grid.
+    """This rank's own cells with the nodes of the increments, or else the nodes of the grid.
 
     Raises:
-        ParameterError: The increments have no nodes, or not the same ones.
+        ParameterError: The increments have no nodes, or different nodes.
     """
 
     def __init__(self, grid, functions: Sequence[fem.Function]):
-        # collective calls come before errors, which some ranks alone may have
+        # collective calls come before errors, because only some ranks may have an error
         self.box = bounds(grid)
         self.cells = grid.topology.index_map(grid.topology.dim).size_local
         nodal = [f.function_space for f in functions if not _cellwise(f)]
@@ -316,14 +315,14 @@ class _GridMesh:
                     "it, or write it with a ParaView of its own"
                 )
         rows = topology.reshape(self.cells, -1)[:, 1:] if self.cells else np.empty((0, 1), int)
-        # nodes of ghost cells only would float about as loose points
+        # nodes that only ghost cells have would appear as loose points
         self._nodes, connectivity = np.unique(rows, return_inverse=True)
         self._connectivity = connectivity.reshape(rows.shape)
         self._x = np.ascontiguousarray(x[self._nodes])
         self._type = int(types[0]) if self.cells else 0
 
     def vtk(self):
-        """The mesh as VTK takes it, without data."""
+        """The mesh as a VTK object, without data."""
         from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
 
         result = vtkUnstructuredGrid()
@@ -349,7 +348,7 @@ def _cellwise(function: fem.Function) -> bool:
 
 
 def _padded(values: npt.NDArray[Any], zz: float = 0.0) -> npt.NDArray[Any]:
-    """Values as ParaView takes them, shape (n, components): vectors of 3, tensors of 9."""
+    """Values in ParaView's layout, shape (n, components): vectors of 3, tensors of 9."""
     n, shape = len(values), values.shape[1:]
     size = math.prod(shape)
     if len(shape) in (1, 2) and max(shape) <= 3 and len(set(shape)) == 1:

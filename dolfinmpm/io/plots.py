@@ -28,7 +28,7 @@ Array = npt.NDArray[Any]
 _AXES = "xyz"
 _DRAW = ("deformed", "domains", "dots")
 _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
-# beyond these the grid would be a grey veil, not lines
+# with more lines the grid would look like a grey area
 _MOST_CELLS = 200_000
 
 
@@ -52,37 +52,37 @@ def plot(
     dpi: int = 300,
     bodies: Sequence[RigidBody] = (),
 ) -> None:
-    """Draw the material points coloured by a field; rank 0 writes the picture. Collective.
+    """Draw the material points, coloured by a field. Rank 0 writes the picture. Collective.
 
-    In 1D the field is drawn over the position; in 3D the points as dots in
-    perspective, or those that a plane cuts as in 2D.
+    In 1D the field is drawn over the position. In 3D the points are dots in perspective. With a
+    cut plane, 3D points on the plane are drawn as in 2D.
 
     Args:
         points: Material points.
-        path: Picture to write; its ending chooses the format (.png, .pdf, ...).
-            Parent folders are created.
+        path: Picture to write. Its ending selects the format (.png, .pdf, ...). Parent folders
+            are created.
         colour: Name of a field of the points, or "displacement" (m).
-        component: Of a vector the direction, from 0, its magnitude by default; of a
-            tensor (i, j), "mean" (a third of the trace of a 3 × 3 one) or "mises",
-            by default the normal component of the last direction, the vertical one.
-        draw: "deformed" (the points' first domains under F), "domains" (2 l wide,
-            as GIMP uses them) or "dots"; by default the first on rectangular grids,
-            else dots, for there the domains do not fill the body.
+        component: For a vector: the direction, from 0; by default the magnitude. For a tensor:
+            (i, j), "mean" (a third of the trace of a 3 × 3 tensor) or "mises"; by default the
+            normal component of the last direction, which is vertical.
+        draw: "deformed" (the points' first domains, deformed by F), "domains" (2 l wide, as in
+            GIMP) or "dots". The default is "deformed" on rectangular grids. It is "dots" on other
+            grids, because domains do not fill the body there.
         cut: Direction and position (m) of the plane through 3D points: ("y", 0.5).
-        limits: Range of colours, in the field's unit; that of the values by default.
+        limits: Range of colours, in the field's unit; by default the range of the values.
         view: "grid", "points" or ranges (m) of the two axes, ((x0, x1), (y0, y1)).
         grid: Whether the background grid's lines are drawn.
-        max_aspect: Ratio of the picture's sides beyond which the short direction is
-            stretched, by a factor that its axis then tells; math.inf for never.
+        max_aspect: Largest ratio of the picture's sides. Beyond it the short direction is
+            stretched, and its axis shows the factor. math.inf never stretches.
         title: Text above the picture.
         label: Text beside the colour bar; name, symbol and unit by default.
         cmap: Matplotlib colour map.
         size: Largest width and height of the axes with the colour bar (inch).
         dpi: Dots per inch.
-        bodies: Rigid bodies to be drawn where they are.
+        bodies: Rigid bodies to draw at their present positions.
 
     Raises:
-        ParameterError: An argument is not of the kind above, or no point is seen.
+        ParameterError: An argument has the wrong type or value, or no point is in view.
         OSError: The file cannot be written.
     """
     check_kind("points", points, MaterialPoints, "plot(points, path)")
@@ -137,7 +137,7 @@ def plot(
 
 
 def _check_scene(points, colour, component, cut, view, derived) -> None:
-    """Raise ParameterError if `plot` is asked for what the points do not have."""
+    """Raise ParameterError if the points lack a field, component or direction of `plot`."""
     known = [*points.fields, "displacement"]
     if colour not in known:
         raise ParameterError(f"no field '{colour}' to colour by; there are {', '.join(known)}")
@@ -174,7 +174,7 @@ def _is_index(i: Any, n: int) -> bool:
 
 
 def _scalar(values: Array, component, gdim: int) -> tuple[Array, str]:
-    """The number to colour by, shape (n,), and its index in print."""
+    """The number to colour by, shape (n,), and its printed index."""
     if values.ndim == 1:
         return values.astype(float), ""
     if isinstance(component, str):

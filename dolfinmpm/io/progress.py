@@ -20,13 +20,13 @@ Item = TypeVar("Item")
 def steps(number: int, *, label: str = "") -> Iterator[float]:
     """Loads 1/number, 2/number, ..., 1 with a progress bar on rank 0.
 
-    The bar is drawn where standard error is a terminal. Under mpirun it usually is
-    not: the environment variable DOLFINMPM_PROGRESS=1 draws the bar all the same,
-    DOLFINMPM_PROGRESS=0 never draws it.
+    The bar is drawn if standard error is a terminal. Under mpirun it usually is no terminal. The
+    environment variable DOLFINMPM_PROGRESS=1 always draws the bar, and DOLFINMPM_PROGRESS=0 never
+    draws it.
 
     Args:
         number: Number of steps, at least 1.
-        label: What the steps do, written before the bar.
+        label: Text before the bar.
 
     Returns:
         An iterator over the shares of the load (-), the last one exactly 1.
@@ -35,7 +35,7 @@ def steps(number: int, *, label: str = "") -> Iterator[float]:
         ParameterError: The number is not a whole number of at least 1.
     """
     count = whole("number of steps", number, 1)
-    # checked here, not in the generator, whose first line runs at the first step only
+    # checked here, because a generator would check only at the first step
     return (k / count for k in progress(range(1, count + 1), label))
 
 
@@ -58,10 +58,10 @@ def progress_to(duration: float, label: str = "") -> Iterator[Callable[[float], 
 
     Args:
         duration: Time to be simulated (s).
-        label: What is computed.
+        label: Text before the bar.
 
     Returns:
-        A context with a function of the time since the start (s), which moves the bar there.
+        A context with a function of the time since the start (s). The function moves the bar.
     """
     bar = _bar(duration, label, "s")
     if bar is None:
@@ -74,7 +74,7 @@ def progress_to(duration: float, label: str = "") -> Iterator[Callable[[float], 
 
 
 def _bar(number: float, label: str, unit: str):
-    """A tqdm bar where one is to be seen, else None."""
+    """A tqdm bar if it would be visible, else None."""
     forced = os.environ.get("DOLFINMPM_PROGRESS", "")
     shown = forced == "1" or (forced != "0" and sys.stderr is not None and sys.stderr.isatty())
     if not shown or MPI.COMM_WORLD.rank != 0:

@@ -1,8 +1,8 @@
-"""NumPy archives of arrays whose rows are spread over ranks, whole or not there.
+"""NumPy archives of arrays with rows distributed over ranks: complete, or not written at all.
 
-An archive is a file that `numpy.load` opens too: a zip file of arrays, each with a checksum, not
-compressed. Rank 0 writes and reads for all, some megabytes at a time: the ranks need no common
-folder. (HDF5 is no alternative: 1.14 still ends the process when the disk is full.)
+`numpy.load` opens such an archive, too. It is a zip file of arrays, each with a checksum, without
+compression. Rank 0 writes and reads for all ranks, some megabytes at a time. So the ranks need no
+common folder. (HDF5 is no alternative: 1.14 still ends the process when the disk is full.)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["RowReader", "RowWriter"]
 
 Rows = npt.NDArray[Any]
 
-# Bytes that go through rank 0 at a time
+# Bytes sent through rank 0 at a time
 _PIECE = 1 << 22
 _HEADER = "header.json"
 
@@ -34,16 +34,16 @@ _HEADER = "header.json"
 class _RowFile:
     """Common part of writer and reader: the file on rank 0, and its first error.
 
-    An error waits until the ranks meet next: ranks that send or receive rows would wait for ever
-    for a rank 0 that has left.
+    An error is raised only when the ranks meet next. Otherwise ranks that send or receive rows
+    would wait for rank 0 for ever.
     """
 
-    # what an error of rank 0 is called, a format of the path and the error
+    # message of an error on rank 0, with fields for the path and the error
     _failure = ""
 
     def __init__(self, comm: MPI.Intracomm, path: str | os.PathLike[str]):
         self._comm = comm
-        # links are followed, and stay; the path of rank 0 counts
+        # links are followed, and not replaced; the path on rank 0 counts
         self.path = Path(comm.bcast(os.path.realpath(path)))
         self._file: Any = None
         self._member: Any = None
@@ -51,7 +51,7 @@ class _RowFile:
         self._index: dict[str, Any] = {}
 
     def _do(self, action: Callable[..., Any], *arguments: Any) -> Any:
-        """Act on rank 0, unless something went wrong there before."""
+        """Call an action on rank 0, unless an earlier action failed there."""
         if self._comm.rank == 0 and self._error is None:
             try:
                 return action(*arguments)
@@ -71,14 +71,14 @@ class _RowFile:
         raise_together(self._comm, error)
 
     def _close_after_error(self) -> None:
-        # the first error is told, not those that follow from it
+        # the first error is reported, not errors that follow from it
         for one in (self._member, self._file):
             if one is not None:
                 with contextlib.suppress(Exception):
                     one.close()
 
     def _pieces(self, name: str, counts: Sequence[int]) -> Iterator[tuple[int, slice, Any]]:
-        """Rank, its rows and their kind, piece by piece in the order of the file."""
+        """Rank, rows and data type, piece by piece in the order of the file."""
         dtype, shape = np.dtype(self._index[name]["dtype"]), tuple(self._index[name]["shape"])
         step = max(1, _PIECE // max(1, dtype.itemsize * int(np.prod(shape, dtype=int))))
         for rank, count in enumerate(counts):
@@ -88,14 +88,15 @@ class _RowFile:
 
 
 class RowWriter(_RowFile):
-    """Writes a file beside its target, and puts the whole file in the target's place. Collective.
+    """Writes a new file, and then replaces the target by the complete file. Collective.
 
-    A context: the file takes the target's name at the end of the context. Before, and after any
-    error or a kill, the target is as it was. The next writer removes files of killed writers.
+    It is a context manager. The file gets the target's name at the end of the context. Before, and
+    after any error or kill, the target is unchanged. The next writer removes files of killed
+    writers.
 
     Args:
         comm: Ranks that write.
-        path: File to write, in a folder that is there.
+        path: Target file, in an existing folder.
         format: Name of the format, for readers.
         version: Version of the format.
 
@@ -142,7 +143,7 @@ class RowWriter(_RowFile):
                 self._part.unlink(missing_ok=True)
 
     def _complete(self) -> None:
-        # a file without its header is not whole
+        # a file without its header is not complete
         self._file.writestr(_HEADER, json.dumps({**self._header, "rows": self._index}))
         self._file.close()
         _sync(self._part)
@@ -163,7 +164,7 @@ class RowWriter(_RowFile):
         self._member.close()
 
     def rows(self, name: str, values: Rows) -> None:
-        """Write an array, the rows of each rank behind the rows of the rank before. Collective.
+        """Write an array, with the rows of all ranks in the order of ranks. Collective.
 
         Args:
             name: Its name in the file.
@@ -186,7 +187,7 @@ class RowWriter(_RowFile):
         self._do(self._end)
 
     def header(self, values: dict[str, Any]) -> None:
-        """Give the file its header, values that JSON can hold; those of rank 0 count."""
+        """Write the header: values that JSON can hold. The values on rank 0 count."""
         self._header |= values
 
 
@@ -196,15 +197,15 @@ class RowReader(_RowFile):
     Args:
         comm: Ranks that read; any number.
         path: The file.
-        format: Name of the format that the file must have.
-        version: The newest version that the caller knows.
+        format: Required name of the format.
+        version: Newest supported version.
 
     Attributes:
         header: The writer's header.
 
     Raises:
-        CheckpointError: There is no such file, it is cut short or damaged, of another format or of
-            a newer version.
+        CheckpointError: The file is missing, cut short or damaged, or has another format or a
+            newer version.
     """
 
     _failure = (
@@ -262,22 +263,22 @@ class RowReader(_RowFile):
             raise EOFError("an array is too short")
 
     def counts(self, name: str) -> list[int]:
-        """Rows of an array that each of the ranks wrote."""
+        """Number of rows of an array, per rank that wrote the file."""
         return self._index[name]["counts"]
 
     def names(self, group: str) -> list[str]:
-        """Names of the arrays in a group, without it."""
+        """Names of the arrays in a group, without the name of the group."""
         return [n.removeprefix(f"{group}/") for n in self._index if n.startswith(f"{group}/")]
 
     def rows(self, name: str, counts: Sequence[int]) -> Rows:
-        """Read an array, so many rows for each rank in turn. Collective.
+        """Read an array, with a given number of rows per rank. Collective.
 
         Args:
             name: Its name in the file.
-            counts: Number of rows for each rank; all rows together.
+            counts: Number of rows per rank. Their sum is the number of all rows.
 
         Raises:
-            CheckpointError: The file cannot be read there.
+            CheckpointError: The array cannot be read.
         """
         comm, entry = self._comm, self._index[name]
         out = np.empty((counts[comm.rank], *entry["shape"]), np.dtype(entry["dtype"]))

@@ -16,13 +16,13 @@ __all__ = ["Scene"]
 
 Array = npt.NDArray[Any]
 _AXES = "xyz"
-# more lines would be a grey veil
+# more lines would look like a grey area
 _MOST_LINES_PER_INCH = 25
 
 
 @dataclass
 class Scene:
-    """What is drawn: positions, half-edges of domains, scalars, how, and facets of bodies."""
+    """Content of a picture: positions, half-edges of domains, scalars, style, facets of bodies."""
 
     x: Array
     edges: Array
@@ -37,7 +37,7 @@ class Scene:
     bodies: list[Array] = field(default_factory=list)
 
     def write(self, path, extent, view, cut, title: str, dpi: int) -> None:
-        """Choose the points and the box to be seen, and draw them in 1D, 2D or 3D."""
+        """Choose the visible points and the visible box, and draw them in 1D, 2D or 3D."""
         import matplotlib
 
         kept = list(range(self.x.shape[1]))
@@ -106,7 +106,7 @@ class Scene:
         else:
             x, a, b = self.x, self.edges[:, :, 0], self.edges[:, :, 1]
             corners = np.stack([x - a - b, x + a - b, x + a + b, x - a + b], axis=1)
-            # smooth edges and whole pixels would let the paper shine through between neighbours
+            # antialiasing and snapping to pixels would leave white lines between neighbours
             drawn = PolyCollection([*corners], linewidths=0, antialiased=False, snap=False)
             ax.add_collection(drawn)
         drawn.set_rasterized(True)
@@ -135,7 +135,7 @@ class Scene:
         for axis, name, length in zip((ax.xaxis, ax.yaxis, ax.zaxis), names, inches):
             axis.set_label_text(f"${name}$ (m)")
             axis.set_pane_color((1, 1, 1, 0))
-            # the first number of y would stand on the last of x
+            # the first number of y would overlap the last number of x
             _ticks(axis, length / 0.5, prune="lower" if name == "y" else None)
         notes = (f"${name}$ {text}" for name, text in zip(names, told) if text)
         ax.text2D(0.5, 0.95, ", ".join(notes), transform=ax.transAxes, ha="center")
@@ -167,7 +167,7 @@ class Scene:
 
 
 def _section(triangles: Array, axis: int, at: float) -> Array:
-    """Where triangles, shape (n, 3, 3), meet a plane across an axis: segments (m, 2, 2)."""
+    """Segments in which triangles, shape (n, 3, 3), meet a plane normal to an axis, (m, 2, 2)."""
     side = triangles[:, :, axis] - at
     found = []
     for k in range(len(triangles)):
@@ -183,7 +183,7 @@ def _section(triangles: Array, axis: int, at: float) -> Array:
 
 
 def _stretched(box: Array, max_aspect: float) -> tuple[Array, list[str]]:
-    """Factors by which each axis is drawn longer, and what tells the reader so."""
+    """Stretch factor of each axis, and the notes about it for the axis labels."""
     sides = box[:, 1] - box[:, 0]
     factors = np.ones(len(sides))
     for k, ratio in enumerate(sides.max() / sides / max_aspect):

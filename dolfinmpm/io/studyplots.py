@@ -1,6 +1,6 @@
-"""Pictures of studies' tables, in the look of all pictures.
+"""Pictures of studies' tables, in the common style.
 
-`with mpm.figure("sweep.png") as (_, axes): study.draw_sweep(axes, rows)` makes a picture of one.
+`with mpm.figure("sweep.png") as (_, axes): study.draw_sweep(axes, rows)` makes a picture.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MARKERS = "osD^vP*X"
 
 
 def _check_axes(axes: Any) -> None:
-    """Raise ParameterError unless it can be drawn on."""
+    """Raise ParameterError unless `axes` are Matplotlib's axes."""
     if not hasattr(axes, "semilogy"):
         raise ParameterError(
             f"axes = {shown(axes)} must be Matplotlib's axes, such as those of "
@@ -43,11 +43,11 @@ def draw_sweep(
 ) -> None:
     """Draw figures of a sweep over its places, on a logarithmic vertical axis, with a legend.
 
-    What is infinite or missing is left out.
+    Infinite and missing figures are left out.
 
     Args:
         axes: Matplotlib's axes.
-        rows: What `sweep` returned.
+        rows: Table returned by `sweep`.
         x: Name of the figure on the horizontal axis, or a function of a row.
         keys: Names of the figures, or name → words in the legend.
         style: Further arguments of Matplotlib's `plot`.
@@ -68,7 +68,7 @@ def draw_sweep(
 
 
 def _two_decades(axes: Any) -> None:
-    """Whole decades where the vertical axis would show fewer than two, and so fewer numbers."""
+    """Extend the vertical axis to whole decades if it shows fewer than two decades."""
     low, high = np.log10(axes.get_ylim())
     if np.floor(high + 1e-9) - np.ceil(low - 1e-9) < 1:
         axes.set_ylim(10.0 ** np.floor(low + 1e-9), 10.0 ** np.ceil(high - 1e-9))
@@ -84,16 +84,16 @@ def draw_convergence(
 ) -> None:
     """Draw errors over sizes of cells, and below them a fan of the slopes to compare with.
 
-    The legend is the caller's. Where errors fall towards the left, as they should, the
-    upper left corner is free for it.
+    The caller adds the legend. Errors normally fall towards the left. Then the upper left corner
+    is free for the legend.
 
     Args:
         axes: Matplotlib's axes; both become logarithmic.
-        curves: Words in the legend → what `convergence` returned.
+        curves: Words in the legend → table returned by `convergence`.
         key: Name of the error.
         orders: Slopes of the fan; none if empty.
-        nested: Whether markers are open, each smaller than the one before, so that curves
-            that lie on each other can be told apart.
+        nested: True draws open markers of decreasing size, so that coinciding curves stay
+            visible.
     """
     from matplotlib.ticker import NullLocator
 
@@ -129,15 +129,15 @@ def draw_convergence(
 
 
 def draw_reduction(axes: Any, rows: Sequence[Row], *, scale: float | None = None) -> None:
-    """Draw largest displacements over the factor that strength was divided by, with a legend.
+    """Draw largest displacements over the reduction factor of strength, with a legend.
 
-    Runs that failed are crosses; they ended with the step that failed, so that their
-    displacements are only those until then. The bracket of the factor of safety is shaded.
+    Failed runs are crosses. Their displacements are those before the failed step. The bracket of
+    the factor of safety is shaded.
 
     Args:
-        axes: Matplotlib's axes; the vertical one becomes logarithmic.
+        axes: Matplotlib's axes; the vertical axis becomes logarithmic.
         rows: The table of `factor_of_safety`.
-        scale: Displacement that others are divided by (m), such as γH²/E.
+        scale: Reference displacement (m), such as γH²/E. Displacements are divided by it.
     """
     _check_axes(axes)
     unit = 1.0 if scale is None else number("scale", scale, 0.0, unit="m")

@@ -31,9 +31,8 @@ PathLike = str | os.PathLike[str]
 def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Write rows as CSV or as JSON; rank 0 writes them. Collective.
 
-    Columns of a CSV file are all the names in the rows, in the order in which they
-    first occur. What is None or missing is an empty cell there, and a pair or a list
-    is in JSON's brackets.
+    The columns of a CSV file are all names in the rows, in the order of their first occurrence. A
+    missing value or None is an empty cell. A pair or a list is written in JSON's brackets.
 
     Args:
         rows: Dictionaries of numbers, words, None, and lists of them.
@@ -41,7 +40,7 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
         comm: Ranks that make this call.
 
     Raises:
-        ParameterError: The path has another ending, or rows are no dictionaries.
+        ParameterError: The path has another ending, or a row is not a dictionary.
         OSError: The file cannot be written; on all ranks.
     """
     check_kind("comm", comm, MPI.Comm, "MPI.COMM_WORLD by default")
@@ -98,11 +97,11 @@ def rows_of(given: Any, *names: str) -> list[Row]:
     """Rows of a table.
 
     Args:
-        given: What was given for them.
-        names: Figures that one row has at least.
+        given: Argument of the user.
+        names: Figures that at least one row must have.
 
     Raises:
-        ParameterError: They are no dictionaries, or none has one of the figures.
+        ParameterError: The rows are not dictionaries, or no row has one of the figures.
     """
     listed = [] if isinstance(given, (str, Mapping)) or not isinstance(given, Iterable) else given
     rows = list(listed)

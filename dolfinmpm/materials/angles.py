@@ -1,4 +1,4 @@
-"""Angles of laws, which are in degrees."""
+"""Angles of laws, in degrees."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["warn_of_radians"]
 
 
 def warn_of_radians(law: Law, values: Mapping[str, Array]) -> None:
-    """Warn on rank 0, once a law, if an angle is so small that it looks like one in radians.
+    """Warn on rank 0, once per law, if an angle is so small that it may be in radians.
 
-    Of an angle that varies it takes the largest value.
+    For an angle that varies over the points the largest value counts.
 
     Args:
         law: The law.
-        values: Parameter → values; those whose name ends in "angle" are in degrees.
+        values: Parameter → values. Parameters with a name that ends in "angle" are in degrees.
     """
     if getattr(law, "_told_of_radians", False):
         return

@@ -1,8 +1,8 @@
-"""What a constitutive law declares, and how its kernel is called.
+"""The base of constitutive laws: their declarations and their kernels.
 
-A law works on principal logarithmic strains and Kirchhoff stresses (Pa) in three
-dimensions; the kinematics around it are the same for every law. Its kernel is a
-C function, so that one compiled loop serves all laws.
+A law works on principal logarithmic strains and Kirchhoff stresses (Pa) in three dimensions. The
+kinematics around the law are the same for every law. The kernel is a C function, so that one
+compiled loop serves all laws.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["ELASTIC", "Law", "Response", "lame"]
 
 @dataclass(frozen=True)
 class Response:
-    """What a law answers at n points.
+    """Response of a law at n points.
 
     Attributes:
         strain: Elastic principal logarithmic strains, shape (n, 3).
@@ -40,19 +40,23 @@ class Response:
 
 
 class Law(Parametrised):
-    """Base of the laws whose stress comes from a kernel.
+    """Base of the laws with a kernel.
 
-    A subclass declares `parameters` (name → Parameter, in the order in which the
-    kernel reads them), `internal` (name → (unit, first value), where the first value
-    is a number or the name of a parameter) and `kernel`; and `admissible` if
-    parameters bound each other. See `Parametrised` for how values are given.
+    A subclass declares
 
-    A law whose stress by trial strain is symmetric, elastic or of associated flow, says so by
-    `symmetric`: linear systems take half the time then. The first tangent is checked.
+    - `parameters`: name → Parameter, in the order of the kernel;
+    - `internal`: name → (unit, first value); the first value is a number or the name of a
+      parameter;
+    - `kernel`: the kernel, see `law_kernel`;
+    - `admissible`: a method, if parameters bound each other;
+    - `symmetric`: True if the tangent, stress by trial strain, is symmetric. Elastic laws and
+      laws with associated flow have a symmetric tangent. Linear systems then take half the time.
+      The first tangent is checked;
+    - `strengths`: names of the parameters that `study.factor_of_safety` divides by the factor;
+    - `friction_angles`: names of the angles (degrees) whose tangents are divided by the factor.
 
-    What `study.factor_of_safety` divides to reduce its strength it names in `strengths`, and angles
-    (degrees) whose tangents that divides in `friction_angles`; an elastic law has none. None says
-    that nothing is known of its strength.
+    An elastic law has no strengths and no friction angles: both are empty. None means that the
+    strength of the law is unknown. See `Parametrised` for the values of parameters.
     """
 
     symmetric: bool = False
@@ -62,12 +66,12 @@ class Law(Parametrised):
     kernel: Kernel
 
     def _bound_softening(self, what: str, fall: Array, limit: Array, symbol: str = "") -> None:
-        """Raise ParameterError where a strength falls too fast for one stress by strain.
+        """Raise ParameterError where a strength falls so fast that a strain has several stresses.
 
         Args:
             what: The strength, in words.
-            fall: By how much it falls by plastic strain (Pa), shape (n,).
-            limit: What this must be less than (Pa), shape (n,).
+            fall: Fall of the strength per plastic strain (Pa), shape (n,).
+            limit: Upper bound of the fall (Pa), shape (n,).
             symbol: The limit in symbols, for the message.
         """
         if (fall >= limit).any():
@@ -79,11 +83,11 @@ class Law(Parametrised):
             )
 
     def _check_rate(self, values: dict[str, Array], pairs: Sequence[tuple[str, str]]) -> None:
-        """Raise ParameterError where values are never come to, for want of a rate.
+        """Raise ParameterError where a last value is never reached, because the rate is zero.
 
         Args:
-            values: Name → values, `rate` among them.
-            pairs: Names of first and last values.
+            values: Name → values, with the name `rate`.
+            pairs: Pairs of names: first value, last value.
         """
         name, rate = type(self).__name__, values["rate"]
         changes = np.zeros(rate.shape, bool)
@@ -96,7 +100,7 @@ class Law(Parametrised):
             )
 
     def _refuse_rate(self, rate: Any, lasts: str, usual: float = 0.0) -> None:
-        """Raise ParameterError if a rate is given without the values that it leads to."""
+        """Raise ParameterError if a rate is given without the last values."""
         if isinstance(rate, (int, float)) and rate != usual:
             raise ParameterError(
                 f"{type(self).__name__}: rate = {rate:g} leads nowhere: give {lasts}, or leave "
@@ -105,7 +109,7 @@ class Law(Parametrised):
 
     @property
     def has_kernel(self) -> bool:
-        """Whether it is more than the base of laws."""
+        """Whether the law has a kernel."""
         return type(self).address is not Law.address or hasattr(self, "kernel")
 
     @property
@@ -119,7 +123,7 @@ class Law(Parametrised):
         return getattr(self.kernel, "stress_address", self.address)
 
     def first_internal(self, parameters: Array) -> Array:
-        """Internal variables of a point that has not yielded, shape (n, variables)."""
+        """Internal variables of points before any yielding, shape (n, variables)."""
         names = list(self.parameters)
         first = np.empty((len(parameters), len(self.internal)))
         for k, (_, value) in enumerate(self.internal.values()):
@@ -147,7 +151,7 @@ class Law(Parametrised):
         return lame(parameters[:, names.index("E")], parameters[:, names.index("nu")])
 
     def energy(self, strain: Array, parameters: Array) -> Array | None:
-        """Elastic energy per initial volume (J/m³), shape (n,); None if the law cannot tell.
+        """Elastic energy per initial volume (J/m³), shape (n,); None if the law has no energy.
 
         By default ½ λ (tr ε)² + μ ε : ε for laws with Young's modulus and Poisson's ratio.
 
@@ -163,7 +167,8 @@ class Law(Parametrised):
     def stiffness(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Largest stiffness along one axis (Pa), for wave speeds, shape (n,) or (1,).
 
-        Elastic λ + 2μ of laws with Young's modulus and Poisson's ratio, else that of the tangent.
+        Elastic λ + 2μ of laws with Young's modulus and Poisson's ratio. For other laws it is the
+        largest stiffness of the tangent.
 
         Args:
             strain: Elastic principal strains, shape (n, 3).
@@ -177,7 +182,7 @@ class Law(Parametrised):
         return np.abs(np.diagonal(tangent, axis1=1, axis2=2)).max(axis=1, initial=0.0)
 
     def _tangent(self, strain: Array, internal: Array, parameters: Array) -> Array:
-        """Derivatives of stress by trial strain (Pa), shape (n, 3, 3); 0 where there is none."""
+        """Derivatives of stress by trial strain (Pa), shape (n, 3, 3); 0 where no stress exists."""
         n = len(strain)
         elastic, old = np.array(strain, order="C"), np.ascontiguousarray(internal)
         new, stress, tangent = np.empty_like(old), np.empty((n, 3)), np.zeros((n, 3, 3))
@@ -185,7 +190,7 @@ class Law(Parametrised):
         return tangent
 
     def response(self, strain: Array, internal: Array, parameters: Array) -> Array:
-        """Principal stresses for trial strains (Pa), shape (n, 3); not numbers where none is.
+        """Principal stresses for trial strains (Pa), shape (n, 3); NaN where no stress exists.
 
         Args:
             strain: Principal trial strains, shape (n, 3).
@@ -201,8 +206,8 @@ class Law(Parametrised):
     def moduli(self, strain: Array, internal: Array, parameters: Array) -> Array:
         """Elastic P-wave and shear modulus (Pa), shape (n, 2) or (1, 2).
 
-        λ + 2μ and μ of laws with Young's modulus and Poisson's ratio, else the means over the
-        axes of the elastic tangent.
+        λ + 2μ and μ of laws with Young's modulus and Poisson's ratio. For other laws the means
+        over the axes of the elastic tangent.
 
         Args:
             strain: Elastic principal strains, shape (n, 3).
@@ -218,10 +223,10 @@ class Law(Parametrised):
         return np.stack([along, 0.5 * (along - across)], axis=1)
 
     def unyielding(self, internal: Array) -> Array:
-        """Internal variables with which the elastic response goes on beyond the yield surface.
+        """Internal variables that extend the elastic response beyond the yield surface.
 
-        Those given, unless the law knows better. A law needs better only if its elastic
-        response is not linear: the inversion of stress then passes states outside.
+        By default the given ones. A law overrides this only if its elastic response is not linear:
+        the inversion of stress then passes states outside the yield surface.
 
         Args:
             internal: Internal variables, shape (n, variables).
@@ -231,18 +236,18 @@ class Law(Parametrised):
     def respond(
         self, strain: npt.ArrayLike, *, internal: Array | None = None, x: Array | None = None
     ) -> Response:
-        """Evaluate the law by itself, away from any grid.
+        """Evaluate the law alone, without a grid.
 
         Args:
             strain: Principal trial logarithmic strains, shape (n, 3).
-            internal: Internal variables at the start, shape (n, variables); those of a
-                point that has not yielded by default.
-            x: Positions for parameters that vary, shape (n, gdim).
+            internal: Internal variables at the start, shape (n, variables). By default those of
+                points before any yielding.
+            x: Positions for parameters that vary (m), shape (n, gdim).
 
         Raises:
-            ParameterError: Strains are no numbers, or not three at each point; or internal
-                variables are not as many as the law has.
-            StateError: A strain admits no stress; the message has the point and its state.
+            ParameterError: Strains are not numbers, or not three per point. Or the number of
+                internal variables differs from that of the law.
+            StateError: A strain admits no stress. The message has the point and its state.
         """
         elastic = _principal(strain)
         n = len(elastic)
@@ -262,29 +267,29 @@ class Law(Parametrised):
         trial = elastic.copy()
         bad = respond_at_points(self.address, parameters, elastic, old, new, stress, tangent)
         if bad < 0 and not np.isfinite(stress).all():
-            # of elastic laws, which ask nothing
+            # elastic laws have no internal variables
             bad = int(np.argmin(np.isfinite(stress).all(axis=1)))
         if bad >= 0:
             raise StateError(self.describe(bad, trial[bad], old[bad], parameters))
         return Response(elastic, new, stress, tangent)
 
     def describe(self, point: int, strain: Array, internal: Array, parameters: Array) -> str:
-        """What is known of a point at which the law finds no stress, for messages."""
+        """Message about a point at which the law finds no stress: strains, state, parameters."""
         values = parameters[point if len(parameters) > 1 else 0]
         given = ", ".join(f"{k} = {v:g}" for k, v in zip(self.parameters, values))
         state = ", ".join(f"{k} = {v:g}" for k, v in zip(self.internal, internal))
         return (
             f"{type(self).__name__} finds no stress at point {point}: principal trial strains "
             f"{strain.tolist()}, {state or 'no internal variables'}; {given}. "
-            "Take smaller steps, or soften less"
+            "Take smaller steps, or a smaller fall of strength"
         )
 
 
 def _principal(strain: Any) -> Array:
-    """Principal strains as the kernel takes them, shape (n, 3).
+    """Principal strains in the layout of the kernel, shape (n, 3).
 
     Raises:
-        ParameterError: They are not three numbers at each point.
+        ParameterError: Strains are not three numbers per point.
     """
     try:
         found = np.array(strain, float, order="C")
@@ -298,7 +303,7 @@ def _principal(strain: Any) -> Array:
 
 
 def lame(E: Any, nu: Any) -> tuple[Any, Any]:
-    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio; UFL's too.
+    """Lamé's λ and μ (Pa) from Young's modulus E (Pa) and Poisson's ratio; also in UFL.
 
     >>> lame(2e6, 0.25)
     (800000.0, 800000.0)

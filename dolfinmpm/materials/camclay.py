@@ -16,21 +16,21 @@ from dolfinmpm.materials.parametrised import Parameter, Value
 __all__ = ["CamClay"]
 
 Array = npt.NDArray[np.float64]
-_ITERATIONS = 200  # a few as a rule; bisection alone needs 60 and more
-# States beyond the yield surface by less than this, f by pc², have the elastic tangent: where a
-# step starts, rounding would say which of the points that have yielded have a plastic one, and
-# Newton's method be led elsewhere by it where a step has more than one solution
+_ITERATIONS = 200  # usually a few; bisection alone needs 60 and more
+# States beyond the yield surface by less than this (f by pc²) have the elastic tangent. At the
+# start of a step rounding alone would otherwise choose the plastic tangent at some yielded points.
+# Where a step has several solutions, this choice could lead Newton's method to another solution.
 _TIE = 1e-11
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _on_surface(t, z_trial, y_trial, shear_trial, swelling, compression, M, mu0, alpha):
-    """The stress at the place t of the yield surface, and how far the flow misses its normal.
+    """The stress at the place t of the yield surface, and the residual of the flow rule.
 
-    All follows from z = t² = ln(pc/X), with X = |p0| e^Ω: z gives the elastic volume
-    change, that gives pc, and f = 0 is then a quadratic equation in (ε_sᵉ)² with one
-    root that is not negative. So f = 0 holds by construction, and the flow rule is the one
-    equation left. By t, unlike z, derivatives stay finite at the tip q = 0.
+    All follows from z = t² = ln(pc/X), with X = |p0| e^Ω. The value z gives the elastic volume
+    change, and this gives pc. Then f = 0 is a quadratic equation in (ε_sᵉ)² with one root that is
+    not negative. So f = 0 holds by construction, and the flow rule is the only equation left.
+    Derivatives by t stay finite at the tip q = 0; derivatives by z do not.
 
     Returns:
         Residual and its derivative by t; ε_sᵉ, X/pc, p/pc, q/(M pc), 3μ/(M pc), the plastic
@@ -38,7 +38,7 @@ def _on_surface(t, z_trial, y_trial, shear_trial, swelling, compression, M, mu0,
     """
     z = t * t
     x, below = math.exp(-z), -math.expm1(-z)  # X/pc and 1 − X/pc
-    # what begins with d is a derivative by z
+    # names that begin with d are derivatives by z
     dy = swelling / compression - 1.0
     dplastic = -swelling * dy
     plastic = dplastic * (z - z_trial)
@@ -71,11 +71,11 @@ def _on_surface(t, z_trial, y_trial, shear_trial, swelling, compression, M, mu0,
 def _place(z_trial, y_trial, shear_trial, swelling, compression, M, mu0, alpha):
     """The place t of the yield surface to which the trial strain returns, or NaN.
 
-    The residual is positive towards the tip and negative away from it. Where no volume
-    changes, at t² = z_trial, it has the sign of 2p − pc, and the root lies between there and
-    the critical state (`wet`, 2p > pc) or between the critical state and there. Beyond the
-    critical state, or where ε_sᵉ is more than the trial one, the residual can vanish again
-    with a negative multiplier: such places only narrow the bracket.
+    The residual is positive towards the tip and negative away from it. At t² = z_trial the plastic
+    volume change is zero, and the residual has the sign of 2p − pc. The root lies between this
+    place and the critical state, on the wet side (`wet`, 2p > pc) or on the dry side. Beyond the
+    critical state, or where ε_sᵉ exceeds the trial value, the residual can vanish again with a
+    negative multiplier. Such places only narrow the bracket.
     """
     low, high = 0.0, math.inf
     wet = True
@@ -233,16 +233,17 @@ class CamClay(Law):
     f = 0 is met to rounding whatever the strain.
 
     Without strain p is p0 e^(ε_v0/κ̂), hence p0 for ε_v0 = 0: points start under pressure. The
-    pressure never vanishes: no strain reaches tension. With α > 0 the ratio q/|p| of
-    elastic states is bounded, by √(3ακ̂/2) for μ0 = 0, and the energy is not convex
-    beyond: choose α with a bound above M.
+    pressure never vanishes: no strain reaches tension. With α > 0 the ratio q/|p| of elastic
+    states has a bound, √(3ακ̂/2) for μ0 = 0. Beyond this bound the energy is not convex. So choose
+    α with a bound above M.
 
-    Internal variables: `preconsolidation_pressure` |pc| (Pa), positive, at first the parameter
-    `preconsolidation`.
+    Internal variables: `preconsolidation_pressure` |pc| (Pa), positive. Its first value is the
+    parameter `preconsolidation`.
 
     Args:
-        swelling: Slope κ̂ of unloading, −dε_v/d ln |p|, positive. As p is of the Kirchhoff stress,
-            a slope κ̃ of ln(specific volume) by ln |Cauchy pressure| gives κ̂ = κ̃/(1 − κ̃).
+        swelling: Slope κ̂ of unloading, −dε_v/d ln |p|, positive. Here p is the pressure of the
+            Kirchhoff stress. A slope κ̃ of ln(specific volume) by ln |Cauchy pressure| gives
+            κ̂ = κ̃/(1 − κ̃).
         compression: Slope λ̂ of isotropic virgin compression, in the same sense; κ̂ < λ̂.
         M: Slope of the critical state line, q = M |p|, positive.
         mu0: Constant part μ0 of the shear modulus (Pa), not negative.
@@ -320,7 +321,7 @@ class CamClay(Law):
         return swelling * x + 1.5 * (mu0 + alpha * x) * shear
 
     def unyielding(self, internal: Array) -> Array:
-        """A yield surface without end; see `Law.unyielding`."""
+        """Internal variables of an infinitely large yield surface; see `Law.unyielding`."""
         return np.full_like(internal, np.inf)
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:

@@ -1,7 +1,7 @@
-"""An array that keeps nothing, for compiled functions.
+"""An array type for compiled functions that discards all values.
 
-A law's kernel that is compiled with one in the place of its tangent computes none: the compiler
-drops what is written nowhere.
+A law's kernel compiled with this type for its tangent computes no tangent: the compiler removes
+computations without effect.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     slope = G + K * eta * eta_flow + xi * hardening * rate
     multiplier = f / slope
     back = p - K * eta_flow * multiplier
-    # From f = 0 instead of √J₂ − G Δγ: exactly on the cone, however large the trial stress was
+    # From f = 0 instead of √J₂ − G Δγ: exactly on the cone, for any size of the trial stress
     end = strength + xi * hardening * rate * multiplier - eta * back
     if (root > G * multiplier and end > 0.0) or eta == 0.0:
         end = max(end, 0.0)
@@ -56,7 +56,7 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
         n = (scale * e[0], scale * e[1], scale * e[2])
         shear = 2.0 * G * end / root
         for i in range(3):
-            # the part of n_j and the part that is the same for all j
+            # the part with n_j, and the part that is equal for all j
             along = n[i] * (G - G * G / slope) - K * eta_flow * G / slope - 0.5 * shear * n[i]
             even = K - (n[i] * G + K * eta_flow) * eta * K / slope - shear / 3.0
             for j in range(3):
@@ -80,7 +80,7 @@ def _drucker_prager(parameters, strain, old, new, stress, tangent):
     new[0] = old[0] + math.sqrt(2.0 / 3.0) * size
     back = xi * (cohesion + hardening * new[0]) / eta
     for j in range(3):
-        # without hardening the apex does not move, and difference of equals would leave noise
+        # without hardening the apex does not move, and a difference of equals would leave rounding
         column = 0.0
         if C > 0.0:
             column = K * C * (e[j] + volume / 3.0) / (B * size + C * volume / 3.0)
@@ -115,7 +115,7 @@ def _cohesive(angle: Array, fit: str) -> Array:
 class DruckerPrager(Law):
     """Drucker–Prager's law: f = √J₂ + η p − ξ c, over Hencky's elasticity.
 
-    J₂ and p are of the Kirchhoff stress, p = tr(τ)/3 positive in tension. Plastic strain
+    J₂ and p = tr(τ)/3 are of the Kirchhoff stress, with p positive in tension. Plastic strain
     flows along the derivative of √J₂ + η̄ p, where η̄ is η for the dilation angle. The
     cohesion is c + H ε̄ᵖ, with the accumulated plastic strain ε̄ᵖ = ∫ √(2/3 ε̇ᵖ : ε̇ᵖ) dt.
 
@@ -127,27 +127,27 @@ class DruckerPrager(Law):
     - "extension": at the inner edges, exact in triaxial extension; with 3 + sin φ;
     - "plane strain": the same limit loads in plane strain under associated flow;
       η = 3 tan φ/√(9 + 12 tan² φ), ξ = 3/√(9 + 12 tan² φ);
-    - "inner": the widest cone within the pyramid, tangent to its faces. It is the cone of
-      "plane strain"; the two names tell why it is chosen.
+    - "inner": the widest cone within the pyramid, tangent to its faces. It is the same cone as
+      "plane strain"; the two names stand for two reasons to choose it.
 
-    Where the return to the side of the cone would pass the apex, the stress is the apex,
-    p = ξ c/η without deviator, and the plastic strain is all that the elastic strain lost.
-    Its volume change need not obey the dilation angle, as in a vertex where the cone meets
-    the plane p = ξ c/η: the plastic work there is not negative. This holds for every
-    dilation angle; the book's apex equation, which derives the hardening from the
-    volume change, divides by η̄ and fails for ψ = 0. With hardening, ε̄ᵖ at the apex solves a
-    quadratic equation. At an apex that does not harden the tangent is zero.
+    If the return to the side of the cone would pass the apex, the stress is the apex: p = ξ c/η,
+    without deviator. The plastic strain is then the whole loss of elastic strain. Its volume
+    change need not obey the dilation angle, as in a vertex where the cone meets the plane
+    p = ξ c/η: the plastic work there is not negative. This rule holds for every dilation angle.
+    The book's apex equation derives the hardening from the volume change. It divides by η̄ and
+    fails for ψ = 0. With hardening, ε̄ᵖ at the apex solves a quadratic equation. At an apex
+    without hardening the tangent is zero.
 
-    Internal variables: `plastic_strain` ε̄ᵖ, at first 0.
+    Internal variables: `plastic_strain` ε̄ᵖ, initially 0.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
-        cohesion: Cohesion c (Pa), not negative; 0 puts the apex at the origin.
+        cohesion: Cohesion c (Pa), not negative. With 0 the apex is at the origin.
         friction_angle: φ (degrees), 0 ≤ φ ≤ 90; at 0 there is no apex.
         dilation_angle: ψ (degrees), 0 ≤ ψ ≤ φ; 0 by default, as for `MohrCoulomb`;
             ψ = φ is associated flow.
-        fit: How the cone fits the pyramid, see above.
+        fit: Fit of the cone to the pyramid, see above.
         hardening: Slope H of the cohesion over ε̄ᵖ (Pa), not negative.
 
     Raises:
@@ -201,7 +201,7 @@ class DruckerPrager(Law):
             )
 
     def completed(self, parameters: Array) -> Array:
-        """The parameters as the kernel takes them: those declared, then η, ξ and η̄."""
+        """The parameters of the kernel: the declared ones, then η, ξ and η̄."""
         friction, dilation = np.radians(parameters[:, 3]), np.radians(parameters[:, 4])
         cone = _slope(friction, self.fit), _cohesive(friction, self.fit), _slope(dilation, self.fit)
         return np.column_stack([parameters, *cone])

@@ -1,4 +1,4 @@
-"""The elastic strain that goes with a stress: the elastic response of a law's kernel inverted."""
+"""The elastic strain of a given stress: the inverse of a law's elastic response."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _invert(law, parameters, elastic, old, stress, strain, reached, good):
             strain[p, i] = step[i] = 0.0
             best[i] = 0.0
         error, share, soft = math.inf, 1.0, 0.0
-        # Newton's method; a step that brings the stress no nearer is halved
+        # Newton's method; a step that does not reduce the error of the stress is halved
         for _ in range(400):
             for i in range(3):
                 strain[p, i] = best[i] + share * step[i]
@@ -65,8 +65,8 @@ def _invert(law, parameters, elastic, old, stress, strain, reached, good):
                     step[i] += inverse[i, j] * (stress[p, j] - tau[j])
             if not math.isfinite(step[0] + step[1] + step[2]):
                 break
-        # the law itself, with its own yield surface, has the last word: under this strain
-        # it returns the stress and nothing flows, but for rounding on the surface
+        # the law itself, with its own yield surface, checks the result: under this strain it
+        # returns the stress without plastic flow, except for rounding on the yield surface
         largest = soft
         for i in range(3):
             strain[p, i] = trial[i] = best[i]
@@ -90,13 +90,13 @@ def elastic_strain(
 
     Args:
         law: Constitutive law.
-        stress: Principal stresses (Pa) in the sense of the law, shape (n, 3).
+        stress: Principal stresses of the law (Pa), shape (n, 3).
         internal: Internal variables, shape (n, variables).
-        parameters: Shape (1, parameters) or (n, parameters).
+        parameters: Parameters, shape (1, parameters) or (n, parameters).
 
     Returns:
-        The strains, shape (n, 3); whether the law returns the stress, shape (n,); and
-        the stresses that it does return, shape (n, 3).
+        The strains, shape (n, 3); whether the law returns the given stress, shape (n,); and
+        the stresses returned by the law (Pa), shape (n, 3).
     """
     stress = np.ascontiguousarray(stress)
     parameters = np.ascontiguousarray(parameters)
@@ -113,15 +113,15 @@ def belong(
 ) -> npt.NDArray[np.bool_]:
     """Whether a law's elasticity gives stresses for strains, shape (n,).
 
-    Stresses beyond its strength pass, for the law does not return them whatever the strains.
+    Stresses beyond the strength are accepted, because the law returns them for no strain.
 
     Args:
         law: Constitutive law.
         strain: Principal elastic strains, shape (n, 3).
-        stress: Principal stresses (Pa) in the sense of the law, in the order of the strains.
+        stress: Principal stresses of the law (Pa), shape (n, 3), in the order of the strains.
         internal: Internal variables, shape (n, variables).
-        parameters: Shape (1, parameters) or (n, parameters).
-        share: Difference that counts as none, as a share of the largest stress at the point.
+        parameters: Parameters, shape (1, parameters) or (n, parameters).
+        share: Difference regarded as zero, as a share of the largest stress at the point.
     """
     slack = share * np.abs(stress).max(axis=1, initial=0.0)
     if law.has_moduli:
@@ -130,6 +130,6 @@ def belong(
         found = ((M - 2 * G) * volume)[:, None] + 2 * np.atleast_1d(G)[:, None] * strain
     else:
         found = law.response(strain, law.unyielding(internal), parameters)
-    # not a number where there is no stress
+    # NaN where no stress exists
     same = np.abs(found - stress).max(axis=1, initial=0.0) <= slack
     return same | (law.yield_function(stress, internal, parameters) > 0)

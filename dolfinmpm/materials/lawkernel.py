@@ -23,16 +23,16 @@ KERNEL_SIGNATURE = types.int32(_DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES, _DOUBLES,
 
 
 class Kernel:
-    """A law's kernel, compiled when its address is first asked for: no scene uses all laws."""
+    """A law's kernel, compiled at the first request of its address: no problem uses all laws."""
 
     def __init__(self, function: Callable):
         self._function = function
 
     @functools.cached_property
     def _compiled(self) -> Any:
-        # Numba's cache goes by file and line: to a module under another name, or after a number
-        # came from elsewhere, it would give the old kernel. The package's own have no such
-        # numbers, and `forget_outdated` sees their sources.
+        # Numba's cache goes by file and line. It would return an old kernel for a module under
+        # another name, or after a change of a global number from another module. The package's
+        # own kernels use no such numbers, and `forget_outdated` checks their sources.
         own = self._function.__module__.startswith(_PACKAGE)
         return numba.cfunc(KERNEL_SIGNATURE, cache=own, error_model="numpy")(self._function)
 
@@ -43,10 +43,10 @@ class Kernel:
 
     @functools.cached_property
     def stress_address(self) -> int:
-        """Address of one that writes no tangent, for explicit steps; else the same.
+        """Address of a kernel that writes no tangent, for explicit steps.
 
-        Only of the package's own kernels: others may do with the tangent what goes with an array
-        alone.
+        Only the package's own kernels have one. For other kernels it is the address of the kernel
+        itself, because they may use the tangent in ways that need a real array.
         """
         if not self._function.__module__.startswith(_PACKAGE):
             return self.address
@@ -57,21 +57,25 @@ class Kernel:
 
 
 def law_kernel(function: Callable) -> Kernel:
-    """Make a law's kernel, which is compiled when a process first uses the law.
+    """Make a law's kernel. It is compiled when a process first uses the law.
 
-    The function takes six arrays and returns 0, or another number if the strain
-    admits no stress:
+    The function takes six arrays. It returns 0, or another number if the strain admits no stress:
 
     `kernel(parameters, strain, old, new, stress, tangent)`
 
-    with the parameters in the order declared; the three principal trial
-    logarithmic strains, which a law with a return mapping replaces by the elastic
-    ones; the internal variables at the start of the step; those at its end
-    (written); the three principal Kirchhoff stresses (Pa, written); and the nine
-    derivatives of stress by trial strain, row by row (Pa, written).
+    - `parameters`: the parameters in the declared order;
+    - `strain`: the three principal trial logarithmic strains. A law with a return mapping replaces
+      them by the elastic strains;
+    - `old`: the internal variables at the start of the step;
+    - `new`: the internal variables at the end of the step (output);
+    - `stress`: the three principal Kirchhoff stresses (Pa, output);
+    - `tangent`: the nine derivatives of stress by trial strain, row by row (Pa, output).
+
+    Args:
+        function: The function.
 
     Raises:
-        ParameterError: It is no function of six arrays.
+        ParameterError: The argument is not a function of six arrays.
     """
     check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
     try:
@@ -102,7 +106,7 @@ def call_law(typingctx, address, parameters, strain, old, new, stress, tangent):
 
 @numba.njit(cache=True, error_model="numpy")
 def respond_at_points(law, parameters, strain, old, new, stress, tangent):
-    """Let a kernel answer at each of n points; the first at which it finds no stress, else -1."""
+    """Call a kernel at n points; returns the first point without a stress, else -1."""
     for p in range(strain.shape[0]):
         at = p if parameters.shape[0] > 1 else 0
         status = call_law(

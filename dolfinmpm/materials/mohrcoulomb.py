@@ -26,11 +26,11 @@ def return_to_planes(
 ):  # fmt: skip
     """Return to (1 + sin φ) τ₁ − (1 − sin φ) τ₃ = 2c cos φ; the body of kernels, angles in radians.
 
-    For given strength the return is in closed form. With τ₁ ≥ τ₂ ≥ τ₃, flow g and
-    gradient n of a plane, an edge is a plane for the mean of the two stresses that
-    become equal, and the difference of their strains is plastic; so plane and edges
-    differ only in g, n and the matrix P that takes this mean. Strength that depends on
-    the plastic strain α leaves one equation, α = α_n + √(2/3) ‖Δεᵖ(α)‖.
+    For a given strength the return has a closed form. Let τ₁ ≥ τ₂ ≥ τ₃, and let g be the flow and
+    n the gradient of a plane. At an edge two stresses become equal. The edge is a plane for the
+    mean of these stresses, and the difference of their strains is plastic. So plane and edges
+    differ only in g, n and the matrix P that takes this mean. If the strength depends on the
+    plastic strain α, one equation is left: α = α_n + √(2/3) ‖Δεᵖ(α)‖.
     """
     i, j, k = descending(strain)
     e1, e2, e3 = strain[i], strain[j], strain[k]
@@ -104,7 +104,7 @@ def return_to_planes(
         else:
             x2 = min(max(pressure + 2.0 * mu * e2 - multiplier * spread, x3), x1)
         if x3 > x1 or e1 == e3:
-            # past the apex, which is met by whatever plastic strain leads there
+            # past the apex: the plastic strain is whatever leads to the apex
             apex = True
             x1 = x2 = x3 = 0.5 * q / sin
             kept = min(x1 / (3.0 * lmbda + 2.0 * mu), e1)
@@ -138,7 +138,7 @@ def return_to_planes(
         steep = 1.0 - _ROOT * along * slope
         done = abs(residual) <= 1e-14 * (alpha + abs(e1) + abs(e3))
         if (done or iteration == 0) and not steep > 0.0:
-            # strength falls faster than elasticity unloads: no one stress for this strain
+            # strength falls faster than elasticity unloads: this strain has no single stress
             return 1
         if done:
             break
@@ -226,22 +226,22 @@ class MohrCoulomb(Law):
     apex, after de Souza Neto, Perić & Owen, Computational Methods for Plasticity
     (2008), section 8.2, with the tangent that is consistent with it.
 
-    Where the return to an edge would pass the apex, the stress is the apex, p = c cot φ,
-    and all strain beyond it is plastic, be ψ > 0 or not. For ψ = 0 no flow of planes
-    leads there, and the apex takes up the volume that opens by itself: the stress stays
-    continuous in the strain and the dissipation p Δε_vᵖ is not negative. The book
-    instead ties α to Δε_vᵖ / sin ψ, which has no limit for ψ → 0. At the apex of a
-    law that does not harden the tangent is zero: for c = 0 that is a point
-    that carries nothing.
+    If the return to an edge would pass the apex, the stress is the apex, p = c cot φ. All strain
+    beyond the apex is plastic, for ψ > 0 and for ψ = 0. For ψ = 0 the flow of the planes does not
+    lead to the apex, and the volume opens there without stress. So the stress stays continuous in
+    the strain, and the dissipation p Δε_vᵖ is not negative. The book instead couples α to
+    Δε_vᵖ / sin ψ, which has no limit for ψ → 0. At the apex of a law without hardening the tangent
+    is zero. For c = 0 a point at the apex carries no stress.
 
     Cohesion and friction angle follow the accumulated plastic strain α as
-    value = residual + (peak − residual) e^(−rate·α), where α grows by √(2/3) ‖Δεᵖ‖ on
-    planes, edges and apex alike (the book's α grows by 2 cos φ Δγ, without dilation
-    √3 cos φ times as much). The dilation angle stays. Strength may fall no faster than
-    elasticity unloads, so that a strain has one stress only. For a constant friction
-    angle this bounds the parameters on planes and edges. At the apex, which a rising
-    friction angle lowers too, and for a friction angle that changes it depends on the
-    state: one that falls too fast has no stress.
+    value = residual + (peak − residual) e^(−rate·α). Here α grows by √(2/3) ‖Δεᵖ‖ on planes, edges
+    and apex alike. (The book's α grows by 2 cos φ Δγ, without dilation √3 cos φ times as much.) The
+    dilation angle is constant.
+
+    Strength must not fall faster than elasticity unloads. Otherwise a strain has several stresses.
+    For a constant friction angle this bounds the parameters on planes and edges. At the apex, and
+    for a friction angle that changes, the bound depends on the state. (A rising friction angle
+    lowers the apex, too.) A state in which strength falls too fast has no stress.
 
     Args:
         E: Young's modulus (Pa), positive.

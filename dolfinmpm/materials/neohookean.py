@@ -1,4 +1,4 @@
-"""Neo-Hookean elasticity, stated purely in UFL."""
+"""Neo-Hookean elasticity in UFL."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["NeoHookean"]
 class NeoHookean(Parametrised):
     """Compressible neo-Hookean law: ψ = ½μ (tr FᵀF − d) − μ ln J + ½λ (ln J)².
 
-    d is the dimension of space; in plane strain the direction across carries no
-    strain. (Bonet & Wood 2008, Nonlinear Continuum Mechanics, eq. 6.27.)
+    d is the dimension of space. In plane strain the out-of-plane direction has no strain.
+    (Bonet & Wood 2008, Nonlinear Continuum Mechanics, eq. 6.27.)
 
     Args:
-        E: Young's modulus (Pa), positive; a number, or as for any `Law` one for each point.
+        E: Young's modulus (Pa), positive: a number, or one value per point as in any `Law`.
         nu: Poisson's ratio, -1 < ν < 0.5, likewise.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Parameters of laws: by name, each with its unit and range, checked and fixed once given."""
+"""Parameters of laws: named, with unit and range; checked, and fixed once given."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ Value = float | Array | Callable[[Array], npt.ArrayLike]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a law: its unit and the open or closed interval that it may be in.
+    """A parameter of a law: its unit and its open or closed interval.
 
     Raises:
-        ParameterError: The unit is no word, or the limits are no numbers that rise.
+        ParameterError: The unit is not a word, a limit is not a number, or the lower limit is not
+            below the upper limit.
     """
 
     unit: str
@@ -64,23 +65,23 @@ class Parameter:
 
 
 class Parametrised:
-    """What laws have in common: parameters by name, each checked, and fixed once given.
+    """Base of all laws: named parameters, checked and fixed once given.
 
-    A subclass declares `parameters` (name → Parameter), and `admissible` if they bound
-    each other. The values are attributes too, `law.E`, to be read only: a law is a value,
-    and problems that use it would not learn of another number.
+    A subclass declares `parameters` (name → Parameter), and `admissible` if parameters bound each
+    other. The values are also attributes, such as `law.E`, and read-only. A problem reads the
+    values once and would not notice a change.
 
     Attributes:
-        values: Name → number, array or function, as given; to be read only.
+        values: Name → given number, array or function; read-only.
 
     Args:
-        values: Every parameter: a number, an array with one value for each of the law's
-            points of this rank, or a function of their first positions in DOLFINx's
+        values: Every parameter. A value is a number, or an array with one value per point of the
+            law on this rank. Or it is a function of the points' first positions in DOLFINx's
             layout, shape (gdim, n), that returns n values.
 
     Raises:
-        ParameterError: A parameter is missing, unknown or outside its range; or, later, one is
-            assigned to.
+        ParameterError: A parameter is missing, unknown or outside its range. Or a parameter is
+            assigned to later.
     """
 
     parameters: dict[str, Parameter] = {}
@@ -110,7 +111,7 @@ class Parametrised:
             self.parameter_array()
 
     def _no_expression(self, name: str, value: Any) -> str:
-        """What is said of a parameter in UFL, which is callable, but no function of positions."""
+        """Message about a parameter in UFL: it is callable, but not a function of positions."""
         unit = self.parameters[name].unit
         return (
             f"{type(self).__name__}: {name} = {shown(value)} is an expression of UFL, and a law is "
@@ -120,7 +121,7 @@ class Parametrised:
         )
 
     def _numbers(self, name: str, value: Any) -> Array:
-        """A number, or one for each point."""
+        """A number, or an array with one number per point."""
         try:
             array = None if value is None else np.asarray(value)
             if array is not None and array.dtype != bool:
@@ -165,7 +166,7 @@ class Parametrised:
         return not all(isinstance(value, float) for value in self.values.values())
 
     def parameter_array(self, x: Array | None = None) -> Array:
-        """The parameters as the kernel takes them.
+        """The parameters in the layout of the kernel.
 
         Args:
             x: First positions of the points (m), shape (n, gdim); needed if parameters
@@ -175,8 +176,8 @@ class Parametrised:
             Shape (1, parameters) if all are numbers, else (n, parameters).
 
         Raises:
-            ParameterError: A value is outside its range, or their number is not that
-                of the points.
+            ParameterError: A value is outside its range, or the number of values differs from the
+                number of points.
         """
         name = type(self).__name__
         n = 1 if not self.varies or x is None else len(x)
@@ -198,10 +199,10 @@ class Parametrised:
         return self.completed(result)
 
     def completed(self, parameters: Array) -> Array:
-        """The parameters, and behind them what a kernel takes that follows from them.
+        """The declared parameters, followed by derived numbers for the kernel.
 
         Args:
-            parameters: Those declared, shape (n, parameters).
+            parameters: The declared parameters, shape (n, parameters).
         """
         return parameters
 

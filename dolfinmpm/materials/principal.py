@@ -1,4 +1,4 @@
-"""What kernels of elasto-plastic laws share: functions for compiled code only."""
+"""Common functions of elasto-plastic kernels, for compiled code only."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def descending(values):
 def elastic(lmbda, mu, trace, strain, stress, tangent):
     """Write the stress and the tangent of Hencky's law (Pa).
 
-    The caller gives the trace, added in the order of size: a permutation of the
-    strains then permutes the stresses to the last bit.
+    The caller gives the trace, summed in the order of size. Then a permutation of the strains
+    permutes the stresses to the last bit.
     """
     for i in range(3):
         stress[i] = lmbda * trace + 2.0 * mu * strain[i]

@@ -1,4 +1,4 @@
-"""Closest-point return in principal axes, for functions that FFCx has compiled."""
+"""Closest-point return in principal axes, for functions compiled by FFCx."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dolfinmpm.materials.parametrised import Array
 __all__ = ["return_kernel", "yield_values"]
 
 _ROOT = math.sqrt(2.0 / 3.0)
-_TIGHT, _LOOSE = 1e-14, 1e-10  # residual by the strain's size: aimed at, and still taken
+_TIGHT, _LOOSE = 1e-14, 1e-10  # residual by the strain's size: aimed at, and still accepted
 _ARGUMENTS = KERNEL_SIGNATURE.args
 _LONG_SIGNATURE = types.int32(*[types.intp] * 4, *_ARGUMENTS)
 
@@ -50,14 +50,14 @@ def _evaluate(function, z, out):
 
 @numba.njit(error_model="numpy")
 def _copy(values, to):
-    # an assignment of slices compiles sentences about shapes that differ, which takes seconds
+    # an assignment of slices would compile messages about shapes, which takes seconds
     for i in range(values.shape[0]):
         to[i] = values[i]
 
 
 @numba.njit(error_model="numpy")
 def _solve(A, b):
-    """Solve A X = B in place by elimination with pivots; whether A is regular."""
+    """Solve A X = B in place by elimination with pivots; returns whether A is regular."""
     n, m = b.shape
     for k in range(n):
         pivot = k
@@ -87,7 +87,7 @@ def _solve(A, b):
 
 @numba.njit(error_model="numpy")
 def _state(energy, full, x, z, y, elastic, plastic):
-    """Stress and its Hessian at the strains of x, then yield function and flow at that stress."""
+    """Stress and its Hessian at the strains of x, then yield function and flow at the stress."""
     z[0], z[1], z[2] = x[0], x[1], x[2]
     _evaluate(energy, z, elastic)
     y[0], y[1], y[2], y[3] = elastic[0], elastic[1], elastic[2], x[4]
@@ -137,7 +137,7 @@ def _jacobian(x, a, b, elastic, plastic, J):
 
 @numba.njit(error_model="numpy")
 def _equalise(trial, strain, stress):
-    """Make stresses equal to the last bit where trial strains are."""
+    """Make stresses equal to the last bit where trial strains are equal."""
     for i in range(3):
         for j in range(i):
             if trial[i] == trial[j]:
@@ -147,7 +147,7 @@ def _equalise(trial, strain, stress):
 
 @numba.njit(error_model="numpy")
 def _correction(J, r, work, step):
-    """Write J⁻¹ r; returns its largest part, which does not depend on how r is scaled."""
+    """Write J⁻¹ r; returns its largest component, which does not depend on the scaling of r."""
     for i in range(5):
         step[i, 0] = r[i]
         for j in range(5):
@@ -167,15 +167,15 @@ def _newton(
     energy, full, x, trial, alpha, offset, a, b, size, z, y, elastic, plastic, r, J, work, step,
     next_step, new,
 ):  # fmt: skip
-    """Newton's method from x, which it moves; whether it converged.
+    """Newton's method from x; changes x and returns whether it converged.
 
-    A step is shortened until the next one, with the same Jacobian, is shorter: the
+    A step is shortened until the next step, with the same Jacobian, is shorter. This is the
     natural monotonicity test (Deuflhard, Newton Methods for Nonlinear Problems, 2011,
     section 3.3). Sizes of residuals would mislead where stiffness grows with strain.
     """
     _state(energy, full, x, z, y, elastic, plastic)
     _residual(x, trial, alpha, offset, a, b, plastic, r)
-    # a stress that grows like an exponential comes down by a factor e an iteration
+    # an exponentially growing stress decreases by a factor e per iteration
     for _ in range(200):
         _jacobian(x, a, b, elastic, plastic, J)
         length = _correction(J, r, work, step)
@@ -192,7 +192,7 @@ def _newton(
             if _correction(J, r, work, next_step) <= (1.0 - 0.25 * share) * length:
                 break
             if length <= _LOOSE * size:
-                # rounding: nothing is gained any more
+                # rounding: further iterations gain nothing
                 _state(energy, full, x, z, y, elastic, plastic)
                 return True
             share *= 0.5
@@ -253,7 +253,7 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
     a, b = math.sqrt(a), math.sqrt(b)
     if not (0.0 < a < math.inf and 0.0 < b < math.inf):
         return 2
-    # Newton's method may miss from afar: f is then brought to zero in parts
+    # Newton's method may fail far from the solution: f is then brought to zero in stages
     first, done, part = plastic[0], 0.0, 1.0
     kept = x.copy()
     while done < 1.0:
@@ -270,7 +270,7 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
             part *= 0.25
             if part < 1e-6:
                 return 2
-    # a flow backwards is no return, but that of a state on the surface may be by rounding
+    # a negative multiplier is no return, except by rounding for a state on the surface
     if not x[3] >= -_LOOSE * size:
         return 2
     new[0] = max(x[4], old[0])
@@ -293,25 +293,25 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
 
 @functools.cache
 def _long_kernel() -> Any:
-    """The mapping compiled, which most scenes do without."""
+    """The compiled mapping; compiled on demand, because most problems do not use it."""
     return numba.cfunc(_LONG_SIGNATURE, cache=True, error_model="numpy")(_long)
 
 
 def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
     """A law's kernel for functions at given addresses.
 
-    All take the same numbers: three principal values, α, and the parameters.
+    All functions take the same numbers: three principal values, α, and the parameters.
 
     Args:
-        energy: Writes, of elastic strains, the stresses (3) and their derivatives (9).
-        value: Writes, of stresses, f; 0 for a law that never yields.
-        full: Writes, of stresses, f, its derivatives by stresses and α (4), the
-            flow's direction n (3), and its derivatives by stresses and α, row by row (12).
+        energy: Function of elastic strains: writes the stresses (3) and their derivatives (9).
+        value: Function of stresses: writes f. The address 0 means a law that never yields.
+        full: Function of stresses: writes f, its derivatives by stresses and α (4), the flow's
+            direction n (3), and the derivatives of n by stresses and α, row by row (12).
         count: Number of parameters.
     """
     long = _long_kernel().address
 
-    # addresses are this process's own, and so is what is compiled with them
+    # addresses are valid in this process only, and so is code compiled with them
     @numba.cfunc(KERNEL_SIGNATURE)
     def kernel(parameters, strain, old, new, stress, tangent):
         return _call_long(
@@ -329,7 +329,7 @@ def _values(function, z, out):
 
 
 def yield_values(function: int, z: Array) -> Array:
-    """The yield function at an address, of rows of what it takes, shape (n, inputs)."""
+    """The yield function at an address, for rows of its inputs, shape (n, inputs)."""
     out = np.empty(len(z))
     _values(function, np.ascontiguousarray(z), out)
     return out

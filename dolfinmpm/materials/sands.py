@@ -10,7 +10,7 @@ from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["Sand", "sand"]
 
-# what the formulas' unit weights were published with
+# gravity with which the formulas' unit weights were published
 _GRAVITY = 10.0
 
 
@@ -50,7 +50,7 @@ class Sand:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What `MohrCoulomb` and `DruckerPrager` take besides E."""
+        """Arguments of `MohrCoulomb` and `DruckerPrager` besides E."""
         names = ("nu", "cohesion", "friction_angle", "dilation_angle")
         return {name: getattr(self, name) for name in names}
 
@@ -65,12 +65,12 @@ def sand(relative_density: float, *, nu: float = 0.3, cohesion: float = 300.0) -
 
     Args:
         relative_density: RD, a share in [0, 1].
-        nu: Poisson's ratio, which they do not give.
-        cohesion: c (Pa), likewise; some holds the surface together.
+        nu: Poisson's ratio, which the formulas do not give.
+        cohesion: c (Pa), likewise. A small cohesion holds the surface together.
 
     Raises:
-        ParameterError: RD is no share, as where it is given in per cent, or nu or the
-            cohesion is not what it may be.
+        ParameterError: RD is not in [0, 1], such as a value in per cent. Or nu or the cohesion is
+            outside its range.
     """
     RD = number("relative_density", relative_density)
     if not 0.0 <= RD <= 1.0:

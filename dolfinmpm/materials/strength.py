@@ -1,4 +1,4 @@
-"""Strength of laws that is divided by a factor."""
+"""Division of a law's strength by a factor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dolfinmpm.materials.parametrised import Array
 
 __all__ = ["reduced_angle", "weakened"]
 
-# a strength that nothing reaches (Pa)
+# a strength that no stress reaches (Pa)
 _ENDLESS = 1e300
 
 
@@ -30,20 +30,20 @@ def reduced_angle(angle: npt.ArrayLike, factor: float) -> Array:
 def weakened(law: Law, parameters: Array, factor: float) -> Array:
     """A law's parameters with its strength divided by a factor.
 
-    Strengths over F, tangents of friction angles over F; a dilation angle stays as long as it does
-    not exceed the friction angle, and then is that.
+    Strengths and tangents of friction angles are divided by F. A dilation angle stays, unless it
+    exceeds the reduced friction angle. Then it becomes the reduced friction angle.
 
     Args:
         law: The law.
-        parameters: As its kernel takes them, shape (n, parameters).
+        parameters: Parameters of the kernel, shape (n, parameters).
         factor: F, positive; or 0 for a body that does not yield.
 
     Returns:
-        The same shape.
+        The reduced parameters, shape (n, parameters).
 
     Raises:
-        ParameterError: The law does not tell what its strength is, or reduced parameters
-            contradict each other.
+        ParameterError: The law does not declare its strength, or the reduced parameters contradict
+            each other.
     """
     if law.strengths is None:
         raise ParameterError(
@@ -57,7 +57,7 @@ def weakened(law: Law, parameters: Array, factor: float) -> Array:
         values[name] = values[name] / factor if factor else np.full(len(parameters), _ENDLESS)
     if factor:
         for name in law.friction_angles:
-            # beyond the largest that the law takes nothing gets stronger
+            # the largest value that the law accepts is the bound
             angle = reduced_angle(values[name], factor)
             values[name] = np.minimum(angle, law.parameters[name].high)
         if law.friction_angles and "dilation_angle" in values:

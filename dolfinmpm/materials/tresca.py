@@ -1,4 +1,4 @@
-"""Tresca's plasticity, of undrained clay."""
+"""Tresca's plasticity, for undrained clay."""
 
 from __future__ import annotations
 
@@ -22,31 +22,30 @@ def _tresca(parameters, strain, old, new, stress, tangent):
     )  # fmt: skip
 
 
-# Rate at which cohesion comes to its last value, by plastic strain
+# Rate at which cohesion tends to its last value, by plastic strain
 _RATE = 5.0
 
 
 class Tresca(Law):
     """Tresca's law: f = τ₁ − τ₃ − 2c(α), associated, on Hencky's elasticity.
 
-    c(α) = c_ult + (c₀ − c_ult) e^(−rate·α), where the accumulated plastic strain α
-    grows by √(2/3) ‖Δεᵖ‖, in plane strain 2/√3 times the multiplier. The return goes
-    to the plane or to one of its two edges, after de Souza Neto, Perić & Owen,
-    Computational Methods for Plasticity (2008), section 8.1 (whose α is the sum of the
-    multipliers), with the tangent that is consistent with it.
+    c(α) = c_ult + (c₀ − c_ult) e^(−rate·α). The accumulated plastic strain α grows by √(2/3) ‖Δεᵖ‖,
+    in plane strain 2/√3 times the multiplier. The return goes to the plane or to one of its two
+    edges, with the consistent tangent, after de Souza Neto, Perić & Owen, Computational Methods
+    for Plasticity (2008), section 8.1. (The book's α is the sum of the multipliers.)
 
-    A negative hardening is allowed up to where a strain has one stress only: c may not fall
-    faster than 3/2 μ by α.
+    Softening is limited, so that a strain has one stress only: c must not fall faster than 3/2 μ
+    by α.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
         cohesion: First cohesion c₀ (Pa), positive.
-        ultimate_cohesion: Cohesion c_ult to which it tends (Pa), positive; c₀ by default.
+        ultimate_cohesion: Last cohesion c_ult (Pa), positive; c₀ by default.
         rate: Rate of this change by α, not negative.
 
     Raises:
-        ParameterError: A parameter is outside its range, or the fall of strength too steep.
+        ParameterError: A parameter is outside its range, or the strength falls too fast.
     """
 
     parameters = ELASTIC | {

@@ -38,37 +38,38 @@ def mises(stress: Expr, yield_stress: Expr) -> Expr:
 
 
 class EnergyWithYield(Law):
-    """A law from an elastic energy in UFL, and if asked for a yield function in UFL.
+    """A law from an elastic energy in UFL, with an optional yield function in UFL.
 
-    Kirchhoff stress τ_i = ∂ψ/∂ε_i of the elastic principal logarithmic strains; flow
-    Δεᵖ_i = Δγ ∂g/∂τ_i with f(τ, α) = 0, where the accumulated plastic strain α grows by
-    √(2/3) ‖Δεᵖ‖. All derivatives, ∂ψ/∂ε and its Hessian, ∂f/∂τ, ∂g/∂τ and its, are
-    UFL's; FFCx compiles them into C functions, which a closest-point return in
-    principal axes calls (Simo & Hughes, Computational Inelasticity, 1998, box 3.1, with
-    the exponential map that keeps its form under large strain), with the tangent that
-    is consistent with it.
+    The Kirchhoff stress is τ_i = ∂ψ/∂ε_i, with the elastic principal logarithmic strains ε_i. The
+    flow is Δεᵖ_i = Δγ ∂g/∂τ_i with f(τ, α) = 0. The accumulated plastic strain α grows by
+    √(2/3) ‖Δεᵖ‖.
 
-    The functions must not depend on the order of the axes, and must be smooth where a
-    return can end: round off apices (√(J₂ + a²) for √J₂) and corners.
+    UFL takes all derivatives: ∂ψ/∂ε and its Hessian, ∂f/∂τ, ∂g/∂τ and its derivatives. FFCx
+    compiles them into C functions. A closest-point return in principal axes calls these functions
+    (Simo & Hughes, Computational Inelasticity, 1998, box 3.1; the exponential map keeps its form
+    under large strain). The tangent is consistent with the return.
+
+    The functions must not depend on the order of the axes. They must be smooth where a return can
+    end: round off apices (√(J₂ + a²) for √J₂) and corners.
 
     `EnergyWithYield(lambda e, K: K * sum(e) ** 2 / 2 + ..., yield_stress=20e3, K=1e6)`
 
     Args:
         energy: Function of the elastic principal logarithmic strains, a UFL vector of
-            three, and of parameters by their names; returns ψ (J per initial m³).
-        yield_function: Function of the principal Kirchhoff stresses, a UFL vector of
-            three (Pa), and of parameters by their names; it yields where this is
-            positive. One named `plastic_strain` is α. By default `mises` if a
-            `yield_stress` is given, the uniaxial one (Pa), else the law is elastic.
-        potential: g, likewise; f by default, that is associated flow.
-        ranges: What a parameter may be, by name; any finite number by default.
-        values: Every parameter that the functions name: a number, or as for any `Law`
-            one for each point.
+            three, and of parameters by their names. It returns ψ (J per initial m³).
+        yield_function: Function of the principal Kirchhoff stresses (Pa), a UFL vector of
+            three, and of parameters by their names. The law yields where its value is positive.
+            A parameter named `plastic_strain` is α. By default `mises` if a `yield_stress` is
+            given, the uniaxial yield stress (Pa). Else the law is elastic.
+        potential: g, likewise. By default f: associated flow.
+        ranges: Name of a parameter → `Parameter` with its range. By default any finite number.
+        values: Every parameter named by the functions: a number, or one value per point as in any
+            `Law`.
 
     Raises:
         ParameterError: A parameter is missing, unknown or outside its range, or a
             function depends on the order of the axes.
-        FormError: A function's result is no scalar of UFL, or FFCx cannot compile it.
+        FormError: The result of a function is not a UFL scalar, or FFCx cannot compile it.
 
     Collective over all ranks: the functions are compiled.
     """
@@ -118,7 +119,7 @@ class EnergyWithYield(Law):
             self._check_isotropy()
 
     def _compile(self, energy, yield_function, potential) -> None:
-        """Compile value and derivatives; see `return_kernel` for what they must write."""
+        """Compile values and derivatives; see `return_kernel` for their outputs."""
         elastic, (strain, _) = self._of(energy, "energy")
         stress = [ufl.diff(elastic, e) for e in strain]
         functions = [[*stress, *(ufl.diff(s, e) for s in stress for e in strain)]]
@@ -128,14 +129,14 @@ class EnergyWithYield(Law):
             g, (tau, alpha) = self._of(potential, "potential")
             flow = [ufl.diff(g, t) for t in tau]
             turn = [ufl.diff(n, t) for n in flow for t in (*tau, alpha)]
-            # a cone's slope is not a number at its apex, where its value is
+            # a cone's slope is NaN at its apex, but its value is a number
             functions += [[f], [f, *slopes, *flow, *turn]]
         stored = self._compiled(functions[0])
         self._yield, full = [self._compiled(f) for f in functions[1:]] or (0, 0)
         self._own_kernel = return_kernel(stored, self._yield, full, len(self.parameters))
 
     def _of(self, function, what: str):
-        """The function's UFL and the variables that it is differentiated by."""
+        """The function's UFL, and the variables of its derivatives."""
         z = self._inputs()
         state = [ufl.variable(z[i]) for i in range(4)]
         named = {name: z[4 + k] for k, name in enumerate(self.parameters)}
@@ -162,7 +163,7 @@ class EnergyWithYield(Law):
         return ufl.as_ufl(result), (state[:3], state[3])
 
     def _inputs(self) -> ufl.Constant:
-        """Principal values, α and parameters: all that a compiled function takes."""
+        """Principal values, α and parameters: the inputs of a compiled function."""
         if not hasattr(self, "_z"):
             # any domain will do, for nothing is integrated over it
             element = basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
@@ -201,7 +202,7 @@ class EnergyWithYield(Law):
         return self._own_kernel.address
 
     def energy(self, strain: Array, parameters: Array) -> Array:
-        """ψ (J/m³), without what hardening stores; see `Law.energy`."""
+        """ψ (J/m³), without the energy stored by hardening; see `Law.energy`."""
         energy = self._functions["energy"]
         assert energy is not None
         if HARDENING in _names(energy):
@@ -224,7 +225,7 @@ class EnergyWithYield(Law):
         return yield_values(self._yield, z)
 
     def __repr__(self) -> str:
-        # two laws of one name must not pass for one
+        # two different laws of one name must stay distinct
         names = "".join(
             f"{k}={getattr(f, '__qualname__', repr(f))}, " for k, f in self._functions.items() if f
         )

@@ -43,7 +43,7 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
         strength += rise * (1.0 - left)
         slope += rise * rate * left
     f = size - strength
-    # the largest and the smallest of values that are not all numbers may be numbers
+    # the largest and the smallest value may be numbers even if another value is NaN
     if not abs(a + b + c) < math.inf:
         return 1
     if f <= 0.0:
@@ -75,13 +75,13 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
                 above = multiplier
         else:
             return 2
-    # a negative hardening may use the strength up; a stress of no size has no direction
+    # softening may use up the strength; a zero stress has no direction
     if not strength > 0.0:
         return 1
     new[0] = alpha
 
-    # the deviator takes the length of the strength, not of its trial less the flow: f = 0
-    # then holds to the rounding of the stress itself, however far out the trial was
+    # the deviator gets its length from the strength, not from trial stress less flow: f = 0
+    # then holds to the rounding of the stress itself, for any size of the trial stress
     shrink = strength / size
     steep = _ROOT * slope / (2.0 * mu + _ROOT * slope)
     bulk = lmbda + 2.0 / 3.0 * mu
@@ -111,32 +111,31 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
 class VonMises(Law):
     """Von Mises' law: f = √(2 J₂) − √(2/3) σ_y(α), associated, on Hencky's elasticity.
 
-    σ_y(α) = σ_0 + H α + (σ_∞ − σ_0)(1 − e^(−δα)) is the stress at which a bar in tension yields.
+    σ_y(α) = σ_0 + H α + (σ_∞ − σ_0)(1 − e^(−δα)) is the yield stress of a bar in tension.
     The accumulated plastic strain α grows by √(2/3) ‖Δεᵖ‖: it is the bar's plastic strain. The
     undrained shear strength is c_u = σ_y/√3. After Simo & Hughes, Computational Inelasticity
     (1998), box 3.2.
 
     AMPLE (Coombs & Augarde 2020, doi 10.1016/j.advengsoft.2020.102748) gives the radius
     ρ = √(2/3) σ_y = √2 c_u of the yield surface in the deviatoric plane. With `radius`, hardening
-    and saturation are of the radius, too.
+    and saturation are those of the radius, too.
 
-    A negative hardening is allowed up to where a strain has one stress only: σ_y may not
-    fall faster than 3 μ by α, the radius not faster than √6 μ. A point whose strength is used up
-    has no stress.
+    Softening is limited, so that a strain has one stress only: σ_y must not fall faster than 3 μ
+    by α, and the radius not faster than √6 μ. A point whose strength is used up has no stress.
 
     Args:
         E: Young's modulus (Pa), positive.
         nu: Poisson's ratio, -1 < ν < 0.5.
         yield_stress: Uniaxial yield stress σ_0 (Pa), positive.
-        radius: Radius of the first yield surface (Pa), positive; in place of `yield_stress`.
-        hardening: Linear part H (Pa), negative where strength falls.
-        saturation: σ_∞ (Pa), positive, to which the exponential part tends; by default the first
-            value, without exponential part.
+        radius: Radius of the first yield surface (Pa), positive; instead of `yield_stress`.
+        hardening: Linear part H (Pa), negative for softening.
+        saturation: Limit σ_∞ of the exponential part (Pa), positive. By default the first value,
+            without exponential part.
         rate: Rate δ of the exponential part, not negative.
 
     Raises:
-        ParameterError: A parameter is outside its range, both strengths or none are given, or
-            strength falls too fast.
+        ParameterError: A parameter is outside its range, not exactly one of `yield_stress` and
+            `radius` is given, or the strength falls too fast.
     """
 
     internal = {"plastic_strain": ("", 0.0)}
@@ -182,7 +181,7 @@ class VonMises(Law):
 
     @property
     def _first(self) -> tuple[str, float]:
-        """Name of the first strength, and the radius by it."""
+        """Name of the first strength, and the factor from it to the radius."""
         return ("radius", 1.0) if "radius" in self.parameters else ("yield_stress", _ROOT)
 
     def admissible(self, values: dict[str, Array]) -> None:
@@ -196,7 +195,7 @@ class VonMises(Law):
         self._bound_softening(f"the {first.replace('_', ' ')}", -steepest, limit, symbol)
 
     def completed(self, parameters: Array) -> Array:
-        """The parameters as the kernel takes them: the declared ones, then the share of radii."""
+        """The parameters of the kernel: the declared ones, then the factor to radii."""
         return np.column_stack([parameters, np.full(len(parameters), self._first[1])])
 
     def yield_function(self, stress: Array, internal: Array, parameters: Array) -> Array:

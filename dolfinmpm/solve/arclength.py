@@ -1,4 +1,4 @@
-"""Paths of equilibrium past limit points: the load factor is found with the increment."""
+"""Equilibrium paths past limit points: the load factor is an unknown beside the increment."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ __all__ = ["ArcLength", "ArcRecord"]
 
 @dataclass
 class ArcRecord(StepRecord):
-    """What one step along the path did.
+    """Report of one step along the path.
 
     Attributes:
-        factor: Load factor λ at its end.
-        displacement: Under displacement control the controlled displacement since the
-            beginning, else the root mean square of the points' displacements, by volume (m).
+        factor: Load factor λ at the end of the step.
+        displacement: Under displacement control: the controlled displacement since the first
+            step (m). Else: the root mean square of the points' displacements, weighted by
+            volume (m).
         length: Length of the step (m).
     """
 
@@ -55,20 +56,22 @@ class ArcRecord(StepRecord):
 
 
 class Pace:
-    """How long the next step along a path is to be.
+    """Rule for the length of the next step along a path.
 
-    Ramm's rule ℓ √(n*/n) (1981, doi 10.1007/978-3-642-81589-8_5), n being a step's
-    iterations. Where even short steps take more than n* of them, as those of yielding
-    bodies do, the rule alone shortens them for ever: n* is then what the best of the last
-    steps took, and one more; and a step that took no more than that is followed by a longer
-    one, so that lengths come back after a failure.
+    Ramm's rule is ℓ √(n*/n) (1981, doi 10.1007/978-3-642-81589-8_5). Here n is the number of
+    iterations of a step, and n* is the target.
+
+    In yielding bodies even short steps may take more than n* iterations. Ramm's rule alone would
+    then shorten the steps for ever. So n* becomes one more than the smallest n of the last steps.
+    A step with at most that number of iterations is followed by a longer step. So the lengths
+    recover after a failure.
 
     Args:
-        target: Iterations aimed at, where they are enough.
-        longest: Bound of the lengths (m).
+        target: Target number of iterations, where it can be reached.
+        longest: Largest length (m).
 
     Attributes:
-        counts: Iterations of the last steps.
+        counts: Numbers of iterations of the last steps.
     """
 
     remembered = 8
@@ -82,12 +85,12 @@ class Pace:
         """The next length (m).
 
         Args:
-            length: Length of the step (m).
-            iterations: Iterations that it took.
+            length: Length of the last step (m).
+            iterations: Iterations of the last step.
         """
         self.counts = [*self.counts, iterations][-self.remembered :]
         least = min(self.counts)
-        # not beyond twice the target: lengths that creep up would end in failures
+        # not beyond twice the target: slowly growing lengths would end in failures
         aim = max(self._target, min(least + 1, 2 * self._target))
         ratio = math.sqrt(aim / iterations)
         if iterations <= least:
@@ -97,11 +100,11 @@ class Pace:
 
 
 class AlongPath(Static):
-    """Static steps whose load factor is found; it keeps the path, and the length of a step.
+    """Scheme of static steps with an unknown load factor. It keeps the path and the step length.
 
     Attributes:
         path: The load factor, its equation and the length of the next step.
-        pace: How long the next step is to be.
+        pace: The rule for the length of the next step.
     """
 
     record = ArcRecord
@@ -136,35 +139,36 @@ class AlongPath(Static):
 
 
 class ArcLength(QuasiStatic):
-    """Quasi-static problem whose load factor λ is unknown: it follows rising and falling loads.
+    """Quasi-static problem with an unknown load factor λ: it follows rising and falling loads.
 
-    λ multiplies one or several constants of the form. A step goes a given length
-    along the path of equilibrium; see `Constraint` for what length means. The
-    predictor follows the tangent in the direction that does not turn back on the last
-    increment of the material points, which they carry along from grid to grid. The
-    next length is such that it takes about as many iterations as are aimed at, see `Pace`; a
-    step that does not converge leaves the state as it was and is halved.
+    λ multiplies one or several constants of the form. A step goes a given length along the
+    equilibrium path; see `Constraint` for the definition of the length.
 
-    Constants of the form other than the load keep the values that they are given;
-    prescribed increments must be zero.
+    The predictor follows the tangent of the path. Its sign is chosen so that the path does not
+    turn back on the last increment. The material points carry the last increment from grid to
+    grid. The next length aims at a target number of iterations, see `Pace`. A step that does not
+    converge leaves the state unchanged, and is halved.
+
+    Constants of the form other than the load keep their values. Prescribed increments must be
+    zero.
 
     Args:
         form: Weak form; see `QuasiStatic`.
-        increment: The function, or the functions, solved for; the first is the displacement.
-        points: Material points. They get the field `arc_increment` (m), (gdim,).
-        bcs: Essential conditions, of zero increments.
-        load: Constants that λ multiplies. What they hold now is the load at λ = 1; from now
-            on they hold λ times that.
+        increment: The unknown function, or functions. The first is the displacement.
+        points: Material points. They get the field `arc_increment` (m), shape (gdim,).
+        bcs: Essential conditions, with zero increments.
+        load: Constants that λ multiplies. Their present values are the load at λ = 1. Later they
+            hold λ times these values.
         length: Length of the first step (m). May be left out if `control` is a name.
-        first: Change of λ that the first step aims at where no length is given; its sign
-            says where the path starts to in any case. In a state that carries load already it
-            is measured by the mean flexibility so far, so that a path may start at a limit.
-        control: "spherical", "cylindrical", or a form that is linear in the test
-            function, whose value for the increment is the length, such as
-            `surface.mean((0, -1), v)`: displacement control. Its length may be negative.
-        factor: λ at first, for a state that carries a share of the load already.
-        target_iterations: Iterations that a step is to take; see `Pace`.
-        max_length: Bound of the lengths (m).
+        first: Change of λ aimed at by the first step, if no length is given. Its sign is the
+            direction in which the path starts, in any case. In a state under load, the mean
+            flexibility so far converts it to a length. So a path may start at a limit point.
+        control: "spherical", "cylindrical", or a form that is linear in the test function. The
+            value of the form for the increment is the length, such as
+            `surface.mean((0, -1), v)`: displacement control. This length may be negative.
+        factor: First λ, for a state that carries a share of the load already.
+        target_iterations: Target number of iterations per step; see `Pace`.
+        max_length: Largest length of a step (m).
         options: Options of `QuasiStatic`; `max_halvings` bounds the halvings of a step.
 
     Attributes:
@@ -172,8 +176,8 @@ class ArcLength(QuasiStatic):
         history: One record per step, with λ and displacement.
 
     Raises:
-        ParameterError: An argument is not what it may be.
-        FormError: The load is not in the form, or the control is no form of the points.
+        ParameterError: An argument has the wrong type or a value outside its range.
+        FormError: The load is not in the form, or the control is not a form over the points.
     """
 
     history: list[ArcRecord]  # type: ignore[assignment]
@@ -210,7 +214,7 @@ class ArcLength(QuasiStatic):
             raise ParameterError(f"length = {length} m of an arc must be positive; see `first`")
         constants = list(load) if isinstance(load, Sequence) else [load]
         load_factor = LoadFactor(form, points.grid, constants, factor)
-        # what a point did last goes with it from grid to grid and from rank to rank
+        # each point carries its last increment from grid to grid and from rank to rank
         trail = points.add_field("arc_increment", (points.gdim,), "m")
         updates["arc_increment"] = u
         scheme = AlongPath()
@@ -219,7 +223,7 @@ class ArcLength(QuasiStatic):
         if self.bodies.free:
             raise ParameterError(
                 f"'{self.bodies.free[0].name}' is free: an arc length finds a load factor and no "
-                "rigid motion; prescribe it, or take QuasiStatic"
+                "rigid motion; prescribe its motion, or take QuasiStatic"
             )
         self.path = PathBorder(load_factor, constraint, trail, self.form.spaces, points)
         self.form.also |= self.path.moving
@@ -235,7 +239,7 @@ class ArcLength(QuasiStatic):
 
     @property
     def factor(self) -> float:
-        """Load factor λ of the present state."""
+        """Load factor λ in the present state."""
         return self.path.factor
 
     @together(given=of_step)
@@ -243,14 +247,14 @@ class ArcLength(QuasiStatic):
         """Take one step along the path. Collective.
 
         Args:
-            t: None; time is of other problems.
+            t: None; this problem has no time.
 
         Raises:
             ParameterError: A time is given.
-            ConvergenceError: It did not converge, however short it was made.
+            ConvergenceError: The step did not converge after all halvings.
             PointsOutsideGridError: Points would leave the grid.
 
-        After an error state and load are those of the last step.
+        After an error the state and the load are those of the last step.
         """
         refuse_time(t, type(self).__name__)
         started, watch = time.perf_counter(), stages.Watch()
@@ -274,7 +278,7 @@ class ArcLength(QuasiStatic):
         finally:
             self.loads.release()
         assert path.length is not None
-        # of the attempt that succeeded alone: the predictor and the corrections
+        # the predictor and the corrections of the successful attempt alone
         last = len(record.residuals)
         path.last_change = path.load.value - self.factor
         path.factor = record.factor = path.load.value

@@ -1,6 +1,6 @@
-"""What a solver may be given: each check raises one named error, or returns what was meant.
+"""Checks of a solver's arguments. Each check raises one named error, or returns the value.
 
-Nothing here is kept: functions of arguments alone, which every solver calls before it
+The functions have no state and depend on their arguments only. Every solver calls them before it
 builds anything.
 """
 
@@ -45,10 +45,10 @@ __all__ = [
     "stabilisations_of",
 ]
 
-# What the solver itself sets at the end of a step, or may never be set
+# Fields set by the solver itself at the end of a step, or never
 _KEPT = ("id", "cell", "tag", "x", "x0", "V", "V0", "F", "l", "l0")
 
-# What is said of arguments that some problems have, or that belong elsewhere
+# Messages about arguments of other problems, or of other functions
 ELSEWHERE = {
     "collision": "mpm.Collision is of mpm.Explicit; rigid bodies touch by mpm.contact in the form, "
     "bodies with fields of their own by mpm.contact_between",
@@ -58,11 +58,11 @@ ELSEWHERE = {
 
 
 def increments_of(increment: Any, points: MaterialPoints) -> list[fem.Function]:
-    """The functions that are solved for, of one or several.
+    """The unknown functions as a list.
 
     Raises:
-        FormError: One is not the increment of a `Space`, or comes twice.
-        ParameterError: There is none, or one lives on another grid than the points.
+        FormError: A function is not the increment of a `Space`, or is given twice.
+        ParameterError: There is no function, or a function lives on another grid than the points.
     """
     check_points(points)
     several = isinstance(increment, Sequence) and not isinstance(increment, str)
@@ -101,8 +101,8 @@ def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
     """The essential conditions as a list.
 
     Raises:
-        ParameterError: It is no list of conditions, or one is on a field that is not
-            solved for.
+        ParameterError: The argument is not a list of conditions, or a condition is on a field that
+            is not an unknown.
     """
     made = "make it with mpm.fixed, mpm.rollers and mpm.prescribed and join them with +"
     if isinstance(bcs, (Condition, str)) or not isinstance(bcs, Iterable):
@@ -125,7 +125,7 @@ def check_conditions(bcs: Any, spaces: Sequence[Space]) -> list[Condition]:
 
 
 def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None:
-    """Raise ParameterError unless these are numbers that Newton's method can end with."""
+    """Raise ParameterError unless these numbers are valid limits of Newton's method."""
     number("tolerance", tolerance, 0.0, 1.0)
     whole("max_iterations", max_iterations, 1)
     whole("max_halvings", max_halvings, 0)
@@ -135,10 +135,10 @@ def check_limits(tolerance: Any, max_iterations: Any, max_halvings: Any) -> None
 
 
 def stabilisation_of(stabilisation: Any) -> Stabilisation:
-    """The stabilisation that is meant by a word or a `Stabilisation`.
+    """The stabilisation given by its name or as a `Stabilisation`.
 
     Raises:
-        ParameterError: It is neither.
+        ParameterError: The argument is neither a name nor a `Stabilisation`.
     """
     if isinstance(stabilisation, str):
         return Stabilisation(choice("stabilisation", stabilisation, KINDS))
@@ -157,10 +157,11 @@ def stabilisation_of(stabilisation: Any) -> Stabilisation:
 
 
 def stabilisations_of(stabilisation: Any, number_of_fields: int) -> list[Stabilisation]:
-    """One stabilisation for every field: one for all is that of each of them.
+    """One stabilisation per field; a single stabilisation holds for all fields.
 
     Raises:
-        ParameterError: One is not a stabilisation, or they are not as many as fields.
+        ParameterError: An entry is not a stabilisation, or their number differs from the number of
+            fields.
     """
     if isinstance(stabilisation, (list, tuple)):
         if len(stabilisation) != number_of_fields:
@@ -173,7 +174,7 @@ def stabilisations_of(stabilisation: Any, number_of_fields: int) -> list[Stabili
 
 
 def check_spaces(spaces: Sequence[Space]) -> None:
-    """Raise ParameterError unless fields are solved for in one configuration."""
+    """Raise ParameterError unless all fields have the same configuration."""
     if len({space.configuration for space in spaces}) > 1:
         raise ParameterError(
             "the fields' spaces are of several configurations; give all of them the same one"
@@ -183,7 +184,7 @@ def check_spaces(spaces: Sequence[Space]) -> None:
 def check_grid(points: MaterialPoints) -> None:
     """Raise ParameterError if the grid has been moved or scaled since the points were put on it.
 
-    Sizes of cells and places of its lines are read once. Collective.
+    Sizes of cells and positions of grid lines are read only once. Collective.
     """
     d = points.gdim
     x = np.asarray(points.grid.geometry.x[:, :d], float)
@@ -194,24 +195,23 @@ def check_grid(points: MaterialPoints) -> None:
         raise ParameterError(
             f"the grid reaches from {now[:d]} to {-now[d:]} m, and did from {low} to {high} m when "
             "it was first used: its coordinates have been changed since, which points and spaces "
-            "on it do not follow. Change them before, or place lines anew by mpm.regrid"
+            "on it do not follow. Change them before, or move grid lines by mpm.regrid"
         )
 
 
 def check_callable(name: str, value: Any) -> None:
-    """Raise ParameterError unless it is a function or None."""
+    """Raise ParameterError unless the value is a function or None."""
     if value is not None:
         check_function(name, value)
 
 
 def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:
-    """The expressions by which a step sets fields, by name.
+    """Name of a field → expression that a step assigns to the field.
 
     Raises:
-        ParameterError: It is no dictionary, or a value is no UFL expression.
-        UnknownNameError: The points have no such field.
-        FormError: The field is one that the solver itself keeps, or the expression has a
-            test function.
+        ParameterError: The argument is not a dictionary, or a value is not a UFL expression.
+        UnknownNameError: The points have no field of a given name.
+        FormError: The solver itself sets the field, or the expression has a test function.
     """
     if updates is None:
         return {}
@@ -244,11 +244,11 @@ def check_updates(updates: Any, points: MaterialPoints) -> dict[str, Expr]:
 
 
 def check_petsc_options(options: Any, prefix: Any, comm: MPI.Comm) -> dict[str, Any]:
-    """PETSc options without their prefix, tried out on a solver of their own. Collective.
+    """PETSc options without their prefix, tested on a temporary solver. Collective.
 
     Raises:
-        ParameterError: It is no dictionary of words and numbers, a name has a dash or the
-            prefix, or PETSc does not know a type.
+        ParameterError: The argument is not a dictionary of words and numbers, a name has a dash or
+            the prefix, or PETSc does not know a type.
     """
     if not isinstance(prefix, str):
         raise ParameterError(f"options_prefix = {shown(prefix)} must be a word, such as 'mpm_'")
@@ -293,7 +293,7 @@ def _has_package(name: str) -> bool:
 
 
 def _accepted(options: Mapping[str, Any], comm: MPI.Comm) -> bool:
-    """Whether a solver can be set up from options, which leave the database again. Collective."""
+    """Whether a solver accepts the options. The database of options is restored. Collective."""
     database, prefix = PETSc.Options(), "dolfinmpm_try_"
     for name, value in options.items():
         database[prefix + name] = value
@@ -320,7 +320,7 @@ def check_path(
     max_length: Any,
     target_iterations: Any,
 ) -> None:
-    """Raise ParameterError unless these say how a path of equilibrium is followed."""
+    """Raise ParameterError unless these are valid arguments of `ArcLength`."""
     if u.ufl_shape != (points.gdim,):
         raise ParameterError(
             f"the first increment must be a displacement of {points.gdim} components, got "
@@ -349,14 +349,14 @@ def advice(
     active: npt.NDArray[np.int32],
     axisymmetric: bool = False,
 ) -> str:
-    """What to do about a step that failed. Collective.
+    """The remedy for a step that failed. Collective.
 
     Args:
-        stabilised: Whether a stabilisation against small cuts is at work.
+        stabilised: Whether a stabilisation against small cuts is used.
         bcs: Essential conditions.
         space: Space of the first field.
-        active: Its active nodes.
-        axisymmetric: Whether the body is one of revolution.
+        active: Active nodes of the space.
+        axisymmetric: Whether the problem is axisymmetric.
     """
     text = "take smaller steps" if stabilised else "take smaller steps or add stabilisation"
     if space.increment.ufl_shape != (space.grid.geometry.dim,):

@@ -1,4 +1,4 @@
-"""PETSc options of one problem, kept apart from those of every other."""
+"""PETSc options of one problem, separate from the options of other problems."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Options"]
 
 _numbers = itertools.count(1)
 _of_problems: set[str] = set()
-# Options that are given most, to tell which one was meant
+# Common options, to suggest a correct spelling
 _COMMON = (
     "ksp_atol", "ksp_converged_reason", "ksp_gmres_restart", "ksp_max_it", "ksp_monitor",
     "ksp_rtol", "ksp_type", "ksp_view", "mat_mumps_icntl_14", "pc_factor_levels",
@@ -30,16 +30,17 @@ _COMMON = (
 
 
 class Options:
-    """Options under a prefix that no other problem has.
+    """Options under a unique prefix of one problem.
 
-    They are, the later the stronger: those given to the problem; those that stand in
-    PETSc's database under the common prefix; those on the command line under it, such as
-    `python3 case.py -mpm_ksp_type cg`. They leave the database with the problem.
+    Three sources give options. A later source overrides an earlier one: the arguments of the
+    problem; PETSc's database under the common prefix; the command line under the common prefix,
+    such as `python3 case.py -mpm_ksp_type cg`. The options are removed from the database when
+    the problem is deleted.
 
     Args:
         owner: The problem.
         common: Common prefix of all problems.
-        given: Options of this one, without prefix; a flag has the value None.
+        given: Options of this problem, without prefix; a flag has the value None.
 
     Attributes:
         prefix: The prefix of this problem.
@@ -66,14 +67,14 @@ class Options:
         return name not in self._suggested and PETSc.Options().hasName(self.prefix + name)
 
     def get(self, name: str) -> str | None:
-        """What the user has set an option to, or None."""
+        """The user's value of an option, or None."""
         return PETSc.Options().getString(self.prefix + name, "") or None if self.has(name) else None
 
     def warn_of_unread(self, comm: MPI.Comm) -> None:
-        """Warn once of options given to the problem that nothing has read when it was solved.
+        """Warn once of options of the problem that no solver has read after a solution.
 
         Args:
-            comm: Its ranks.
+            comm: Communicator of the problem.
         """
         given, self._unread = self._unread, {}
         for name, value in given.items():
@@ -89,12 +90,12 @@ class Options:
             )
 
     def mentions(self, start: str) -> bool:
-        """Whether the user has set an option whose name begins so."""
+        """Whether the user has set an option with a name that begins with `start`."""
         names = (name.removeprefix(self.prefix) for name in PETSc.Options().getAll())
         return any(name.startswith(start) and self.has(name) for name in names)
 
     def suggest(self, values: Mapping[str, Any]) -> None:
-        """Set options that the user has not set, in place of those suggested before."""
+        """Set default options, unless the user has set them. They replace earlier defaults."""
         database = PETSc.Options()
         for name in self._suggested:
             database.delValue(self.prefix + name)
@@ -118,7 +119,7 @@ def _from_command_line(common: str) -> dict[str, str | None]:
 
 
 def _remove(prefix: str) -> None:
-    """Take a problem's options out of the database."""
+    """Remove a problem's options from the database."""
     _of_problems.discard(prefix)
     if PETSc.Sys.isFinalized():
         return

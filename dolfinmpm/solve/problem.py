@@ -1,4 +1,4 @@
-"""What all problems have in common: fields, form, conditions, loads and what is kept of them."""
+"""The base of all problems: fields, form, conditions, loads, and their state."""
 
 from __future__ import annotations
 
@@ -68,28 +68,28 @@ __all__ = ["Problem"]
 
 
 class Problem(ReadOnce):
-    """A weak form over points and grid, with what it takes to step through time or load.
+    """A weak form over points and grid, for steps through time or load.
 
     Args:
         form, increment, points, bcs, updates, stabilisation, prolongation: See `QuasiStatic`.
-        scheme: How loads, times, equations and the state at the end of a step hang together.
+        scheme: The scheme of a step: loads, times, equations and the state at the end.
 
     Attributes:
         scheme: The argument.
         history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
-        form: The weak form, made ready.
+        form: The compiled weak form.
         bodies: The rigid bodies that the points touch.
-        here: What took part in the last step, or None before the first.
-        kept: Couplings that the next pattern is to have, or None.
+        here: The `Activation` of the last step, or None before the first step.
+        kept: Couplings for the next sparsity pattern, or None.
 
     Raises:
-        ParameterError: An argument is not what it may be.
-        FormError: A term of the form cannot be evaluated where it stands.
+        ParameterError: An argument has the wrong type or a value outside its range.
+        FormError: A term of the form cannot be evaluated in its integral.
         ConflictingConditionsError: Two conditions contradict each other.
 
-    An argument that is assigned to later ends in a ParameterError, unless steps look at it.
+    Later assignment to an argument raises a ParameterError, unless steps read the attribute.
     """
 
     scheme: Scheme
@@ -98,7 +98,7 @@ class Problem(ReadOnce):
     _takes_scheme = True
     _elsewhere: ClassVar[dict[str, str]] = dict.fromkeys(
         ("energies", "momentum", "angular_momentum", "time"),
-        "it is of steps in time, mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",
+        "it is for steps in time: mpm.Newmark, mpm.GeneralisedAlpha and mpm.Explicit",
     )
 
     def __init__(
@@ -202,7 +202,7 @@ class Problem(ReadOnce):
         )
 
     def _settle_markers(self) -> None:
-        """Bring boundaries to the cells of the positions that the problem sees. Collective."""
+        """Assign markers to the cells of their positions in the problem. Collective."""
         if self.configuration == "total":
             require_reference(self.form.boundaries, [t for t in self.form.terms if t.sides])
             return
@@ -216,23 +216,23 @@ class Problem(ReadOnce):
 
     @property
     def bcs(self) -> Sequence[Condition]:
-        """The essential conditions, which stay as they are."""
+        """The essential conditions; read-only."""
         return ReadList(self.held.conditions)
 
     @property
     def stabilisation(self) -> Stabilisation | list[Stabilisation]:
-        """The stabilisation with all its parameters, a list of several fields' ones."""
+        """The stabilisation with all its parameters; for several fields a list."""
         stabilisations = [field.stabilisation for field in self.fields]
         return stabilisations if len(stabilisations) > 1 else stabilisations[0]
 
     @property
     def configuration(self) -> str:
-        """Configuration that stencils and gradients are taken in."""
+        """Configuration of stencils and gradients: "updated" or "total"."""
         return self.fields[0].space.configuration
 
     @property
     def moves(self) -> bool:
-        """Whether the points move with the first field, or with those of their tags."""
+        """Whether the points move, with the first field or with the fields of their tags."""
         spaces = [field.space for field in self.fields]
         first = next(iter(movers(spaces)), 0)
         return spaces[first].increment.ufl_shape == (self.points.gdim,)
@@ -240,54 +240,54 @@ class Problem(ReadOnce):
     @together
     @stages.output
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write all that it takes to go on from here into one archive of NumPy (.npz). Collective.
+        """Write a checkpoint for a restart, one archive of NumPy (.npz). Collective.
 
-        The file is written beside the one of that name, and takes its place when it is
-        whole: a run that is killed at any time leaves one that `load` reads. Save between
-        steps; what the user has set since the last one is not in the file.
+        A complete new file replaces an old file of this name. So a run killed at any time leaves a
+        file that `load` reads. Call it between steps. Values set by the user since the last step
+        are not in the file.
 
         Args:
-            path: File to write, in a folder that is there.
+            path: File to write, in an existing folder.
 
         Raises:
-            ParameterError: It is no path.
+            ParameterError: The path is invalid.
             CheckpointError: The file cannot be written.
         """
         save(self, file_path("path", path))
 
     @together
     def load(self, path: str | os.PathLike[str]) -> None:
-        """Go on from where `save` was called, on any number of ranks. Collective.
+        """Restart from a checkpoint of `save`, on any number of ranks. Collective.
 
         Build the same problem first: grid, points with their fields and laws, form and
-        conditions. Points, loads and `history` are then those of the file, so that a script
-        goes on with `for k in range(len(problem.history), steps)`. The constants and
-        functions of the form, and the constants of the conditions, hold what they held in
-        the saved state: set what is to differ after this call.
-        Increments are zero until the next step.
+        conditions. After the call points, loads and `history` are those of the file. So a script
+        continues with `for k in range(len(problem.history), steps)`. The constants and functions
+        of the form, and the constants of the conditions, have their saved values. Set different
+        values after this call. Increments are zero until the next step.
 
-        A next stage may have other parameters of laws, other bases, stabilisations and conditions;
-        a `DifferentProblemWarning` lists what differs.
+        A next stage may have other parameters of laws, other bases, stabilisations and conditions.
+        A `DifferentProblemWarning` lists the differences.
 
-        A run that goes on gives the same figures as one that was not interrupted: bit for
-        bit on one rank, and on as many ranks as before if the grid is distributed as it
-        was and the linear solver repeats itself (MUMPS on several ranks does not, nor do
-        iterations whose preconditioner is kept by measured times); else to
-        rounding. A file of a total Lagrangian problem may be loaded into an updated one.
+        A restarted run gives the same figures as an uninterrupted run. On one rank they are equal
+        bit for bit. They are so on several ranks, too, under two conditions: ranks and
+        distribution of the grid are the same, and the linear solver is deterministic. (MUMPS on
+        several ranks is not, nor are iterations whose preconditioner is kept by measured times.)
+        Otherwise the figures are equal to rounding.
+
+        A file of a total Lagrangian problem may be loaded into an updated Lagrangian problem.
 
         Args:
             path: The file.
 
         Raises:
-            ParameterError: It is no path.
+            ParameterError: The path is invalid.
             CheckpointError: The file is missing, cut short, damaged, of a newer version, of
-                another grid or of another problem. The state is then
-                what it was.
+                another grid or of another problem. The state is then unchanged.
         """
         load(self, file_path("path", path))
 
     def keeping(self) -> list[tuple[str, Keeps]]:
-        """All that keeps values from step to step beside the points, with names."""
+        """Objects with a state from step to step, besides the points, with their names."""
         held, bodies = ("prescribed", self.held), ("bodies", self.bodies)
         return [
             ("loads", self.loads),
@@ -299,25 +299,25 @@ class Problem(ReadOnce):
 
     @together
     def state(self) -> dict[str, Any]:
-        """All that goes from step to step beside the points' fields, by name. Collective.
+        """The state from step to step besides the points' fields, by name. Collective.
 
-        It serves checkpoints, and states that are put back; see `dolfinmpm.assembly.state`.
+        It serves checkpoints and the rollback of failed steps; see `dolfinmpm.assembly.state`.
         """
         return gathered(self.keeping())
 
     @together
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned, on any number of ranks. Collective."""
+        """Restore a state returned by `state`, on any number of ranks. Collective."""
         given_back(self.keeping(), values)
         self.here = None
 
     @together
     @stages.activate
     def activate(self, step: Step | None = None) -> Activation:
-        """What takes part in a step from where the points are now. Collective.
+        """The activation for a step from the present positions of the points. Collective.
 
         Args:
-            step: The step; all of it by default.
+            step: The step or substep; by default a whole step.
         """
         share = 1.0 if step is None else step.share
         if step is not None and self.here is None and not self.scheme.in_time:
@@ -334,7 +334,7 @@ class Problem(ReadOnce):
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
         self._set_penalties(self.here)
-        # what moves may come to a side later
+        # a moving body may reach a side later
         if first and kept is None and not self.scheme.in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
@@ -345,7 +345,7 @@ class Problem(ReadOnce):
         self.form.set_penalties(here)
 
     def _begin(self) -> None:
-        """Look whether bodies and grid are where this problem has left them, as a step begins.
+        """Check at the start of a step that nothing else has moved rigid bodies or grid lines.
 
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
@@ -359,18 +359,18 @@ class Problem(ReadOnce):
             )
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were; see `regrid`."""
+        """Discard data that depend on the old grid lines; see `regrid`."""
         self.form.regrid()
         self.scheme.regrid()
         self.here = self.kept = None
 
     def _in_blocks(self, count: int) -> bool:
-        """Whether so many unknowns of a step are to stand in blocks, see `Unknowns`."""
+        """Whether a number of unknowns is to be stored in blocks, see `Unknowns`."""
         return False
 
     @together
     def operator(self) -> Operator:
-        """The weak form on what takes part now: residual, tangent and external. Collective."""
+        """The weak form in the present state: residual, tangent, external forces. Collective."""
         return Operator(self.form, self.activate())
 
     @together

@@ -51,7 +51,7 @@ from dolfinmpm.terms.gridterm import fill_functions
 
 __all__ = ["QuasiStatic"]
 
-# Times that multipliers of contact are renewed in a part of a step
+# How often a substep may update the multipliers of contact
 _MOST_AUGMENTATIONS = 50
 
 Array = npt.NDArray[np.float64]
@@ -60,36 +60,37 @@ Array = npt.NDArray[np.float64]
 class QuasiStatic(Problem):
     """Quasi-static problem, solved step by step with Newton's method.
 
-    Every step starts from the undeformed grid: the points find their stencils,
-    the active unknowns are numbered, PETSc's SNES finds the increment for which
-    the form vanishes, and only then the points' state is changed. A step that
-    does not converge leaves the state as it was and is halved: the DOLFINx
-    constants and functions in the form, which carry the load, then go in parts
-    from their values at the last converged step to those set by the user, and so
-    do prescribed increments.
+    Every step starts from the undeformed grid. The points find their stencils, and the active
+    unknowns are numbered. PETSc's SNES finds the increment for which the form vanishes. Only then
+    the state of the points changes.
+
+    A step that does not converge leaves the state unchanged, and is halved. The DOLFINx constants
+    and functions in the form carry the load. In substeps they go from their values at the last
+    converged step to the values set by the user. Prescribed increments are divided likewise.
 
     Args:
         form: Weak form, linear in the test functions; see `momentum`.
-        increment: The function, or the functions, solved for: `Space.increment`.
-            The points move with the first.
+        increment: The unknown function, or functions: `Space.increment`. The points move with the
+            first function.
         points: Material points.
         bcs: Essential conditions.
-        tolerance: Newton stops when the out-of-balance force is this share of
-            external forces and reactions, or of what it was at first if that is more.
+        tolerance: Newton's method stops when the out-of-balance force is this share of the
+            external forces and reactions. If the first out-of-balance force is larger, the
+            share is of that force.
         max_iterations: Newton iterations before a step is halved.
         max_halvings: Halvings before a step is given up.
-        updates: Fields of the points that a converged step sets to UFL
-            expressions of state and increment, by name.
-        stabilisation: Stabilisation against small cuts: a `Stabilisation`, or the name of
-            one with its usual parameters; one for all fields, or a list with one for each.
-        prolongation: Function of stencils and active nodes that returns a matrix C,
-            shape (nodes, nodes), by which some nodes' values follow from others'.
-        options_prefix: Prefix of PETSc options that change the solver: those in PETSc's
-            database and on the command line, such as `-mpm_ksp_type cg`, hold for every
-            problem of that prefix.
+        updates: Name of a field of the points → UFL expression of state and increment. A converged
+            step sets the field to the expression.
+        stabilisation: Stabilisation against small cuts: a `Stabilisation`, or the name of a
+            stabilisation with its default parameters. One for all fields, or a list with one per
+            field.
+        prolongation: Function of stencils and active nodes. It returns a matrix C, shape
+            (nodes, nodes), by which the values of some nodes follow from other nodes.
+        options_prefix: Prefix of PETSc options of the solver. Options in PETSc's database and on
+            the command line, such as `-mpm_ksp_type cg`, hold for every problem with this prefix.
         petsc_options: Options of this problem alone, without the prefix.
-        scheme: How loads, times, equations and the state at the end of a step hang together, see
-            `dolfinmpm.solve.scheme`; by default forces balance at the end of each step.
+        scheme: The scheme of a step: loads, times, equations and the state at the end; see
+            `dolfinmpm.solve.scheme`. By default forces balance at the end of each step.
 
     Attributes:
         scheme: The scheme.
@@ -97,13 +98,13 @@ class QuasiStatic(Problem):
         history: One record per step.
         points: The material points.
         fields: The fields, with their spaces and stabilisations.
-        form: The weak form, made ready.
-        solver: What solves a step's equations.
-        here: What took part in the last step, or None before the first.
+        form: The compiled weak form.
+        solver: The solver of a step's equations.
+        here: The `Activation` of the last step, or None before the first step.
 
     Raises:
-        ParameterError: An argument is not what it may be.
-        FormError: A term of the form cannot be evaluated where it stands.
+        ParameterError: An argument has the wrong type or a value outside its range.
+        FormError: A term of the form cannot be evaluated in its integral.
         ConflictingConditionsError: Two conditions contradict each other.
     """
 
@@ -138,7 +139,7 @@ class QuasiStatic(Problem):
         )  # fmt: skip
         self._max_halvings = max_halvings
         options = Options(self, options_prefix, own)
-        # several fields are as a rule a saddle point, and pressure on what is round turns with it
+        # Several fields usually make a saddle point. A pressure on a curved surface turns with it.
         definite = len(self.fields) == 1 and all(term.definite for term in self.form.terms)
         shapes = [space.increment.ufl_shape for space in self.form.spaces]
         basis = self.form.spaces[0].basis
@@ -155,12 +156,12 @@ class QuasiStatic(Problem):
         self._record = StepRecord()
 
     def use(self, scheme: Static) -> None:
-        """Take the next steps by another scheme."""
+        """Use another scheme in the next steps."""
         vars(self)["scheme"] = scheme
 
     @property
     def newton(self) -> Newton:
-        """Newton's method, which has the tolerances and the linear solver."""
+        """Newton's method, with its tolerances and its linear solver."""
         if isinstance(self.solver, Bordered):
             return self.solver.newton
         assert isinstance(self.solver, Newton)
@@ -203,23 +204,23 @@ class QuasiStatic(Problem):
 
     @together(given=of_step)
     def step(self, t: float | None = None) -> Any:
-        """Take one step: to the load that is set now, or in problems with a time to t. Collective.
+        """Take one step, to the present load or to the time t. Collective.
 
-        Quasi-static steps go to what the constants and functions of the form now hold.
+        A quasi-static step goes to the present values of the constants and functions of the form.
 
         Args:
-            t: In problems with a time the time to go to (s), later than `time`; or one of
-                `times(end, dt="auto")`, for a step whose length follows from the error of the last
-                one. In others None.
+            t: In problems with a time: the time to go to (s), later than `time`. A time of
+                `times(end, dt="auto")` lets the error of the last step choose the length.
+                In problems without a time: None.
 
         Raises:
-            ParameterError: A time is missing, not later, or of no meaning.
-            ConvergenceError: The step did not converge, however small it was made.
-            PointsOutsideGridError: Points would leave the grid; if they would leave it by
+            ParameterError: The time is missing, or not later than `time`, or the problem has no
+                time.
+            ConvergenceError: The step did not converge after all halvings.
+            PointsOutsideGridError: Points would leave the grid. If they would leave the grid by
                 more than a cell, the step is halved first.
 
-        After an error the state, the load and the time are those of the last converged
-        part of the step.
+        After an error the state, the load and the time are those of the last converged substep.
         """
         started, watch = time.perf_counter(), stages.Watch()
         check_loads(self.loads.items, self.form.given, self.bcs, self.comm)
@@ -244,7 +245,7 @@ class QuasiStatic(Problem):
                 share *= 0.5
             whole = True
         except BaseException:
-            # an interruption too leaves the load where the state is
+            # after an interruption, too, load and state belong to the same substep
             self.loads.set(done)
             self.bodies.reset()
             raise
@@ -258,7 +259,7 @@ class QuasiStatic(Problem):
         return record
 
     def _attempt(self, step: Step) -> Failed | None:
-        """Take a step, or a part of one; returns why not, the state being untouched. Collective."""
+        """Take a step or a substep. On failure return why, with the state unchanged. Collective."""
         failed = self._ready(step)
         if failed is not None:
             return failed
@@ -273,7 +274,7 @@ class QuasiStatic(Problem):
         return None
 
     def _ready(self, step: Step) -> Failed | None:
-        """Look whether a step may begin, and spread the points over the ranks. Collective."""
+        """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._begin()
         raise_together(self.comm, self.points.fault())
         garbage.free(self.comm)
@@ -282,7 +283,7 @@ class QuasiStatic(Problem):
         return None if fault is None else Failed(fault, "that body")
 
     def _solve(self, operator: Operator, step: Step) -> Outcome:
-        """Solve the equations of a step, with multipliers of contact that bound penetrations."""
+        """Solve the equations of a step. Contact multipliers are updated to bound penetrations."""
         record, newton = self._record, self.newton
         newton.guess.length = step.dt
         record.unknowns = operator.here.unknowns.total
@@ -306,7 +307,7 @@ class QuasiStatic(Problem):
         return outcome
 
     def _commit(self, operator: Operator, state: NewState) -> None:
-        """Write a new state: of bodies, points and markers. Collective."""
+        """Write the new state of bodies, points and markers. Collective."""
         points, record = self.points, self._record
         self.scheme.count(self.bodies.commit(self.bodies.acting(operator)))
         record.bodies = {}
@@ -318,7 +319,7 @@ class QuasiStatic(Problem):
             fill_functions(operator.here.fields, operator.increments)
 
     def _support(self, operator: Operator, reason: str) -> str:
-        """What to do about a step that failed because a free body has no support. Collective."""
+        """The remedy for a step that failed because a free body has no support. Collective."""
         free = [] if self.scheme.inertia else self.bodies.free
         return unsupported(free, self.bodies.acting(operator), reason, self.comm)
 
@@ -334,7 +335,7 @@ class QuasiStatic(Problem):
 
     @together
     def info(self) -> str:
-        """What takes part now and what solves it, in lines to be printed. Collective."""
+        """Lines to print: points, unknowns and the linear solver at present. Collective."""
         points, here, comm = self.points, self.here, self.comm
         counts = comm.allgather((len(points), 0 if here is None else here.unknowns.owned))
         lines = [_spread("points", [count[0] for count in counts])]
@@ -350,7 +351,7 @@ class QuasiStatic(Problem):
         return [*super().keeping(), ("solver", SolverState(self))]
 
     def _worst(self, operator: Operator) -> str:
-        """The point whose law failed, or that is compressed most, for messages. Collective."""
+        """The point whose law failed, or the most compressed point, for messages. Collective."""
         points = self.points
         found = None
         if len(points):
@@ -381,7 +382,7 @@ class QuasiStatic(Problem):
         """What to do about a step that failed. Collective."""
         here = self.here
         if here is None:
-            # a rigid body goes too far, and no step was begun
+            # a rigid body would move too far, so no step has begun
             return "take smaller steps"
         first = here.fields[0]
         named = any(field.stabilisation.kind != "none" for field in self.fields)
@@ -391,7 +392,7 @@ class QuasiStatic(Problem):
 
 
 def _spread(what: str, counts: list[int], total: int | None = None) -> str:
-    """A number of all ranks, and how it is spread over them."""
+    """A number on all ranks together, and its range over the ranks."""
     text = f"{what}: {sum(counts) if total is None else total}"
     if len(counts) == 1:
         return text

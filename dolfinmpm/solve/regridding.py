@@ -1,4 +1,4 @@
-"""Problems on a grid whose lines are laid anew between steps."""
+"""Regridding: new grid lines for a problem between steps."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ __all__ = ["regrid"]
 
 @together
 def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
-    """Place the lines of a problem's grid anew, between steps, as of a zone that moves. Collective.
+    """Move the grid lines of a problem between steps, such as for a moving fine zone. Collective.
 
-    Points and markers find their cells again; nothing is transferred, for the grid has no state.
-    Both must be as dense as the finest cells need wherever the zone comes.
-    Conditions stay with the nodes that they were made for, and so hold the same sides of the grid.
-    A checkpoint of the problem is of the grid as it is then.
+    Points and markers find their cells again. Nothing is transferred, because the grid has no
+    state. Points and markers must be dense enough for the finest cells, everywhere on the way of
+    the fine zone. Conditions stay on their nodes, and so on the same sides of the grid. A
+    checkpoint belongs to the grid at its time.
 
     Args:
-        problem: A quasi-static problem, or one in time with implicit steps, the only one on its
-            grid that goes on: others tell so at their next step.
-        lines: Coordinates of as many lines as the grid has, in each direction (m), such as
-            `zoned_line` gives. The grid must have had cells of different sizes from the start.
+        problem: A quasi-static problem, or a problem in time with implicit steps. It must be the
+            only problem on its grid that continues. Other problems raise an error at their next
+            step.
+        lines: Coordinates of the lines in each direction (m), such as from `zoned_line`. The
+            number of lines must stay. The grid must have been graded from the start.
 
     Raises:
-        ParameterError: The lines are not what they may be, or the problem is of another kind.
+        ParameterError: The lines are invalid, or the problem is of another kind.
         UnsupportedGridError: The grid is not rectangular, or was uniform.
         PointsOutsideGridError: Points would be outside the grid.
     """

@@ -1,4 +1,4 @@
-"""Bodies at rest: states of stress that are in balance before anything has moved."""
+"""Bodies at rest: stresses in balance with the loads before any motion."""
 
 from __future__ import annotations
 
@@ -35,32 +35,32 @@ __all__ = ["equilibrate"]
 def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 
-    Steps are taken as usual, and each time the points are put back to where they were at first,
-    undeformed, with the stress that they have come to. What is out of balance after that is
-    of the square of what was, so that two or three are enough. A level deposit whose stress and
-    weight fit each other needs none.
+    The function takes ordinary steps. After each step the points go back to their first positions,
+    undeformed, and keep the new stress. The new out-of-balance force is of the order of the
+    square of the old one, so that two or three steps are enough. A level deposit with stresses
+    that match its weight needs no step.
 
-    The force of a ghost penalty, or of weak aggregation, is of increments and is not kept. Here
-    it only helps to solve, and has no share in the balance. Where the stress of the points cannot
-    balance every function of the grid without it, as at the edge of bodies in splines, nodes of
-    ill-filled cells follow others as in aggregation, and forces on both together are balanced: the
-    next step then moves the body by what the penalty allows, about a hundredth of what the steps
-    here do.
+    The force of a ghost penalty, or of weak aggregation, acts on increments and is not kept.
+    Here it only helps to solve the equations, and is not part of the balance. At the edge of
+    bodies in splines, the stress of the points may not balance every function of the grid
+    without this force. Nodes of ill-filled cells then follow other nodes as in aggregation, and
+    the sums of their forces are balanced. The next step then moves the body a little, as far as
+    the penalty allows: about a hundredth of the motion in the steps here.
 
-    Internal variables, such as plastic strain, and the records of the steps stay.
+    Internal variables, such as plastic strain, and the records of the steps are kept.
 
     Args:
-        problem: A quasi-static problem with points that have not been deformed.
-        tolerance: Force out of balance that is left, as a share of external forces and reactions.
-        most: Steps allowed.
+        problem: A quasi-static problem with undeformed points.
+        tolerance: Remaining out-of-balance force, as a share of external forces and reactions.
+        most: Largest number of steps.
 
     Returns:
-        How many steps were taken.
+        The number of steps.
 
     Raises:
-        ParameterError: The problem is none, the points have been deformed, or a number is not what
-            it may be.
-        ConvergenceError: More steps would be needed, or one failed.
+        ParameterError: The problem is not quasi-static, the points are deformed, or a number is
+            outside its range.
+        ConvergenceError: The force is not in balance after `most` steps, or a step failed.
     """
     check_kind("problem", problem, QuasiStatic, "give an mpm.QuasiStatic")
     if problem.scheme.in_time or isinstance(problem, ArcLength):
@@ -96,7 +96,7 @@ def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20
 
 
 def _steps(problem: QuasiStatic, tolerance: float, most: int) -> float:
-    """Take steps until forces balance; returns what is out of balance. Collective."""
+    """Take steps until forces balance; returns the relative out-of-balance force. Collective."""
     out = _out_of_balance(problem)
     for _ in range(most):
         if out <= tolerance:
@@ -108,7 +108,7 @@ def _steps(problem: QuasiStatic, tolerance: float, most: int) -> float:
 
 
 def _with_help(problem: QuasiStatic, penalties: _Penalties, tolerance: float, most: int) -> float:
-    """The same with penalties in the matrix alone, which its tangent does not have. Collective."""
+    """As `_steps`, with penalties in the matrix only, not in the forces. Collective."""
     with penalties.only_helping():
         halvings, problem.max_halvings = problem.max_halvings, 0
         try:
@@ -130,10 +130,10 @@ def _out_of_balance(problem: QuasiStatic) -> float:
 
 
 class _Helped(Static):
-    """Static steps on what is made of what takes part.
+    """Static steps on a changed activation.
 
     Args:
-        change: Makes it.
+        change: Function from the activation to the changed activation.
     """
 
     def __init__(self, change: Callable[[Activation], Activation]):
@@ -164,7 +164,7 @@ class _Penalties:
         if jumps:
             own = split(ufl.Form(jumps), form.spaces, points)
             self._jumps = GridAssembler(own.grid, form.spaces)
-        # a field that is no increment, such as a pressure, keeps its own
+        # a field other than an increment, such as a pressure, keeps its penalties
         self._moved = [name is None for name in form.values]
 
     def __bool__(self) -> bool:
@@ -172,12 +172,12 @@ class _Penalties:
             field.stabilisation.kind == "weak-aggregation" and moved
             for field, moved in zip(self._problem.fields, self._moved)
         )
-        # what is not linear in the increments is no penalty
+        # a term that is not linear in the increments is no penalty
         linear = self._problem.form.parts.grid.linear
         return linear and any(self._moved) and (distances or self._jumps is not None)
 
     def _blocks(self, here: Activation) -> list[Blocks]:
-        """Their stiffness on what takes part. Collective."""
+        """The stiffness of the penalties on an activation. Collective."""
         found = list(here.blocks_of("penalty"))
         if self._jumps is not None:
             self._jumps.attach(here.fields)
@@ -185,7 +185,7 @@ class _Penalties:
         return [b for b in found if self._moved[b.row_field] and self._moved[b.column_field]]
 
     def _left_out(self, here: Activation) -> Activation:
-        """What takes part with penalties in the tangent alone. Collective."""
+        """The activation with penalties in the tangent only. Collective."""
         blocks = self._blocks(here)
         less = [replace(b, values=-b.values) for b in blocks]
         found = dict(here.blocks)
@@ -195,10 +195,10 @@ class _Penalties:
 
     @contextlib.contextmanager
     def only_helping(self, tied: bool = False) -> Iterator[None]:
-        """Let the problem's steps have them in the matrix alone, and put all back. Collective.
+        """Use the penalties in the matrix only, within a context. Collective.
 
         Args:
-            tied: Whether nodes of ill-filled cells follow others meanwhile.
+            tied: Whether nodes of ill-filled cells follow other nodes in the meantime.
         """
         problem = self._problem
         solver, fields, scheme = problem.solver, problem.fields, problem.scheme
@@ -223,7 +223,7 @@ def _put_back(problem: QuasiStatic) -> None:
     """Undo the deformation of points and markers. Collective."""
     points = problem.points
     points["F"] = np.eye(points["F"].shape[1])
-    # the others have not moved
+    # other points have not moved
     boundaries = [of.boundary for of in problem.form.boundaries if of.boundary.follows]
     for sets, names in (
         (points, ("x", "V", "l")),

@@ -1,12 +1,12 @@
-"""The protocol of schemes: how loads, times, equations and the state at the end hang together.
+"""The protocol of schemes: loads, times, equations and the state at the end of a step.
 
-A problem is given a scheme as a value. A step, or each part of one that is halved, is
+A scheme is a value given to a problem. A step, or each substep of a halved step, is
 
     operator = scheme.system(problem, step)
     x = solver.solve(operator)
     state = scheme.finish(problem, operator, x, step)
 
-and only then the state is written.
+Only then the state is written.
 """
 
 from __future__ import annotations
@@ -33,13 +33,14 @@ Array = npt.NDArray[np.float64]
 
 
 class Scheme:
-    """What is common to all schemes; implicit and explicit steps add what they need.
+    """Common part of all schemes, for implicit and explicit steps.
 
     Attributes:
         record: Class of the records of steps.
         in_time: Whether steps have a length in seconds.
-        inertia: Whether forces balance with inertia at their level.
-        ties_movers: Whether nodes that move points are tied where points hardly support them.
+        inertia: Whether the balance of forces has inertia.
+        ties_movers: Whether nodes with little support by points are constrained to others, in
+            fields that move points.
     """
 
     record: type[StepRecord] = StepRecord
@@ -52,22 +53,22 @@ class Scheme:
         return []
 
     def description(self) -> dict[str, str]:
-        """What a next stage may change, in words."""
+        """Name → description of settings that a next stage may change."""
         return {}
 
     def identity(self) -> dict[str, Any]:
-        """What a checkpoint must have in common with the problem that loads it."""
+        """Settings that must be equal in a checkpoint and in the problem that loads it."""
         return {}
 
     def regrid(self) -> None:
-        """Forget what belongs to where the grid's lines were."""
+        """Discard data that depend on the old grid lines."""
 
     def state(self) -> dict[str, Any]:
-        """What it keeps from step to step, by name. Collective."""
+        """Its state from step to step, by name. Collective."""
         return {}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned. Collective."""
+        """Restore a state returned by `state`. Collective."""
 
 
 class Static(Scheme):
@@ -78,7 +79,7 @@ class Static(Scheme):
 
         Args:
             problem: The problem.
-            t: What the user gave.
+            t: Argument of the user's call.
 
         Raises:
             ParameterError: A time is given.
@@ -86,11 +87,11 @@ class Static(Scheme):
         refuse_time(t, type(problem).__name__)
 
     def part(self, done: float, share: float) -> Step:
-        """What is asked for of a part of a step.
+        """The next substep.
 
         Args:
-            done: Share of the step that is done.
-            share: Share that is asked for.
+            done: Converged share of the step.
+            share: Share of the substep.
         """
         return Step(done + share, share, share)
 
@@ -104,32 +105,32 @@ class Static(Scheme):
 
         Args:
             problem: The problem.
-            operator: The step's equations, moved to their solution.
+            operator: The step's equations, at their solution.
             x: The owned unknowns, shape (owned,).
-            step: What was asked for.
+            step: The step or substep.
         """
         return ended(problem, operator)
 
     def count(self, work: float) -> None:
-        """Take note of the work (J) that rigid bodies have done in a step."""
+        """Add the work done by rigid bodies in a step (J)."""
 
     def end(self, record: StepRecord | None) -> None:
         """End a call of `step`. Collective.
 
         Args:
-            record: What the call did, or None if it ended with an error.
+            record: Record of the call, or None after an error.
         """
 
 
 def ended(
     problem: Problem, operator: Operator, kept: Mapping[str, Array] | None = None
 ) -> NewState | str:
-    """The state that goes with the increments that equations were moved to; see `advance`.
+    """The new state for the present increments of the equations; see `advance`.
 
     Args:
         problem: The problem.
         operator: The equations.
-        kept: Fields that the form carries, where they are known already.
+        kept: Fields carried by the form, if they are known already.
     """
     cell, number = largest_cell(problem.points.grid), len(problem.history) + 1
     return advance(operator, problem.form.updates, problem.moves, cell, number, kept=kept)

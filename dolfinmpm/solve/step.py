@@ -1,4 +1,4 @@
-"""What a step is asked for, and what it reports."""
+"""The request of a step, and its report."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ __all__ = ["Failed", "Step", "StepRecord"]
 
 @dataclass(frozen=True)
 class Step:
-    """A step, or a part of one.
+    """A step, or a substep of a halved step.
 
     Attributes:
-        t: Where it ends: the part of the load's way from the last converged step to what is
-            set now, or the time (s).
-        dt: How far it goes.
-        share: Its share of the whole step, and of the increments prescribed for that.
+        t: Its end. In problems with a time: the time (s). In others: the share of the way from
+            the load of the last converged step to the present load.
+        dt: Its length, in the same unit as t.
+        share: Its share of the whole step and of the prescribed increments.
     """
 
     t: float = 1.0
@@ -25,12 +25,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a step was not taken.
+    """Why a step failed.
 
     Attributes:
-        reason: Why, in a few words.
-        worst: The point whose law failed, or that is compressed most.
-        advice: What to do about it, if that is known.
+        reason: The reason, in a few words.
+        worst: The point whose law failed, or the most compressed point.
+        advice: The remedy, if it is known.
     """
 
     reason: str
@@ -40,28 +40,28 @@ class Failed:
 
 @dataclass
 class StepRecord:
-    """What one call of `step` did.
+    """Report of one call of `step`.
 
     Attributes:
-        iterations: Newton iterations, those of failed attempts included.
+        iterations: Newton iterations, with those of failed attempts.
         residuals: Relative out-of-balance force before and after each iteration
-            of the last part of the step.
-        linear_iterations: Iterations of each solution of a linear system, none where factors
-            solve it.
-        parts: Converged parts that the step was made of.
-        halvings: How often it was halved.
-        unknowns: Unknowns in the last part.
-        migrated: Points that changed rank.
-        imbalance: Largest number of points on a rank over the mean, as the next step has them, or
-            of unknowns, as this one had them, if that is more.
-        seconds: Wall time (s).
-        stages: Wall time of its parts (s), and of what was written before the next step
-            ("output"), by the names of PETSc's log, which has them as "mpm:…". Together they
-            are all of it but what looks at loads and chooses the length of steps. Of this
-            process, as `seconds` are. Empty unless `measure_stages` or PETSc's log asked for it.
-        bodies: Of each rigid body by its name: "position" of its centre (m), "angle" (degrees),
-            "force" (N) and "moment" (N m) of the points on it. Of each contact between bodies that
-            deform the "force" (N) on the first of them.
+            of the last substep.
+        linear_iterations: Iterations of each solution of a linear system. Empty where a direct
+            solver was used.
+        parts: Number of converged substeps.
+        halvings: Number of halvings.
+        unknowns: Number of unknowns in the last substep.
+        migrated: Number of points that changed rank.
+        imbalance: Largest number of points per rank over the mean number, in the next step. Or
+            the same ratio of the unknowns in this step, if it is larger.
+        seconds: Wall time of this process (s).
+        stages: Stage → wall time of this process (s). PETSc's log has the same names, with "mpm:"
+            before them. "output" is the time of writing files before the next step. The stages
+            add up to the whole step, except for reading the loads and choosing the length of
+            steps. Empty unless `measure_stages` or PETSc's log is on.
+        bodies: Name of a rigid body → "position" of its centre (m), "angle" (degrees), and "force"
+            (N) and "moment" (N m) of the points on the body. Also name of a contact between
+            deformable bodies → "force" (N) on the first body.
     """
 
     iterations: int = 0

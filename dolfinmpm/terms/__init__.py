@@ -1,1 +1,1 @@
-"""Everything that acts on a body is a term: its forces, its tangent, and what it keeps."""
+"""Terms: everything that acts on a body, with forces, tangent and state."""

@@ -1,4 +1,4 @@
-"""Terms over a boundary that does not fit the grid, which own the markers of the boundary."""
+"""Terms over a boundary that does not fit the grid. The terms own the boundary's markers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from dolfinmpm.terms.referencemarkers import refer
 __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 
 Array = npt.NDArray[np.float64]
-# Constants of cells with a stabilisation serve as long as the boundary moves by no more of a cell
+# Constants of cells with a stabilisation are kept while the boundary moves less than this share
 _STILL = 0.02
 
 
@@ -41,7 +41,7 @@ class BoundaryTerm(Term):
     """Terms over a boundary that does not fit the grid.
 
     Args:
-        of: The terms, as the form has them.
+        of: The terms of the form.
         spaces: Spaces of the increments.
 
     Attributes:
@@ -63,7 +63,7 @@ class BoundaryTerm(Term):
         return self.boundary.markers
 
     def sees(self, u: Any) -> bool:
-        """Whether its markers are of the field of an increment, of those that have tags."""
+        """Whether its markers belong to the field of an increment, for fields with tags."""
         return self._of.sees(u)
 
     def bind(self, declarations: Sequence[Declaration]) -> None:
@@ -101,17 +101,17 @@ class BoundaryTerm(Term):
         """Set the penalties of weak conditions for a step. Collective.
 
         Args:
-            here: What is active.
-            moduli: Function that gives the elastic moduli M and G at the points (Pa).
+            here: The activation.
+            moduli: Function that returns the elastic moduli M and G at the points (Pa).
             increments: Increments of the fields.
-            stabilised: Whether a stabilisation bounds the constants of cells with small cuts, so
-                that they change little with the cut.
+            stabilised: Whether a stabilisation bounds the constants of cells with small cuts. Then
+                the constants change little with the cut.
         """
         markers = self.markers
         rows = np.sort(here.fields[0].of_markers[markers.number].order)
         for condition in self.conditions:
             condition.prepare(rows)
-        # constants are kept of one field
+        # constants are kept for one field only
         fields = {id(c.declaration.u) for c in self.conditions if c.local}
         for k, u in enumerate(increments):
             local = [c for c in self.conditions if c.local and c.declaration.u is u]
@@ -133,7 +133,7 @@ class BoundaryTerm(Term):
         return f"boundary of {self.markers.total} markers"
 
     def state(self) -> dict[str, Any]:
-        """What markers keep, in the order of their numbers; and which this rank has. Collective."""
+        """The markers' state in the order of their numbers, and this rank's markers. Collective."""
         markers, names = self.markers, self._kept
         found = markers.comm.bcast(markers.gather(*names))
         placed = markers.partition is self.boundary.points.partition
@@ -141,11 +141,11 @@ class BoundaryTerm(Term):
         return {**dict(zip(names, found)), "order": order}
 
     def needed(self) -> list[str]:
-        """See `Term`: of boundaries that steps at first positions see."""
+        """See `Term`: fields for boundaries in steps at first positions."""
         return [OWN] if self.boundary.follows else []
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Set markers to what `state` returned, on any number of ranks. Collective."""
+        """Restore markers from `state`, on any number of ranks. Collective."""
         markers, names = self.markers, self._kept
         markers.partition = self.boundary.points.partition
         order = values.get("order")
@@ -186,7 +186,7 @@ class ActiveBoundaryTerm(Evaluation):
         self._of, self._here = of, here
 
     def update(self, new: NewState) -> None:
-        """See `ActiveTerm`: how far the markers move."""
+        """See `ActiveTerm`: the displacements of the markers."""
         new.moved[self._of.markers.number] = self.motion(self._here.movers)[0]
 
     def follow(self, new: NewState, step: int) -> None:
@@ -230,7 +230,7 @@ def _middles(boundary: Boundary) -> Array:
 
 
 def _stays(boundary: Boundary, rows: npt.NDArray[np.integer]) -> bool:
-    """Whether markers are next to where constants were computed for them, in the same cells."""
+    """Whether markers are in the cells of their kept constants, and have moved little."""
     markers = boundary.markers
     h = smallest_height(markers.grid)
     way = np.abs(markers["x"] - markers[f"{TRACE}_x"])[rows].max(initial=0.0)

@@ -1,4 +1,4 @@
-"""Terms over cells and facets of the grid, and blocks that are the same for a whole step."""
+"""Terms over cells and facets of the grid, and blocks that are constant during a step."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Array = npt.NDArray[np.float64]
 
 
 class GridTerm(Term):
-    """Terms that DOLFINx assembles.
+    """Terms assembled by DOLFINx.
 
     Args:
-        assembler: What assembles them.
-        kind: "stiffness" of forces on the increments; "soft" of terms of the tangent only;
-            "changes" of penalties on what a step in time changes of the velocity.
+        assembler: The assembler of the terms.
+        kind: "stiffness" for forces on the increments; "soft" for terms of the tangent only;
+            "changes" for penalties on the change of velocity in a step in time.
 
     Attributes:
         assembler: The argument.
@@ -48,11 +48,11 @@ class GridTerm(Term):
 
     @property
     def moduli(self) -> list[FacetModulus]:
-        """Moduli of the laws' tangents at facets, that its forces have."""
+        """Moduli of the laws' tangents at facets, in its forces."""
         return self.assembler.moduli if self._kind != "soft" else []
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
-        """See `Term`. What is not linear in the increments is assembled later. Collective."""
+        """See `Term`. Terms that are not linear in increments are assembled later. Collective."""
         for modulus in self.moduli:
             (field,) = (f for f in fields if f.space.increment is modulus.increment)
             update(modulus, field)
@@ -78,12 +78,12 @@ class GridTerm(Term):
         return "integrals over the grid" if counts else ""
 
     def state(self) -> dict[str, Any]:
-        """Facet tensors that are kept, see `FacetBlock`."""
+        """Kept facet tensors, see `FacetBlock`."""
         blocks = enumerate(self.assembler.spline_blocks)
         return {f"{k} {n}": Local(v) for k, block in blocks for n, v in block.state().items()}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned, and forget what else is known."""
+        """Restore a state returned by `state`, and discard other cached data."""
         for k, block in enumerate(self.assembler.spline_blocks):
             start = f"{k} "
             names = [name for name in values if name.startswith(start)]
@@ -92,7 +92,7 @@ class GridTerm(Term):
 
 
 class ActiveGridTerm(ActiveTerm):
-    """Terms that DOLFINx assembles, on an activation; see `ActiveTerm`."""
+    """Terms assembled by DOLFINx, on an activation; see `ActiveTerm`."""
 
     kind = "grid"
 
@@ -124,7 +124,7 @@ class ActiveGridTerm(ActiveTerm):
 
 
 class StepBlocks(ActiveTerm):
-    """Blocks that are the same for a whole step: linear terms over the grid, and penalties."""
+    """Blocks that are constant during a step: linear terms over the grid, and penalties."""
 
     kind = "penalty"
 
@@ -143,7 +143,7 @@ class StepBlocks(ActiveTerm):
 
 
 def fill_functions(fields: Sequence[ActiveField], u: Sequence[Array]) -> None:
-    """Hand nodal increments, (nodes, components) for each field, to the DOLFINx functions."""
+    """Copy nodal increments, shape (nodes, components) per field, to the DOLFINx functions."""
     for field, own in zip(fields, u):
         values = field.space.increment.x.array.reshape(-1, field.space.components)
         if field.to_grid is not None:

@@ -1,15 +1,17 @@
-"""Boundaries under total Lagrangian bases: where their markers are in the first configuration.
+"""Boundaries in total Lagrangian bases: positions of markers in the first configuration.
 
 Markers that follow the body stay at their first positions X as its points do. Their stencils are
 those of X, with gradients by present positions, ∇N = F⁻ᵀ ∇₀N, from the deformation gradient F of
 the markers themselves, a product over the steps; laws see that of the nearest point.
 
-What a wall in space meets changes. At its marker x, with the nearest point x_p, it is
+A wall in space meets changing material. Its marker x, with the nearest point x_p, meets the
+material at
 
     X = X_p + F_p⁻¹ (x − x_p),
 
-exact where F is even around the point. A wall that the body has not reached yet sees the body's
-edge in front of it: x is moved back along the normal to the domain of the point.
+This is exact where F is uniform around the point. A wall may not have reached the body yet. It then
+uses the edge of the body in front of it: x is moved back along the normal to the domain of the
+point.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from dolfinmpm.kinematics.coverage import look_ahead
 
 __all__ = ["refer", "require_reference"]
 
-# Further than so many cells from the nearest point a wall meets nothing
+# Beyond this distance from the nearest point, in cells, a wall meets no material
 _REACH = 2.0
 # The edge of a domain may be a grid line: markers go inwards by this share of its half-length
 _INWARD = 1e-6
@@ -44,8 +46,8 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
         touching: Contacts of bodies that deform.
 
     Raises:
-        ParameterError: It is not known where a boundary was at first, or what it does is not done
-            in that configuration.
+        ParameterError: The initial position of a boundary is unknown, or the kind of boundary is
+            not supported in this configuration.
     """
     total = 'Space(..., configuration="total")'
     for contact in touching:
@@ -69,7 +71,7 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
             if boundary.late or markers.comm.allreduce(moved, op=MPI.LOR):
                 raise ParameterError(
                     f"it is not known where {boundary} was at first, which {total} needs: the body "
-                    "had moved before; make boundary and problem before the first step"
+                    "had moved before; make the boundary and the problem before the first step"
                 )
             e = markers.strain_dim
             markers.add_field(OWN, (e, e), "", np.eye(e))
@@ -77,9 +79,10 @@ def require_reference(boundaries: Sequence[Any], touching: Sequence[Any]) -> Non
 
 
 def refer(boundary: Boundary) -> None:
-    """Find where the body was first that is at a wall now. Collective.
+    """Find the first positions of the material at a wall. Collective.
 
-    Its markers have the state of the nearest point, and go to the ranks of the cells there.
+    The wall's markers get the state of the nearest point, and move to the ranks of the cells
+    there.
 
     Args:
         boundary: A boundary that stays in space.
@@ -95,7 +98,7 @@ def refer(boundary: Boundary) -> None:
     way[apart] = 0.0
     low, high = bounds(grid)
     if markers.axisymmetric:
-        # no ring is on the axis
+        # a marker must not lie on the axis
         low = np.maximum(low, [_INWARD * largest_cell(grid), -np.inf])
     markers["x0"] = np.clip(markers["body_x0"] + way, low, high)
     markers["apart"] = apart.astype(float)
