@@ -39,7 +39,7 @@ INPUTS = {
     "transient(s).step()": "step(t) needs the time to go to (s)",
     "transient(s, time=3.0)": "time = 3.0 must be a scalar dolfinx.fem.Constant,",
     "transient(s, time=fem.Constant(s.other, 0.0))": "time is a constant of another mesh than",
-    "transient(s).energies()": "Transient has no energies: it is for steps in time,",
+    "transient(s).energies()": "Transient has no energies: it is for steps in time:",
     'mpm.Mapping("pci")': "mapping = 'pci' must be one of \"pic\", \"flip\",",
     'mpm.Mapping("pic", share=0.5)': 'share = 0.5 is of flip, and "pic" has none: leave',
     'mpm.Mapping("flip", order=3)': 'order = 3 is of xpic and fmpm, and "flip" has none:',
