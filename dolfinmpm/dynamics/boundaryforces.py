@@ -1,24 +1,26 @@
-"""Boundaries that do not fit the grid in explicit steps: where forces act, and how stiffly.
+"""Boundaries that do not fit the grid, in explicit steps: places and stiffness of their forces.
 
-A step begins with the forces of what conditions have kept until then, gaps and shears, which
-follow the velocities of its end as the points do: a symplectic Euler step of penalty and body.
+Conditions keep gaps and shears from step to step. A step begins with the forces of these values.
+The values then follow the velocities at the end of the step, like the points. This is a symplectic
+Euler step of penalty and body.
 
 With the trace Σ N_i v_i, N_i ≥ 0 and Σ N_i = 1, the power of a penalty k is by Jensen's inequality
 
     ∫ k |Σ N_i v_i|² da ≤ Σ_i |v_i|² ∫ k N_i da,
 
-so that no square of a frequency that it makes exceeds the largest of ∫ k N_i da / m_i: row sums of
-its stiffness over the lumped mass, and in the critical step it stands beside the body's own.
-Behind a C that ties nodes, where N_i have signs, it is ∫ k |N_i| Σ|N_j| da over the mass of the
-nodes that others are tied to, without what these bring. Nitsche's terms −2 ∫ t(v)·v da are no
-more than half the body's energy and once more the penalty, which is twice the constant of
+So no squared frequency of the penalty exceeds the largest ∫ k N_i da / m_i: row sums of its
+stiffness over the lumped mass. The critical step adds it to the squared frequency of the body. With
+constraints C the N_i may be negative. The bound is then ∫ k |N_i| Σ|N_j| da over the mass of the
+independent nodes, without the mass of nodes that follow them. Nitsche's terms −2 ∫ t(v)·v da are
+at most half the body's energy plus once the penalty. The penalty is twice the constant of
 ∫ |t(v)|² da by the energy.
 
-Where the body ends just behind a boundary, nodes beyond it have next to no mass, and these sums no
-bound. So where conditions need no more than values, a trace weighs nodes that are lighter than a
-share θ of a full cell by their mass over that, w_i, and is Σ w_i N_i v_i / Σ w_i N_i: it is taken
-a little further inside, by less than a cell's part that has no body, forces keep their sum, and
-the penalty is less by 2 Σ w_i N_i where that is below 1.
+If the body ends just behind a boundary, nodes beyond it have very little mass, and these sums have
+no bound. Some conditions need only values, no gradients. For these a trace weighs light nodes:
+nodes below a share θ of the mass of a full cell have the weight w_i, their mass over this share.
+The trace is Σ w_i N_i v_i / Σ w_i N_i. It lies a little further inside, by less than the empty part
+of a cell. The sum of forces is unchanged. The penalty has the factor 2 Σ w_i N_i where this is
+below 1.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ __all__ = ["Stiffness", "check_boundaries", "weighed"]
 
 Array = npt.NDArray[np.float64]
 
-# θ: nodes of full cells have at least 1/8 of one
+# θ: nodes of full cells have at least 1/8 of the mass of a cell
 _LIGHT = 0.1
 # Share of the body's own energy that Nitsche's terms may add
 _NITSCHE = 0.5
@@ -53,11 +55,11 @@ _NITSCHE = 0.5
 
 @dataclass(frozen=True)
 class Stiffness:
-    """What boundaries add to the squares of the frequencies of a body.
+    """Upper bound of the squared frequencies that boundaries add to a body.
 
     Attributes:
-        rate: At most so much (1/s²).
-        share: And so much of the body's own.
+        rate: Absolute part (1/s²).
+        share: Part relative to the body's own squared frequency.
     """
 
     rate: float = 0.0
@@ -86,13 +88,13 @@ def check_boundaries(form: WeakForm, mass: str) -> None:
 
 
 def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
-    """An activation with traces that spare light nodes, and what stiffness is left. Collective.
+    """An activation with reduced weights of light nodes, and the remaining stiffness. Collective.
 
-    Penalties at the markers become smaller where traces have hardly any mass.
+    Penalties at the markers become smaller where traces have very little mass.
 
     Args:
         form: The weak form, with its penalties set.
-        here: What is active.
+        here: The activation.
     """
     field, points = here.fields[0], form.points
     m = _node_masses(field, points)
@@ -121,7 +123,7 @@ def weighed(form: WeakForm, here: Activation) -> tuple[Activation, Stiffness]:
     sums.add_up()
     fixed = here.unknowns.fields[0].fixed.all(axis=1)
     rows, owned = sums.arrays[0][:, 0], field.basis.nodes.owned
-    # what has no mass does not move, nor does what is held
+    # nodes without mass and constrained nodes do not move
     moves = (m > 0) & ~fixed & (np.arange(m.size) < owned)
     rate = float(np.max(rows[moves] / m[moves], initial=0.0))
     rate = points.comm.allreduce(rate, op=MPI.MAX)
@@ -138,20 +140,20 @@ def _node_masses(field: ActiveField, points: MaterialPoints) -> Array:
 
 
 def _full_masses(markers: MaterialPoints) -> Array:
-    """Masses of a cell that the body fills (kg), at the markers of a boundary."""
+    """Mass of a full cell (kg) at each marker of a boundary, shape (markers,)."""
     volume = smallest_height(markers.grid) ** markers.gdim
     full = markers["density"] * volume
     return ring(markers["x"][:, 0], full) if markers.axisymmetric else full
 
 
 def _weighed(s: Stencils, m: Array, full: Array, kept: Array) -> Stencils:
-    """Stencils of markers whose values spare light nodes.
+    """Stencils of markers with reduced weights of light nodes.
 
     Args:
         s: The stencils.
         m: Masses of the nodes (kg).
         full: Mass of a full cell at each marker (kg).
-        kept: Written: which share of its stiffness each marker keeps.
+        kept: Output: remaining share of the stiffness of each marker.
     """
     N = s.N.copy()
     _weigh(s.order, s.groups, s.node_start, s.nodes, s.value_start, m, _LIGHT * full, N, kept)

@@ -15,7 +15,7 @@ __all__ = ["CellFinder", "extent"]
 
 @numba.njit(cache=True, error_model="numpy")
 def _cells(x, lines, start, scale, origin, table, shape, cell):
-    """Local cells of the points; the number of those whose cell is not known here."""
+    """Find local cells of the points; returns the number of points without a known cell."""
     lost = 0
     d = x.shape[1]
     for p in range(x.shape[0]):
@@ -36,7 +36,7 @@ def _cells(x, lines, start, scale, origin, table, shape, cell):
 
 @numba.njit(cache=True, error_model="numpy")
 def extent(values):
-    """Least and largest value of each column, shape (2, columns), of at least one row."""
+    """Smallest and largest value of each column, shape (2, columns), of at least one row."""
     found = np.empty((2, values.shape[1]))
     for k in range(values.shape[1]):
         low = high = values[0, k]
@@ -46,7 +46,7 @@ def extent(values):
     return found
 
 
-# Steps after which points are put in the order of cells again
+# Steps after which points are sorted by cells again
 _SORT = 256
 
 
@@ -54,10 +54,10 @@ class CellFinder:
     """Cells of points by their positions.
 
     Args:
-        basis: Basis on the lattice, whose overlap of ranks tells which cells are known.
+        basis: Basis on the lattice. Its overlap of ranks gives the known cells.
 
     Attributes:
-        steps: Steps since the points have last been put in order.
+        steps: Steps since the last sorting of the points.
     """
 
     def __init__(self, basis: LatticeBasis):
@@ -72,7 +72,7 @@ class CellFinder:
         self._owned = basis.cells.owned
 
     def sort(self, points: MaterialPoints) -> None:
-        """Put the points in the order of the cells, if it is time to. Collective."""
+        """Sort the points by cells, if a sorting is due. Collective."""
         if self.steps < _SORT:
             return
         self.steps = 0
@@ -80,7 +80,7 @@ class CellFinder:
         for k, line in enumerate(self._lines):
             i = ((points["x"][:, k] - line[0]) * self._scale[k]).astype(np.int64)
             key = key * line.size + i
-        # a revision is of all ranks: what follows from it is collective
+        # a revision is common to all ranks, because operations after it are collective
         if points.comm.allreduce(bool(np.all(np.diff(key) >= 0)), op=MPI.LAND):
             return
         order = np.argsort(key, kind="stable")
@@ -89,7 +89,7 @@ class CellFinder:
         points.revision += 1
 
     def settle(self, points: MaterialPoints) -> int:
-        """Cells and ranks of the points where they are now; how many changed rank. Collective."""
+        """Update cells and ranks of the points; returns how many changed rank. Collective."""
         lost = _cells(
             points["x"], self._flat, self._starts, self._scale, self._origin, self._table,
             self._shape, points["cell"],
@@ -99,7 +99,7 @@ class CellFinder:
             return 0
         away = lost > 0 or bool(np.any(points["cell"] >= self._owned))
         if points.partition is not None:
-            # these were numbers in the overlap of ranks
+            # these were numbers in the old overlap of ranks
             points["cell"][:] = -1
         if not points.comm.allreduce(away, op=MPI.LOR):
             points._located = points["x"].sum()

@@ -26,9 +26,9 @@ __all__ = ["critical_step", "exact_step", "factor", "wave_speed"]
 
 Array = npt.NDArray[np.float64]
 
-# Least stable step of a bar that is cut anywhere, in h/c, by degree of the functions and whether
-# they are averaged over domains. Lumped linear functions have none: their step goes to 0
-# with the share of a point in a node; 1 is that of full cells. In two dimensions, at ν = 0.45,
+# Smallest stable step of a bar with any cut, in h/c, by degree of the functions and by averaging
+# over domains. Lumped linear functions have no lower bound: their step goes to 0
+# with the share of a point in a node; 1 is the step of full cells. In two dimensions, at ν = 0.45,
 # quadratic and cubic splines have 3 % and 12 % less, which a Courant number of 0.8 leaves room for;
 # GIMP has none either where points are trimmed to slivers of domains.
 _LUMPED = {(1, False): 1.0, (1, True): 0.66, (2, False): 0.88, (3, False): 1.4}
@@ -46,7 +46,7 @@ _TIED_LUMPED |= {(3, False): 1.2, (3, True): 1.2}
 
 
 def factor(basis: Any, mass: str, tied: bool = False) -> float:
-    """The critical step in units of h/c, for a basis, a kind of mass, and whether C ties nodes."""
+    """The critical step in units of h/c, for a basis and a kind of mass, with or without C."""
     if mass == "consistent":
         return (_TIED_CONSISTENT if tied else _CONSISTENT)[basis.degree]
     averaged = isinstance(basis, LatticeBasis) and basis.averaged
@@ -56,9 +56,9 @@ def factor(basis: Any, mass: str, tied: bool = False) -> float:
 def wave_speed(points: MaterialPoints, declarations: Sequence[Any]) -> Array:
     """Speed of pressure waves at the points, √(M/ρ₀) (m/s), shape (n,).
 
-    M is the largest stiffness along one axis that the tangent of the Kirchhoff stress has,
-    which goes with the mass per initial volume; of laws with Young's modulus and Poisson's
-    ratio it is their elastic λ + 2μ.
+    M is the largest stiffness along one axis of the tangent of the Kirchhoff stress. Kirchhoff
+    stress belongs to the mass per initial volume. For laws with Young's modulus and Poisson's
+    ratio M is the elastic λ + 2μ.
     """
     stiffness = np.zeros(len(points))
     for declaration in declarations:
@@ -80,15 +80,15 @@ def critical_step(
         basis: Basis of the displacement.
         declarations: Laws in the form.
         mass: "lumped" or "consistent".
-        tied: Whether nodes are tied to others.
+        tied: Whether nodes follow other nodes.
 
     Raises:
-        ParameterError: No law tells a stiffness.
+        ParameterError: No law has a stiffness.
     """
     h = smallest_height(points.grid)
     speed = wave_speed(points, declarations)
     v = points.fields.read("velocity")
-    # the norm of rows takes several times as long
+    # NumPy's norm of rows takes several times as long
     speed = speed + np.sqrt(np.einsum("pi,pi->p", v, v))
     fastest = points.comm.allreduce(float(speed.max(initial=0.0)), op=MPI.MAX)
     if not math.isfinite(fastest) or fastest <= 0.0:
@@ -104,11 +104,11 @@ def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: floa
 
     Args:
         form: The weak form, whose tangent is compiled.
-        terms: What the mass is made of.
-        here: What takes part.
+        terms: The terms of the mass.
+        here: The activation.
         scaling: Factor of the mass.
     """
-    # explicit steps take no tangent, and so no penalties on the increment
+    # explicit steps use no tangent, and so no penalties on the increment
     operator = Operator(form, replace(here, blocks={"mass": here.blocks_of("mass")}))
     operator.rest()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))

@@ -1,4 +1,4 @@
-"""Whether more energy comes in explicit steps than is brought."""
+"""Check of the energy balance of explicit steps, to find instability."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["EnergyBalance"]
 
 
 class EnergyBalance:
-    """What energy there was and is in explicit steps.
+    """Energy balance of explicit steps.
 
     Args:
         ledger: The energies of the problem.
@@ -25,14 +25,15 @@ class EnergyBalance:
         self._last = self._most = 0.0
 
     def fault(self, begins: bool = False) -> str | None:
-        """What is wrong if energy comes from nowhere, or None. Collective.
+        """Message about energy gained without a cause, or None. Collective.
 
-        What moves may lose energy to the grid and gain a little in "usf"; more than half of all
-        that there ever was in any form comes from a step that is too long.
+        A stable run may lose energy to the grid, and may gain a little in "usf". The gain is
+        compared with the first energy and with the largest work of loads so far. A gain of more
+        than half of the larger one shows that the step is too long.
 
         Args:
-            begins: Whether a call of `step` begins: what the user gave the points before it
-                does not come from nowhere.
+            begins: Whether a call of `step` begins. The user may have changed energy of the points
+                before the call. This change is no fault.
         """
         ledger, work = self.ledger, self.ledger.work
         total = ledger.moving() + work.internal - work.external
@@ -54,5 +55,5 @@ class EnergyBalance:
         )
 
     def forget(self) -> None:
-        """Begin anew from the next state, as the first one."""
+        """Discard the history: the next state is the new first state."""
         self._first, self._last, self._most = None, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Explicit steps that are taken one after the other, as opposed to fused ones."""
+"""Explicit steps taken one after the other, in contrast to fused steps."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class ExplicitBase(ABC):
         problem: The problem.
         held: Its essential conditions.
         updates: Fields of the points that a step sets to UFL expressions.
-        settings: How steps are taken.
+        settings: Settings of the steps.
         sides: Faces of the grid that act on the body.
-        instead: Why these steps are taken and not fused ones.
+        instead: Reason why the steps are not fused.
 
     Attributes:
-        at_once: Steps that one call may take.
+        at_once: Largest number of steps per call.
         instead: The argument.
-        keeps_speed: Whether the critical step follows from the points' fields alone; other than
-            fused steps find it in every call.
+        keeps_speed: Whether the critical step follows from the points' fields alone. Steps that
+            are not fused find the critical step in every call.
     """
 
     at_once, keeps_speed = 1, False
@@ -58,18 +58,18 @@ class ExplicitBase(ABC):
         self._work = Work()
 
     def work(self) -> Work:
-        """Works and losses since last asked."""
+        """Works and losses since the last call of this method."""
         done, self._work = self._work, Work()
         return done
 
     def renew(self) -> None:  # noqa: B027 - nothing is to be done
-        """Begin the next call as the first one; nothing is kept from step to step."""
+        """Start the next call like the first call. These steps keep nothing."""
 
     def start(self, rate: float, touched: Set[str]) -> None:  # noqa: B027 - nothing is to be done
-        """Begin a call; the points are taken as they are in every step."""
+        """Begin a call. These steps read the points anew in every step."""
 
     def release(self) -> None:  # noqa: B027 - nothing is to be done
-        """End a call; no arrays of the points are kept."""
+        """End a call. These steps keep no arrays of the points."""
 
     def run(
         self, count: int, dt: float, kick: float, more: bool, begin: Callable[[int], Step]
@@ -77,14 +77,16 @@ class ExplicitBase(ABC):
         """Take equal steps. Collective.
 
         Args:
-            count: How many.
-            dt: Their length (s).
-            kick: For how long forces act in the first of them (s), see `Explicit`.
-            more: Whether others follow without a new start.
-            begin: Gives form and conditions the time of a step by its number, and the step.
+            count: Number of steps.
+            dt: Length of each step (s).
+            kick: Time during which forces act in the first step (s), see `Explicit`.
+            more: Whether further steps follow without a new start.
+            begin: Function from the number of a step to the `Step`. It sets the time in form and
+                conditions.
 
         Returns:
-            Steps taken, points that changed rank, and why it ended before the last, or None.
+            Number of steps taken, number of points that changed rank, and the reason of an early
+            end, or None.
         """
         migrated = 0
         for k in range(count):
@@ -96,15 +98,18 @@ class ExplicitBase(ABC):
 
     @abstractmethod
     def _take(self, step: Step, kick: float) -> int | str:
-        """One step; how many points changed rank, or why there is no state. Collective.
+        """Take one step. Collective.
 
         Args:
             step: The step.
-            kick: For how long forces act in it (s).
+            kick: Time during which forces act in the step (s).
+
+        Returns:
+            Number of points that changed rank, or the reason of a failure.
         """
 
     def _advanced(self, operator: Operator, moves: bool, x: Array | None = None) -> NewState | str:
-        """The state with the increments at the points, or why there is none; see `advance`."""
+        """The state at the end of the step, or the reason of a failure; see `advance`."""
         points = self._problem.points
         number = len(self._problem.history) + 1
         return advance(operator, self._updates, moves, largest_cell(points.grid), number, x)

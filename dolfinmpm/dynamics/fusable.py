@@ -1,4 +1,4 @@
-"""Which forms the fused loops know, and what they take of them."""
+"""Forms supported by the fused loops, and the data for the loops."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from dolfinmpm.solve.weakform import WeakForm
 __all__ = ["FusedLoads", "Laws", "why_not"]
 
 Array = npt.NDArray[np.float64]
-# What a step changes: a load that depends on it is evaluated in every step
+# Fields that a step changes: a load that depends on them is evaluated in every step
 _FIXED = ("density", "V0", "x0", "l0")
-# What loads follow from
+# Fields that loads depend on
 _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
@@ -43,7 +43,7 @@ def why_not(
         form: The weak form.
         field: Its field.
         mass: Kind of the mass.
-        settings: How steps are taken.
+        settings: Settings of the steps.
         held: Essential conditions.
         options: Other arguments of the problem.
     """
@@ -103,7 +103,7 @@ def _why_not_the_form(form: WeakForm) -> str | None:
         inside = (integral.metadata() or {}).get("points")
         for term in summands(integral.integrand()):
             if inside is None or isinstance(term, Zero):
-                # penalties on the increment vanish where there is none
+                # penalties on the increment vanish at zero increments
                 continue
             if inside != points.number or depends_on(term, [space.increment]):
                 return "terms of the points other than momentum and loads"
@@ -119,19 +119,19 @@ def _kind(declaration: Declaration) -> int | None:
 
 
 class Laws:
-    """The laws of a form as the fused loops take them.
+    """The laws of a form in the layout of the fused loops.
 
     Args:
         points: Material points.
-        declarations: What the form declares.
+        declarations: Declarations of laws in the form.
 
     Attributes:
-        kind: How strain makes stress, see `dolfinmpm.dynamics.passes`.
-        state: Name of the field of elastic strain; empty if the law takes F.
+        kind: Kind of the strain formulation, see `dolfinmpm.dynamics.passes`.
+        state: Name of the field of elastic strain; empty if the law uses F.
         fbar: Whether points share changes of volume, or "centres"; see `Declaration`.
         internal: Internal variables side by side, shape (n, variables).
-        table: Addresses of the laws, their parameters, whether these are by points, and
-            which law a point has.
+        table: Addresses of the laws, their parameters, whether parameters vary over points, and
+            the law of each point.
     """
 
     table: tuple[Any, ...]
@@ -143,16 +143,16 @@ class Laws:
         assert kind is not None
         self.kind, self._stored = kind, 0.0
         self._revision, self._marked = -1, False
-        # what the stored energy that is known is of
+        # revision of the state that the known stored energy belongs to
         self._stored_of: tuple[int, bytes] | None = None
         self.state = {LAW: "be", NEO: ""}.get(kind, "elastic_strain")
         self.fbar = self._declarations[0].fbar
 
     def gather(self, touched: Set[str]) -> None:
-        """Take parameters and internal variables of the points as they are now. Collective.
+        """Read the present parameters and internal variables of the points. Collective.
 
         Args:
-            touched: Fields that may have been changed since this was last asked, on any rank.
+            touched: Fields that may have changed since the last call, on any rank.
         """
         points, n = self._points, len(self._points)
         laws = self._declarations
@@ -179,7 +179,7 @@ class Laws:
         width = max((len(own) for own in names), default=0)
         self._names = names
         if len(laws) == 1 and width == 1:
-            # one variable of one law is already where the loop wants it
+            # a single variable of a single law already has the layout of the loop
             self.internal = points[names[0][0]].reshape(-1, 1)
             return
         self.internal = np.zeros((n, width))
@@ -188,7 +188,7 @@ class Laws:
                 self.internal[d.rows, k] = points[name][d.rows]
 
     def _gather_again(self) -> None:
-        """Take what may differ though nobody has touched what a law keeps at its points."""
+        """Read data that may have changed without a change of the laws' fields."""
         laws = self._declarations
         if self.kind == NEO:
             addresses, _, *others = self.table
@@ -198,12 +198,12 @@ class Laws:
             self.internal = self._points[self._names[0][0]].reshape(-1, 1)
 
     def release(self) -> None:
-        """Let go of the fields' own arrays."""
+        """Release references to the fields' arrays."""
         if len(self._declarations) == 1 and self.internal.shape[1] == 1:
             self.internal = np.empty((0, 1))
 
     def scatter(self) -> None:
-        """Give the internal variables back to the points' fields, and mark what has moved."""
+        """Write the internal variables to the points' fields, and mark changed fields."""
         if not self._marked:
             marks = self._points.fields.read("moved_under")
             for d in self._declarations:
@@ -216,7 +216,7 @@ class Laws:
                 self._points[name][d.rows] = self.internal[d.rows, k]
 
     def gained(self) -> float:
-        """What points of the neo-Hookean law have stored since last asked (J), this rank's."""
+        """Energy stored by neo-Hookean points since the last call (J), on this rank."""
         _, numbers, _, which = self.table
         fields = self._points.fields
         now = stored_energy(fields.read("F"), fields.read("V0"), numbers, which)
@@ -225,10 +225,10 @@ class Laws:
         return now - before
 
     def start(self, touched: Set[str]) -> None:
-        """Take the points as they are now, and what they have stored. Collective.
+        """Read the present state of the points and their stored energy. Collective.
 
         Args:
-            touched: As for `gather`.
+            touched: See `gather`.
         """
         self.gather(touched)
         if self.kind == NEO:
@@ -253,16 +253,16 @@ class Laws:
 
 
 class FusedLoads:
-    """FusedLoads of a form as forces at the points.
+    """Loads of a form as forces at the points.
 
     Args:
         form: The weak form.
 
     Attributes:
-        uniform: Whether they are one acceleration of all points.
-        gravity: The acceleration (m/s²), shape (d,); zeros where they differ.
-        body: Forces of the points (N), shape (n, d), or (0, d) where they are one acceleration.
-        varies: Whether they depend on what a step changes.
+        uniform: Whether the loads are the same acceleration at all points.
+        gravity: This acceleration (m/s²), shape (d,); zeros if loads are not uniform.
+        body: Forces on the points (N), shape (n, d), or (0, d) if loads are uniform.
+        varies: Whether the loads depend on fields that a step changes.
     """
 
     uniform: bool
@@ -284,21 +284,21 @@ class FusedLoads:
         return [np.array(c.value) for c in self._constants]
 
     def changed(self) -> bool:
-        """Whether constants of the form are not what they were at the last evaluation."""
+        """Whether constants of the form have changed since the last evaluation."""
         return any(not np.array_equal(a, b) for a, b in zip(self._taken, self._values()))
 
     def follow(self, touched: Set[str]) -> None:
-        """Take the loads as they are now, unless they are known. Collective.
+        """Evaluate the present loads, unless they are unchanged. Collective.
 
         Args:
-            touched: Fields that may have been changed since they were taken, on any rank.
+            touched: Fields that may have changed since the last evaluation, on any rank.
         """
         still = self._revision == self._form.points.revision and not touched & _OF_LOADS
         if not still or self.changed():
             self.evaluate()
 
     def evaluate(self) -> None:
-        """Take the loads as they are now. Collective."""
+        """Evaluate the present loads. Collective."""
         self._taken = self._values()
         points = self._form.points
         self._revision = points.revision
@@ -306,7 +306,7 @@ class FusedLoads:
         forces = np.zeros((n, d))
         for region in self._form.regions:
             chosen = region.chosen(points["tag"])
-            # indices would copy what a slice only looks at
+            # indices would copy, a slice is a view
             rows: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
             program = region.external
             if program is None:

@@ -1,9 +1,10 @@
-"""Explicit steps on rectangular grids by fused loops, for the forms that they know.
+"""Explicit steps on rectangular grids by fused loops, for supported forms.
 
 A form of momentum terms and loads on a lattice needs no stencils, no activation and no form
-assembly: one loop takes the nodes' motion to each point, strains and moves it, and scatters its
-mass, momentum and forces to the nodes where it is then. Nodes are kept in a window of the lattice
-around this rank's cells, by their position. Rigid bodies act at the nodes between two such loops.
+assembly. One loop over the points does all: it maps the nodes' motion to each point, strains and
+moves the point, and adds its mass, momentum and forces to the nodes at the new position. Nodes are
+stored in a window of the lattice around this rank's cells, by their position. Rigid bodies act on
+the nodes between two such loops.
 """
 
 from __future__ import annotations
@@ -37,19 +38,19 @@ __all__ = ["Fused"]
 
 Array = npt.NDArray[np.float64]
 
-# Mappings with an affine part, as the loops know them, and the field of that part
+# Mappings with an affine part: their numbers in the loops, and the field of the affine part
 _AFFINE = {"apic": (1, "velocity_moment"), "tpic": (2, "velocity_gradient")}
 
 
 @dataclass
 class Worth:
-    """What window and arrays of former steps are still worth.
+    """Validity of the window and the arrays of former steps.
 
     Attributes:
-        live: Whether the arrays are at the last step of this call.
-        kept: Whether window and arrays are those of a former call.
-        travelled: Cells that the fastest point has crossed since the window was made.
-        touched: Fields that may have been changed since the last call.
+        live: Whether the arrays belong to the last step of this call.
+        kept: Whether window and arrays come from a former call.
+        travelled: Path of the fastest point since the window was made, in cells.
+        touched: Fields that may have changed since the last call.
     """
 
     live: bool = False
@@ -66,19 +67,19 @@ class Fused:
         basis: Basis of the displacement, on a lattice.
         held: Essential conditions.
         laws: The laws of the form.
-        loads: Its loads.
-        settings: How steps are taken, by "flip", "pic", "apic" or "tpic".
+        loads: Loads of the form.
+        settings: Settings of the steps, with "flip", "pic", "apic" or "tpic".
         sides: Sides of the grid that act on the body.
-        domains: How the points' domains grow.
+        domains: Update rule of the points' domains.
         rigid: Contacts with rigid bodies, or None.
 
     Attributes:
-        done: Since last asked: work of the stresses, and of loads and prescribed motions (J); the
-            cells that the fastest point has crossed in a step; what the nodes' kinetic energy has
-            changed by, and what damping and friction at sides of the grid have taken (J); and what
-            velocities of the last step are late by, and what the mapping has taken, see `Work`.
-        at_once: Steps that one call may take.
-        instead: Why other steps are taken: they are not.
+        done: Sums since the last call of `work`, in this order: work of the stresses (J), work of
+            loads and prescribed motions (J), path of the fastest point in a step (cells), change
+            of the nodes' kinetic energy (J), losses by damping and by friction at sides of the
+            grid (J), lateness of the last velocities (J) and loss by the mapping (J), see `Work`.
+        at_once: Largest number of steps per call.
+        instead: Reason for other steps: empty, because these steps are fused.
     """
 
     at_once, instead = 20, ""
@@ -112,7 +113,7 @@ class Fused:
         return self._rigid is None
 
     def work(self) -> Work:
-        """Works and losses since last asked. Collective."""
+        """Works and losses since the last call of this method. Collective."""
         if self._laws.kind == NEO:
             self.done[0] = self._laws.gained()
         sums = self._points.comm.allreduce(self.done, op=MPI.SUM)
@@ -128,17 +129,17 @@ class Fused:
         return found
 
     def renew(self) -> None:
-        """Begin the next call as the first one: with a window anew, and points put in order."""
+        """Start the next call like the first call, with a new window and sorted points."""
         self._window, self._worth.kept = None, False
 
     @stages.activate
     def start(self, rate: float, touched: Set[str]) -> None:
-        """Take the points as they are now, before steps that follow each other. Collective.
+        """Read the present state of the points before a series of steps. Collective.
 
         Args:
             rate: Prescribed velocities over prescribed increments (1/s).
-            touched: Fields that may have been changed since the last of these, on any rank: what
-                follows from others is known.
+            touched: Fields that may have changed since the last series, on any rank. Data that
+                depend on other fields only are reused.
         """
         self._rate, self._worth.live = rate, False
         self._worth.touched = touched
@@ -146,13 +147,13 @@ class Fused:
         self._laws.start(touched)
 
     def release(self) -> None:
-        """Let go of the fields' own arrays between calls: what nobody holds nobody changes."""
+        """Release references to the fields' arrays between calls, so that nothing changes them."""
         self._laws.release()
         if self._worth.kept:
             self._arrays.release()
 
     def _surround(self) -> None:
-        """Take a window around the cells that this rank computes. Collective."""
+        """Make a window around the cells computed by this rank. Collective."""
         points = self._points
         if self._window is None or self._window.basis.partition is not points.partition:
             self._window, self._worth.kept = Window(points, self._basis, self._sides), False
@@ -167,17 +168,19 @@ class Fused:
     ) -> tuple[int, int, str | None]:
         """Take equal steps. Collective.
 
-        What a loop over the points does at once, from momenta to new state, counts as evaluation.
+        In the times of stages, a whole loop over the points counts as evaluation.
 
         Args:
-            count: How many.
-            dt: Their length (s).
-            kick: For how long forces act in the first of them (s), see `Explicit`.
-            more: Whether others follow without a new start.
-            begin: Tells form and conditions how many steps have been taken; returns the next.
+            count: Number of steps.
+            dt: Length of each step (s).
+            kick: Time during which forces act in the first step (s), see `Explicit`.
+            more: Whether further steps follow without a new start.
+            begin: Function from the number of a step to the `Step`. It sets the time in form and
+                conditions.
 
         Returns:
-            Steps taken, points that changed rank, and why it ended before the last, or None.
+            Number of steps taken, number of points that changed rank, and the reason of an early
+            end, or None.
         """
         migrated, reason, taken = 0, None, 0
         *others, main = PASSES[self._settings.scheme]
@@ -192,7 +195,7 @@ class Fused:
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
-                # what has been scattered has the loads of before if they differ by points
+                # the nodal forces have the old loads, if loads differ between points
                 fresh = not self._loads.uniform
                 self._loads.evaluate()
                 fresh = fresh or not self._loads.uniform
@@ -225,13 +228,13 @@ class Fused:
         return taken, migrated, reason
 
     def _reach(self) -> float:
-        """Cells that the fastest point has crossed in the step, on any rank. Collective."""
+        """Path of the fastest point in the step on all ranks, in cells. Collective."""
         fastest, self.done[2] = float(self.done[2]), 0.0
         comm = self._points.comm
         return fastest if comm.size == 1 else comm.allreduce(fastest, op=MPI.MAX)
 
     def _prepare(self) -> None:
-        """Take arrays of the points as the loops want them. Collective."""
+        """Prepare the points' arrays in the layout of the loops. Collective."""
         _, field = _AFFINE.get(self._settings.mapping.kind, (0, None))
         touched, self._worth.touched = self._worth.touched, frozenset()
         if touched & {"x", "l"} or not self._worth.kept or not 2 * self._worth.travelled <= MARGIN:
@@ -250,7 +253,7 @@ class Fused:
     # -- passes -----------------------------------------------------------------
 
     def _pass(self, parts: Pass, dt: float, switches: Switches) -> str | None:
-        """One pass over the points; why it ended early, or None. Collective."""
+        """Run one pass over the points; returns the reason of a failure, or None. Collective."""
         if self._means is None or not parts.strain:
             return self._once(parts, dt, switches)
         taken, used = MEANS[self._laws.fbar]
@@ -319,7 +322,7 @@ class Fused:
     def _step(
         self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
     ) -> str | None:
-        """One step from what has been scattered. Collective."""
+        """Take one step from the nodal sums. Collective."""
         before = self.done.copy()
         reason = self._passes(others, main, dt, kick, record, scatter)
         if record:
@@ -333,7 +336,7 @@ class Fused:
     def _passes(
         self, others, main: Pass, dt: float, kick: float, record: bool, scatter: bool
     ) -> str | None:
-        """The passes of a step, and what nodes do between them. Collective."""
+        """Run the passes of a step, and update the nodes between them. Collective."""
         switches = Switches(record, scatter=scatter)
         window, prescribed, settings = self._window, self._prescribed, self._settings
         d = self._points.gdim
@@ -344,7 +347,7 @@ class Fused:
         rigid = self._rigid
         if rigid is not None:
             rigid.begin(dt, kick, usf)
-        # forces alone make the points' acceleration, not what moves or stops nodes
+        # only forces make the points' acceleration, not prescribed motions of nodes
         apart = record and (prescribed.driven or len(self._sides) > 0)
         pushed = np.zeros((len(nodes), d)) if apart else np.empty((0, d))
         if usf:

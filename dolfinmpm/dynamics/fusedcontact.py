@@ -1,8 +1,8 @@
 """Contact with rigid bodies in fused steps.
 
-Few points are near a body. They are listed once for many steps; in each of these the corners of
-those on the list feel what they feel in general steps, see `dolfinmpm.contact.activecontact`, and
-their forces are added to what the loops have summed up at the nodes.
+Only a few points are near a body. A list of these points serves many steps. In each step the
+corners of the listed points get the same contact forces as in general steps, see
+`dolfinmpm.contact.activecontact`. These forces are added to the nodal sums of the loops.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ Array = npt.NDArray[np.float64]
 class RigidContacts:
     """The contacts of a form in the steps of fused loops.
 
-    In a step `begin`, `press`, `follow` and `end` are called in this order.
+    A step calls `begin`, `press`, `follow` and `end` in this order.
 
     Args:
         contacts: The contacts, at least one.
-        bodies: The bodies that they are with.
+        bodies: The rigid bodies of the contacts.
         points: Material points.
 
     Attributes:
-        work: Work that the bodies have done since it was last set (J), on all ranks.
-        late: What velocities of points and of bodies are late by for contact (J), see `Work`.
+        work: Work done by the bodies since this attribute was last set (J), on all ranks.
+        late: Lateness of the velocities of points and bodies by contact (J), see `Work`.
     """
 
     _sight: Sight
@@ -59,12 +59,12 @@ class RigidContacts:
         self.late = 0.0, 0.0
         self._near = [Nearby(contact) for contact in contacts]
         self._active: list[ActiveContact] = []
-        # how far nodes went in the last step at most (m)
+        # largest motion of nodes in the last step (m)
         self._nodes_go = 0.0
         self._window: Any = None
 
     def surround(self, window: Window) -> None:
-        """Take the nodes of a window; points have come or gone. Collective."""
+        """Use the nodes of a new window, after points have come or gone. Collective."""
         if window is not self._window:
             self._window = window
             self._exchange = window.exchange(self._points.gdim)
@@ -80,25 +80,25 @@ class RigidContacts:
         self._margin = points.comm.allreduce(margin, op=MPI.MIN)
 
     def _stencils(self, rows: Rows) -> Stencils:
-        """Stencils of some points as the loops have them: on a grid line of its upper cell."""
+        """Stencils of points as in the loops: a point on a grid line uses the upper cell."""
         points, basis = self._points, self._window.basis
         x, half = points["x"][rows], points["l"][rows]
         if not basis.averaged:
             half = np.zeros_like(x)
         found = basis.stencils_in(x, half, *basis.spans(x, half))
-        # points are given to other ranks before they get to the window's edge
+        # points move to other ranks before they reach the window's edge
         assert found is not None
         return found
 
     @stages.activate
     def begin(self, dt: float, kick: float, all_corners: bool) -> None:
-        """Begin a step of that length (s): find corners that may touch in it. Collective.
+        """Begin a step: find the corners that may touch in the step. Collective.
 
         Args:
-            dt: The length.
-            kick: For how long forces act on the bodies (s).
-            all_corners: Whether all corners of points near the bodies are to be looked at, since
-                the points' fields change before it is known how far they go.
+            dt: Length of the step (s).
+            kick: Time during which forces act on the bodies (s).
+            all_corners: True checks all corners of points near the bodies. It is needed if the
+                points' fields change before their motion is known.
 
         Raises:
             ParameterError: Points are inside a body before the first step.
@@ -140,7 +140,7 @@ class RigidContacts:
         self._bodies.push(self._active, self._kick)
 
     def _way(self, active: ActiveContact) -> Array:
-        """How far corners go in the step by the velocities that strain (m), shape (m, d)."""
+        """Displacements of corners in the step by the velocities that strain (m), shape (m, d)."""
         d, corners = self._points.gdim, active.corners
         first = COLUMNS[d].second
         velocities = self._window.nodes[corners.nodes, first : first + d]
@@ -161,16 +161,16 @@ class RigidContacts:
 
     @stages.commit
     def end(self, way: float, record: bool) -> str | None:
-        """Take where the bodies are, and what the points keep of the contacts. Collective.
+        """Keep the poses of the bodies and the contact state of the points. Collective.
 
         Args:
-            way: Cells that the fastest point has crossed in the step, on any rank.
-            record: Whether to find what velocities are late by.
+            way: Path of the fastest point in the step on all ranks, in cells.
+            record: Whether to find the lateness of velocities.
 
         Returns:
-            What is wrong with where points have got to, or None.
+            Message about wrong positions of points, or None.
         """
-        # one place more: whether points and bodies have passed each other
+        # one more entry: whether points and bodies have passed each other
         look = np.zeros(len(self._near) + 1, np.uint8)
         faults = (passed(active) for active in self._active)
         through = next((fault for fault in faults if fault is not None), None)
@@ -178,7 +178,7 @@ class RigidContacts:
         for k, near in enumerate(self._near):
             gone = way * near.cell + near.way()
             sure = near.travelled(gone)
-            # what has gone less cannot have got there
+            # points with a shorter way cannot have reached the body
             look[k] = gone >= self._margin or not sure
         if self._points.comm.size > 1:
             # ranks that listed points anew within the step are surer than others

@@ -1,10 +1,10 @@
-"""Energy that steps in time make where bodies touch: it is bounded, by shorter steps where needed.
+"""Bound of the energy gained in steps in time with contact, by shorter steps where needed.
 
-Contact by mean forces makes none. What is left is that of the trapezoidal rule: the forces at the
-start and at the end of a step act on a body that has turned and stretched in between. In a step the
-nodes' kinetic energy, the work of the stresses, and what is lost by name add up to the work of
-loads and of contact, but for this error of third order in the step. Waves after an impact that a
-step hardly resolves make it large.
+Contact by mean forces makes no energy. But the trapezoidal rule may make some: the forces at the
+start and at the end of a step act on a body that turns and stretches in between. In a step the
+change of kinetic energy, the work of the stresses and the known losses add up to the work of loads
+and contact, except for an error of third order in the step. This error becomes large if a step
+hardly resolves the waves after an impact.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ LEAST = 0.25
 
 
 class Gains:
-    """Energy that the steps of a problem with contact have made, without a cause.
+    """Energy gained without a cause in the steps of a problem with contact.
 
     Attributes:
-        made: That energy (J), less what they have lost so.
+        made: Gains less losses of this kind (J).
     """
 
     def __init__(self) -> None:
         self.made = 0.0
 
     def judge(self, work: Work, contact: float, whole: float, parts: bool) -> str | None:
-        """Why a step is to be parted, or None; then what it makes counts.
+        """The reason to halve a step, or None. With None the step's gain is added.
 
         Args:
             work: Sums of the step.
-            contact: Work of contact on the nodes in it (J).
-            whole: All energy that there was and that loads have brought (J).
-            parts: Whether it may be parted.
+            contact: Work of contact on the nodes in the step (J).
+            whole: First energy plus work of loads (J).
+            parts: Whether the step may be halved.
         """
         made = work.grid + work.internal - work.net - contact
         # where there was hardly any, such as before a tool first touches, what the step turns over

@@ -1,11 +1,12 @@
 """The general explicit step: any form, any grid, any mass, by stencils and the weak form.
 
-Orders of the stress update (Bardenhagen 2002, doi 10.1006/jcph.2002.7103): "usl" takes the
-velocity gradient from the new nodal velocities, "usf" from those before the forces, "musl"
-(Sulsky, Zhou & Schreyer 1995) from the points' new velocities mapped to the nodes again. In "musl"
-points move by these, too, so that places and strains follow one motion. With FLIP forces change the
-kinetic energy by their power on the same velocities, to second order: what moves otherwise, such as
-a corner that touches, makes energy or loses it.
+The scheme is the order of the stress update (Bardenhagen 2002, doi 10.1006/jcph.2002.7103). "usl"
+takes the velocity gradient from the new nodal velocities. "usf" takes it from the nodal velocities
+before the forces. "musl" (Sulsky, Zhou & Schreyer 1995) maps the points' new velocities to the
+nodes again, and takes the gradient of these velocities. In "musl" points also move by these
+velocities, so that positions and strains follow one motion. With FLIP the kinetic energy changes by
+the power of the forces on the same velocities, to second order. So a corner in contact must move by
+them, too. Otherwise contact would make or lose energy.
 """
 
 from __future__ import annotations
@@ -52,16 +53,16 @@ class General(ExplicitBase):
 
     @cached_property
     def _resisting(self) -> dict[str, Array]:
-        """Forces on the nodes in a step that take energy (N), by the name of the loss."""
+        """Name of a loss → dissipative forces on the nodes in a step (N)."""
         return {}
 
     @cached_property
     def _by_stress(self) -> bool:
-        """Whether the points' stress gives the internal forces, but for those of boundaries."""
+        """Whether the points' stress gives all internal forces except those of boundaries."""
         return only_momentum(self._problem.form, boundaries=False)
 
     def held(self) -> Stiffness:
-        """What boundaries added to the body's stiffness in the last step. Collective."""
+        """Stiffness added by boundaries in the last step. Collective."""
         problem = self._problem
         if not problem.form.boundaries:
             return Stiffness()
@@ -71,7 +72,7 @@ class General(ExplicitBase):
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
-        """One step; how many points changed rank, or why there is no state. Collective."""
+        """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         raise_together(points.comm, points.fault())
@@ -110,7 +111,7 @@ class General(ExplicitBase):
         moved = points["x"] + dt * collect(s, V_move)
         operator.place([dt * V_strain])
         if held_by is not None and settings.clock is not None:
-            # what is left of a prescribed displacement is that of the end
+            # the remaining part of a prescribed displacement is that at the end
             settings.clock.value = step.t
         problem.bodies.put(1.0)
         state = self._advanced(operator, True, moved)
@@ -156,7 +157,7 @@ class General(ExplicitBase):
         return mass.comm.allreduce(-float(np.sum(force[at] * u[at])), op=MPI.SUM)
 
     def _find_lateness(self, operator: Operator, net: float, grid: float) -> None:
-        """Find what velocities at the end of a step are late by, see `Work`. Collective.
+        """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
             operator: The step's equations, at its end.
@@ -171,7 +172,7 @@ class General(ExplicitBase):
             work.late += more
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
-        """What the mapping has taken in a step (J), see `Work`. Collective.
+        """Energy lost by the mapping in a step (J), see `Work`. Collective.
 
         Args:
             new: Fields of the points after it.
@@ -193,7 +194,7 @@ class General(ExplicitBase):
         return momenta
 
     def _before(self, step: Step, held: Array, basis: Any) -> Array:
-        """Velocities of held components at the start of a step, shape (nodes, d). Collective."""
+        """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
         bcs = self._held.conditions
         if not any(condition.velocity for condition in bcs):
             return held

@@ -24,14 +24,14 @@ Array = npt.NDArray[np.float64]
 
 
 def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> float:
-    """What the points' kinetic energy lacks of that at the time of their positions (J).
+    """Lateness: kinetic energy at the time of positions less that of the velocities (J).
 
     Args:
-        net: Work of loads in the last step less what was lost in it by name (J).
+        net: Work of loads in the last step less the named losses in the step (J).
         internal: Work of the new stresses on the strain of the step (J).
-        grid: Change of the nodes' kinetic energy in it (J).
-        stress_is_late: Whether stress and strain are those before the points moved, as in "usf":
-            then velocities are half a step ahead of them.
+        grid: Change of the nodes' kinetic energy in the step (J).
+        stress_is_late: Whether stress and strain are those before the motion of the points, as in
+            "usf". Then velocities are half a step ahead of stress and strain.
     """
     if stress_is_late:
         return 1.5 * net - grid - 0.5 * internal
@@ -41,13 +41,14 @@ def lateness(net: float, internal: float, grid: float, stress_is_late: bool) -> 
 def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) -> float:
     """Kinetic energy that a mapping takes from the points of this rank in a step (J).
 
-    Where strains follow the new velocities, a mapping that slows the points takes half a step's
-    work of the forces from the strains, too: energies at the time of the positions lose by the mean
-    of new and old velocities, not of new ones and those that forces alone would make.
+    A mapping may slow the points. If strains follow the new velocities, the strains then also lose
+    half a step's work of the forces. So the loss of energy at the time of positions uses the mean
+    of new and old velocities. It does not use the mean of new velocities and velocities by forces
+    alone.
 
     Args:
-        old, new: Velocities before and after (m/s), shape (points, d).
-        change: What forces make of them (m/s), likewise.
+        old, new: Velocities before and after the step (m/s), shape (points, d).
+        change: Change of velocities by forces alone (m/s), shape (points, d).
         mass: Masses of the points (kg), shape (points,).
         filtered: Whether strains follow the new velocities, as in "musl" and "usf".
     """
@@ -59,11 +60,11 @@ def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) ->
 def late_by_contact(
     bodies: Bodies, contacts: Sequence[ActiveContact], comm: MPI.Intracomm
 ) -> tuple[float, float]:
-    """What velocities of points and of free bodies are late by for contact (J). Collective.
+    """Lateness of the velocities of points and of free bodies by contact (J). Collective.
 
     Args:
-        bodies: The bodies, put to the end of the step, before they take it.
-        contacts: The contacts, with the forces there.
+        bodies: The bodies, at their poses at the end of the step, before `commit`.
+        contacts: The contacts, with the forces at the end of the step.
         comm: Communicator of the points.
     """
     own = sum(float(np.sum(one.forces * (one.x - one.corners.x))) for one in contacts)

@@ -1,14 +1,15 @@
-"""Where the energy of a moving body comes from and goes to, step by step.
+"""The account of energies and works of a moving body, step by step.
 
-Each step adds to sums: work of loads and of stresses, changes of the nodes' kinetic energy,
-and what is lost by name. The energies themselves follow from the state when they are asked for,
-and so do the losses that are differences:
+Each step adds to sums: work of loads and of stresses, changes of the nodes' kinetic energy, and
+named losses. The energies themselves are computed from the state on request. So are the losses
+that are differences:
 
-- "plastic": work of the stresses less what laws that may yield store;
-- "projection": what the nodes' kinetic energy has changed by less what the points' has, which the
-  ways from the points to the nodes and back take; in explicit steps what the points would have if
-  nodes had only changed their velocities, less what they have, which is nothing in "flip";
-- "integrator": all that is left, such as what a rule in time damps or quadrature errs.
+- "plastic": work of the stresses less the energy stored by laws that may yield;
+- "projection": change of the nodes' kinetic energy less change of the points' kinetic energy: the
+  loss by mapping from the points to the nodes and back. In explicit steps it is the kinetic energy
+  that the points would have if nodes only changed their velocities, less the energy that they
+  have. It is zero in "flip";
+- "integrator": the remainder, such as damping by a rule in time or errors of quadrature.
 """
 
 from __future__ import annotations
@@ -34,27 +35,28 @@ __all__ = ["LOSSES", "Energies", "Ledger", "Work"]
 
 Array = npt.NDArray[np.float64]
 
-# Losses that steps sum up; others are differences
+# Losses summed up by steps; other losses are differences
 LOSSES = ("ghost stiffness", "ghost mass", "damping", "viscosity", "friction", "collision")
 _SUMS = ("external", "internal", "grid", *LOSSES)
-# What the energies are measured from
+# First values, from which changes are measured
 _FIRST = ("kinetic", "strain", "bodies", "rubbed", "initial", "started")
 
 
 @dataclass
 class Work:
-    """Sums over steps (J; a metre across in 2D, the whole of axisymmetric bodies).
+    """Sums over steps (J; per metre of thickness in 2D, of the whole body in axisymmetry).
 
     Attributes:
-        external: Work of loads, prescribed motions and what drives rigid bodies.
+        external: Work of loads, prescribed motions and driven rigid bodies.
         internal: Work of stresses on strains.
         grid: Change of the kinetic energy of the nodes within steps.
-        projected: What forces would have made of the points' kinetic energy in explicit steps,
-            had they changed velocities alone, less what the mapping has made of it.
-        losses: What is lost by the names of `LOSSES`.
-        length: Not a sum: length of the last step (s), 0 before the first.
-        late, late_bodies: Not sums: what the kinetic energy of the points' inertia, and of rigid
-            bodies, lacks of that at the time of positions, see `dolfinmpm.dynamics.halfstep`.
+        projected: Energy lost by the mapping in explicit steps: the points' kinetic energy if
+            forces only changed their velocities, less the kinetic energy after the mapping.
+        losses: Losses by the names of `LOSSES`.
+        length: Not a sum: length of the last step (s), 0 before the first step.
+        late, late_bodies: Not sums: lateness of the points and of rigid bodies. Lateness is the
+            kinetic energy at the time of positions less the kinetic energy of the velocities, see
+            `dolfinmpm.dynamics.halfstep`.
         latest: Not a sum: work of the stresses at the end of the last step on its strains.
     """
 
@@ -86,14 +88,14 @@ class Work:
     def add_stresses(
         self, points: MaterialPoints, new: Mapping[str, Array], operator: Operator
     ) -> None:
-        """Add the work of the stresses in a step, before the points have its state. Collective.
+        """Add the work of the stresses in a step, before the points get the new state. Collective.
 
-        Stress is taken as the mean of the states before and after, which is second order.
+        The stress is the mean of the states before and after the step: second order.
 
         Args:
             points: The points before the step.
-            new: Their fields after it.
-            operator: The step's equations, moved to the increments.
+            new: Fields of the points after the step.
+            operator: The step's equations, at the increments.
         """
         d, at = points.strain_dim, operator.points
         H = full_gradient(points, *at.motion(operator.here.movers))
@@ -104,7 +106,7 @@ class Work:
         after = stress_volumes(points, declarations, new["V"])
         for declaration in declarations:
             if declaration.strain == "small":
-                # in the linear theory nothing turns
+                # the linear theory has no rotations
                 rate[declaration.rows] = H[declaration.rows]
         sigma = new["stress"] if "stress" in new else points["stress"]
         old = before[:, None, None] * points["stress"][:, :d, :d]
@@ -120,7 +122,7 @@ class Work:
         return np.array([*sums, self.length, self.late, self.late_bodies])
 
     def take(self, values: Array) -> None:
-        """Take what `values` returned."""
+        """Restore sums returned by `values`."""
         sums, losses = map(float, values[:4]), map(float, values[4:-3])
         self.external, self.internal, self.grid, self.projected = sums
         self.losses = dict(zip(LOSSES, losses))
@@ -129,25 +131,25 @@ class Work:
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies of a body (J; a metre across in 2D, the whole of axisymmetric bodies).
+    """Energies of a body (J; per metre of thickness in 2D, of the whole body in axisymmetry).
 
     kinetic + bodies + strain + contact + dissipated − external = initial.
 
-    Bodies that meet in one field of velocities, without `mpm.contact` or `Collision`, have one
-    velocity at a node that they share: that impact is perfectly inelastic within a cell. What it
-    takes counts as "projection", or as "integrator" where points keep what nodes do not see.
+    Bodies in one velocity field, without `mpm.contact` or `Collision`, have one velocity at a
+    common node. So their impact is perfectly inelastic within a cell. The loss counts as
+    "projection". It counts as "integrator" if points keep velocities that nodes do not represent.
 
     Attributes:
         kinetic: ½ Σ m v² of the points. Velocities of explicit steps are half a step behind
-            positions: here it is that at the time of the positions, see
-            `dolfinmpm.dynamics.halfstep`, and so is that of free rigid bodies.
-        strain: Elastic energy that the laws store; not a number if one does not know its own.
+            positions. So the kinetic energy is corrected to the time of the positions, see
+            `dolfinmpm.dynamics.halfstep`. The same holds for free rigid bodies.
+        strain: Elastic energy stored by the laws; NaN if a law has no energy.
         external: Work of loads and prescribed motions since the first step.
         bodies: Kinetic energy of free rigid bodies.
-        contact: What the penalties of contacts have stored.
-        initial: All of it before the first step; what the user gives the points between steps is
-            added.
-        losses: What has been dissipated since, by name, see `dolfinmpm.dynamics.ledger`.
+        contact: Energy stored by the penalties of contacts.
+        initial: Total energy before the first step, plus energy that the user gives to the points
+            between steps.
+        losses: Name → energy dissipated since the first step, see `dolfinmpm.dynamics.ledger`.
     """
 
     kinetic: float
@@ -167,7 +169,7 @@ class Energies:
         """A loss by its name (J).
 
         Raises:
-            UnknownNameError: There is none of that name.
+            UnknownNameError: There is no loss of this name.
         """
         if name not in self.losses:
             raise UnknownNameError(f"no loss is named '{name}'; there are {', '.join(self.losses)}")
@@ -180,9 +182,9 @@ class Ledger:
     Args:
         points: Material points.
         form: The weak form.
-        bodies: Its rigid bodies.
+        bodies: The rigid bodies of the form.
         scaling: Factor of the points' mass in the inertia.
-        by_points: Whether steps sum up what the mapping takes, see `Work`.
+        by_points: Whether steps sum up the energy lost by the mapping, see `Work`.
 
     Attributes:
         work: Sums over the steps.
@@ -203,10 +205,10 @@ class Ledger:
         self._last = 0.0
 
     def begin(self) -> None:
-        """Take note of the state before a step, or a call of several. Collective.
+        """Record the energies before a step, or before a call with several steps. Collective.
 
-        In the first one all energies begin. Later the user may have changed velocities since the
-        last one.
+        The first call records all first energies. Later calls account for velocities that the user
+        has changed since the last step.
         """
         first, kinetic = self._first, self.kinetic()
         if not first["started"]:
@@ -217,7 +219,7 @@ class Ledger:
             }  # fmt: skip
             first["initial"] = kinetic + strain + first["bodies"] + touching[0]
         elif kinetic != self._last:
-            # new velocities count as those of now
+            # changed velocities count as velocities at the present time
             first["kinetic"] += kinetic - self._last
             first["initial"] += kinetic - self._last - self.work.late / self.scaling
             self.work.late = 0.0
@@ -230,11 +232,11 @@ class Ledger:
 
     @property
     def whole(self) -> float:
-        """What there was at first, and what loads have done since (J)."""
+        """First energy plus work of loads since the first step (J)."""
         return self._first["initial"] + (self._bodies.given or 0.0) + self.work.external
 
     def end(self) -> float:
-        """Take note of the state after a step or a call; the kinetic energy. Collective."""
+        """Record the state after a step or a call; returns the kinetic energy (J). Collective."""
         self._last = self.kinetic()
         return self._last
 
@@ -243,22 +245,22 @@ class Ledger:
         return float(self._points.comm.allreduce(kinetic_energy(self._points), op=MPI.SUM))
 
     def moving(self) -> float:
-        """Kinetic energy with that of the inertia's factor and of rigid bodies (J). Collective.
+        """Kinetic energy of points, with scaled inertia, and of rigid bodies (J). Collective.
 
-        What contact with these has stored since the first step is counted.
+        The energy stored by contact with rigid bodies since the first step is included.
         """
         bodies = self._bodies
         own = bodies.kinetic() + bodies.stored - (bodies.given or 0.0)
         return self.scaling * self.end() + own
 
     def _touching(self) -> tuple[float, float]:
-        """What bodies that face each other store, and all work of friction (J). Collective."""
+        """Energy stored by contact of facing bodies, and all work of friction (J). Collective."""
         energies = [term.energy() for term in self._form.terms]
         rubbed = self._bodies.rubbed + sum(rubbed for _, rubbed in energies)
         return sum(stored for stored, _ in energies), rubbed
 
     def _strain(self) -> float:
-        """What the laws store (J). Collective."""
+        """Elastic energy stored by the laws (J). Collective."""
         strain, V0 = 0.0, self._points.fields.read("V0")
         for declaration in self._form.storing:
             stored = declaration.energy()
@@ -266,10 +268,10 @@ class Ledger:
         return float(self._points.comm.allreduce(strain, op=MPI.SUM))
 
     def energies(self) -> Energies:
-        """The energies now. Collective."""
+        """The present energies. Collective."""
         first, work = self._first, self.work
         own, strain = self.kinetic(), self._strain()
-        # velocities that the user has changed since are those of now
+        # velocities changed by the user count as velocities at the present time
         late = work.late / self.scaling if own == self._last else 0.0
         kinetic = own + late
         bodies, (contact, rubbed) = self._bodies.kinetic() + work.late_bodies, self._touching()
@@ -289,7 +291,7 @@ class Ledger:
         if not self._by_points:
             losses["projection"] = work.grid - self.scaling * gained
         if self.scaling != 1.0:
-            # inertia has more energy than mass
+            # scaled inertia has more energy than the mass
             losses["mass scaling"] = (self.scaling - 1.0) * (gained + late)
         known = kinetic + strain + bodies + contact + sum(losses.values())
         initial = first["initial"] + (self._bodies.given or 0.0)
@@ -297,12 +299,12 @@ class Ledger:
         return Energies(kinetic, strain, work.external, bodies, contact, initial, losses)
 
     def state(self) -> dict[str, Any]:
-        """What it keeps from step to step."""
+        """Its state from step to step."""
         first = np.array([*self._first.values(), self._last])
         return {"work": self.work.values(), "first energies": first}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Take what `state` returned."""
+        """Restore a state returned by `state`."""
         self.work.take(state["work"])
         *first, self._last = (float(v) for v in state["first energies"])
         self._first = dict(zip(_FIRST, first))

@@ -1,4 +1,4 @@
-"""The mass at the nodes: lumped or consistent, with a ghost penalty, behind any C."""
+"""The mass at the nodes: lumped or consistent, with a ghost penalty, with any constraints C."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ __all__ = ["KINDS", "Mass", "MassTerms", "mass_terms", "point_masses"]
 Array = npt.NDArray[np.float64]
 KINDS = ("consistent", "lumped")
 
-# CG ends at this share of the right-hand side: an affine velocity is to come back to ten digits
+# CG ends at this share of the right-hand side: an affine velocity is recovered to ten digits
 _TOLERANCE, _MOST = 1e-14, 2000
-# Velocities of nodes by those of points: a sound mass makes 100 of noise on cubic splines, else 10
+# Limit of velocities of nodes by those of points: noise gives up to 100 on cubic splines, else 10
 _PROPORTION = 1e3
 
 
@@ -53,17 +53,17 @@ def point_masses(points: MaterialPoints) -> Array:
 
 
 class MassTerms(Term):
-    """What the mass of the fields that move points is made of, on any activation.
+    """Terms of the mass of the fields that move points, on any activation.
 
     Args:
         points: Material points.
-        kind: "consistent", or "lumped" by row sums: M_L, a diagonal of all active nodes, and behind
-            a C that ties nodes Cᵀ M_L C, which couples those that others are tied to. Row sums of
-            what is behind C would turn small or negative. So points, by their functions N
-            of all active nodes, get back no more energy than they gave: N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m
-            has no eigenvalue above 1, and keeps rigid velocities.
+        kind: "consistent", or "lumped" by row sums: M_L, diagonal in all active nodes. With
+            constraints C it is Cᵀ M_L C, which couples independent nodes. (Row sums of the
+            constrained mass could be small or negative.) With the functions N of all active
+            nodes and the points' masses m, N C (Cᵀ M_L C)⁻¹ Cᵀ Nᵀ m has no eigenvalue above 1, and
+            keeps rigid velocities. So the mapping to the nodes and back gives points no energy.
         ghost: Ghost penalty of the mass, γ_M J, or None.
-        factorised: Whether it is factorised where tangents are, too.
+        factorised: Whether the mass is factorised, in problems that also factorise tangents.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class MassTerms(Term):
         return set() if self.ghost is None else self.ghost.moving
 
     def blocks(self, fields: Sequence[ActiveField]) -> dict[str, list[Blocks]]:
-        """See `Term`: the mass between the nodes that remain behind C. Collective."""
+        """See `Term`: the mass between the independent nodes of C. Collective."""
         own = movers([field.space for field in fields])
         found = [self._of(k, fields[k]) for k in own]
         if self.ghost is not None:
@@ -107,7 +107,7 @@ class MassTerms(Term):
         return Blocks(k, k, rows, columns, values[:, None, None] * unit)
 
     def matrix(self, pattern: Pattern, unknowns: Unknowns) -> Matrix:
-        """A matrix of that pattern, the same as long as the pattern is. Collective."""
+        """A matrix with a pattern. The same pattern gives the same matrix object. Collective."""
         kept = self._matrix is not None and self._matrix.pattern is pattern
         if self._matrix is None or not unknowns.comm.allreduce(kept, op=MPI.LAND):
             self._matrix = Matrix(pattern, unknowns)
@@ -121,18 +121,18 @@ def mass_terms(
     ghost_mass: float | None,
     factorised: bool = False,
 ) -> MassTerms:
-    """What the mass of a problem is made of. Collective.
+    """The terms of the mass of a problem. Collective.
 
     Args:
-        form: Its weak form.
+        form: The weak form.
         fields: The problem's fields.
         mass: "consistent" or "lumped".
-        ghost_mass: γ_M in units of the largest density, see `Newmark`; None for what is usual.
-        factorised: Whether steps factorise tangents anyway. The penalty that splines need makes
-            iterations by the diagonal slow, hundreds of them, and the mass is factorised then.
+        ghost_mass: γ_M in units of the largest density, see `Newmark`; None for the default.
+        factorised: Whether steps factorise tangents anyway. Splines need a penalty that slows down
+            diagonally preconditioned iterations to hundreds. Then the mass is factorised.
 
     Raises:
-        ParameterError: A ghost penalty is asked for of a lumped mass, or is negative.
+        ParameterError: A ghost penalty is given with a lumped mass, or is negative.
     """
     points = form.points
     moving = [fields[k] for k in movers([field.space for field in fields])]
@@ -171,13 +171,13 @@ class Mass:
     """The mass of a field on an activation. Collective.
 
     Args:
-        terms: What it is made of.
+        terms: The terms of the mass.
         here: The activation.
         scaling: Factor of the mass.
         k: Number of the field.
 
     Attributes:
-        lumped: Its row sums (kg), shape (nodes,), on all ranks that know the nodes.
+        lumped: Row sums of the mass (kg), shape (nodes,), on all ranks that know the nodes.
         iterations: CG iterations of the last solution.
     """
 
@@ -224,8 +224,8 @@ class Mass:
         """Write it into a matrix of the unknowns. Collective.
 
         Args:
-            matrix: Written; of the activation's pattern.
-            unknowns: Its unknowns, those of the activation by default.
+            matrix: Output, with the activation's pattern.
+            unknowns: Unknowns of the matrix; by default those of the activation.
         """
         matrix.data[:] = 0.0
         own = self._own_of(unknowns or self._here.unknowns)
@@ -260,18 +260,18 @@ class Mass:
 
     def kinetic(self, V: Array) -> tuple[float, float]:
         """½ V · M V of the points' mass and of its penalty (J). Collective."""
-        # the points' own stands first, see `MassTerms.blocks`
+        # the points' mass is the first block, see `MassTerms.blocks`
         return 0.5 * self.inner(V, self.blocks[:1], V), 0.5 * self.inner(V, self.blocks[1:], V)
 
     def lost(self, V: Array, V_end: Array) -> float:
-        """Kinetic energy of a lumped mass that a change of velocities takes (J). Collective."""
+        """Kinetic energy lost by a change of velocities, with a lumped mass (J). Collective."""
         owned = self.nodes.owned
         change = V[:owned] ** 2 - V_end[:owned] ** 2
         lost = 0.5 * float(np.sum(self.lumped[:owned, None] * change))
         return self.comm.allreduce(lost, op=MPI.SUM)
 
     def _own_of(self, unknowns: Unknowns) -> FieldUnknowns:
-        """The field's unknowns among those of all fields, or those of it alone."""
+        """The field's unknowns, in the unknowns of all fields or of this field alone."""
         return unknowns.fields[self._k if len(unknowns.fields) > 1 else 0]
 
     @stages.solve
@@ -279,13 +279,13 @@ class Mass:
         """Velocities of the nodes from momenta (kg m/s) of the points. Collective.
 
         Args:
-            momenta: Summed at the nodes' owners.
+            momenta: Momenta, summed at the nodes' owners.
             held: Velocities of prescribed components (m/s), shape (nodes, components).
-            fastest: The largest component of a velocity of this rank's points (m/s).
+            fastest: Largest component of a velocity of this rank's points (m/s).
 
-        Warns once where a node is out of all proportion faster than the points, which a consistent
-        mass allows where it has next to none of them: what comes back to the points may be sound
-        all the same, as in a bar, or end in no state.
+        Warns once if a node is far faster than the points. A consistent mass allows this where a
+        node has very few points. The new velocities of the points may still be correct, such as in
+        a bar, or the step may fail.
 
         Raises:
             ConvergenceError: The mass is singular.
@@ -316,7 +316,7 @@ class Mass:
 
     @stages.solve
     def solve(self, right: Nodal, held: Array) -> Nodal:
-        """Nodal values v with M v = right, those of held components being given. Collective.
+        """Nodal values v with M v = right, with given values of held components. Collective.
 
         Args:
             right: Right-hand side, summed at the nodes' owners.
@@ -329,11 +329,11 @@ class Mass:
             ConvergenceError: The mass is singular.
         """
         unknowns, out = self._unknowns, self.nodal()
-        # nothing moves a node without mass, here as in the fused loops
+        # a node without mass does not move, as in the fused loops
         m = np.where(self.lumped > 0, self.lumped, np.inf)[:, None]
         (p,) = right.arrays
         if not self._diagonal:
-            # nodes of next to no mass, p/m of which may be anything, are to start from nothing
+            # at nodes of very small mass p/m is arbitrary: they start from zero
             m = np.where(self.lumped > 0, self.lumped, 1.0)[:, None]
             m = np.maximum(m, 1e-3 * self.lumped.max(initial=0.0))
         guess = unknowns.restrict([p / m])
@@ -369,7 +369,7 @@ class Mass:
         matrix.mult(x, rest)
         rest.aypx(-1.0, b)
         if rest.norm() > b.norm():
-            # where next to no points are, forces over the lumped mass are no guess
+            # where a node has very few points, forces over the lumped mass are no good guess
             x.set(0.0)
         ksp.solve(b, x)
         self.iterations = ksp.getIterationNumber()
@@ -383,14 +383,14 @@ class Mass:
         return np.array(x.getArray(readonly=True))
 
     def assembled(self) -> Matrix:
-        """It as a matrix of the field's unknowns. Collective."""
+        """The mass as a matrix of the field's unknowns. Collective."""
         unknowns = self._unknowns
         matrix = Matrix(self._pattern(unknowns), unknowns)
         self.add_to(matrix, unknowns)
         return matrix
 
     def _pattern(self, unknowns: Unknowns) -> Pattern:
-        """Where it has entries, whatever else the activation couples. Collective."""
+        """The pattern of the mass alone, without other couplings of the activation. Collective."""
         pairs = [(b.rows, b.columns) for b in self.blocks]
         lists = [(self._field.stencils.node_start, self._field.stencils.nodes)]
         return Pattern.build(lists, unknowns, pairs, None)

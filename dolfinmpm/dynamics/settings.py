@@ -72,7 +72,7 @@ class Settings:
         """Those that arguments ask for, on a basis and with a kind of mass.
 
         Raises:
-            ParameterError: An argument is not what it may be.
+            ParameterError: An argument has the wrong type or a value outside its range.
         """
         chosen = mapping_of(mapping, "flip")
         if chosen.kind == "accel":

@@ -34,7 +34,7 @@ class Tresca(Law):
     edges, with the consistent tangent, after de Souza Neto, Perić & Owen, Computational Methods
     for Plasticity (2008), section 8.1. (The book's α is the sum of the multipliers.)
 
-    Softening is limited, so that a strain has one stress only: c must not fall faster than 3/2 μ
+    Strength must fall slowly, so that a strain has one stress: c must not fall faster than 3/2 μ
     by α.
 
     Args:

@@ -75,7 +75,7 @@ def _vonmises(parameters, strain, old, new, stress, tangent):
                 above = multiplier
         else:
             return 2
-    # softening may use up the strength; a zero stress has no direction
+    # a negative hardening may use up the strength; a zero stress has no direction
     if not strength > 0.0:
         return 1
     new[0] = alpha
@@ -120,7 +120,7 @@ class VonMises(Law):
     ρ = √(2/3) σ_y = √2 c_u of the yield surface in the deviatoric plane. With `radius`, hardening
     and saturation are those of the radius, too.
 
-    Softening is limited, so that a strain has one stress only: σ_y must not fall faster than 3 μ
+    Strength must fall slowly, so that a strain has one stress: σ_y must not fall faster than 3 μ
     by α, and the radius not faster than √6 μ. A point whose strength is used up has no stress.
 
     Args:
@@ -128,7 +128,7 @@ class VonMises(Law):
         nu: Poisson's ratio, -1 < ν < 0.5.
         yield_stress: Uniaxial yield stress σ_0 (Pa), positive.
         radius: Radius of the first yield surface (Pa), positive; instead of `yield_stress`.
-        hardening: Linear part H (Pa), negative for softening.
+        hardening: Linear part H (Pa), negative where strength falls.
         saturation: Limit σ_∞ of the exponential part (Pa), positive. By default the first value,
             without exponential part.
         rate: Rate δ of the exponential part, not negative.

@@ -349,7 +349,7 @@ def advice(
     active: npt.NDArray[np.int32],
     axisymmetric: bool = False,
 ) -> str:
-    """The remedy for a step that failed. Collective.
+    """Advice on a step that failed. Collective.
 
     Args:
         stabilised: Whether a stabilisation against small cuts is used.

@@ -31,7 +31,7 @@ class LoadFactor:
         factor: λ at first.
 
     Raises:
-        ParameterError: There is no constant, one is not what it may be, or all are zero.
+        ParameterError: There is no constant, a constant is invalid, or all constants are zero.
         FormError: The form does not contain them.
     """
 

@@ -319,7 +319,7 @@ class QuasiStatic(Problem):
             fill_functions(operator.here.fields, operator.increments)
 
     def _support(self, operator: Operator, reason: str) -> str:
-        """The remedy for a step that failed because a free body has no support. Collective."""
+        """Advice on a step that failed because a free body has no support. Collective."""
         free = [] if self.scheme.inertia else self.bodies.free
         return unsupported(free, self.bodies.acting(operator), reason, self.comm)
 

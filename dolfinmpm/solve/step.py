@@ -30,7 +30,7 @@ class Failed:
     Attributes:
         reason: The reason, in a few words.
         worst: The point whose law failed, or the most compressed point.
-        advice: The remedy, if it is known.
+        advice: Advice to the user, if any is known.
     """
 
     reason: str
