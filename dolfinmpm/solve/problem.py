@@ -119,21 +119,9 @@ class Problem(ReadOnce):
         check_spaces(spaces)
         check_form(form)
         check_hoops(form, points)
-        if not scheme.inertia and points.inertia in extract_constants(form):
-            raise FormError(
-                f"the form has the acceleration of the body, and {type(self).__name__} has no "
-                "inertial forces at the end of a step that would tell it: take Newmark or "
-                "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
-            )
         check_grid(points)
         bcs = check_conditions(bcs, spaces)
-        for condition in bcs:
-            if condition.velocity is not None and not scheme.in_time:
-                raise ParameterError(
-                    f"the condition at '{condition.where}' prescribes a velocity, and "
-                    f"{type(self).__name__} knows no time; prescribe increments with "
-                    "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
-                )
+        self._check_scheme(form, points, bcs)
         check_room(points)
         updates = check_updates(updates, points)
         stabilisations = stabilisations_of(stabilisation, len(spaces))
@@ -176,6 +164,30 @@ class Problem(ReadOnce):
         self.loads = Loads(loads, increments)
         settle(points, self.configuration)
         warn_of_imbalance(points)
+
+    def _check_scheme(
+        self, form: ufl.Form, points: MaterialPoints, bcs: Sequence[Condition]
+    ) -> None:
+        """Raise if the form or a condition needs time or inertia, and the scheme has none.
+
+        Raises:
+            FormError: The form has the acceleration of the body, and steps have no inertia.
+            ParameterError: A condition prescribes a velocity, and steps have no length in time.
+        """
+        name = type(self).__name__
+        if not self.scheme.inertia and points.inertia in extract_constants(form):
+            raise FormError(
+                f"the form has the acceleration of the body, and {name} has no "
+                "inertial forces at the end of a step that would tell it: take Newmark or "
+                "GeneralisedAlpha, or leave it out, mpm.poromechanics(..., inertia=False)"
+            )
+        for condition in bcs:
+            if condition.velocity is not None and not self.scheme.in_time:
+                raise ParameterError(
+                    f"the condition at '{condition.where}' prescribes a velocity, and "
+                    f"{name} knows no time; prescribe increments with "
+                    "mpm.prescribed, or take Newmark, GeneralisedAlpha or Explicit"
+                )
 
     def __new__(cls, *_: Any, **given: Any) -> Problem:  # noqa: D102
         cls._refuse_unknown(given, ELSEWHERE)

@@ -1,4 +1,4 @@
-"""Quasi-static steps: activate → solve → advance → commit → migrate."""
+"""Quasi-static steps: scheme.system → solver.solve → scheme.finish → commit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import garbage, stages
-from dolfinmpm._platform.errors import (
-    ConvergenceError,
-    raise_together,
-)
+from dolfinmpm._platform.errors import ConvergenceError, raise_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.state import Keeps
 from dolfinmpm.assembly.term import NewState
