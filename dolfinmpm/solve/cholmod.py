@@ -91,7 +91,7 @@ static int factorise(void *L, int n, int *start, int *rows, double *values)
     return ((cholmod_factor *)L)->minor < (size_t)n;
 }
 
-/* L between the unknowns with at >= 0, column by column; all rows of their columns are of these */
+/* L between the unknowns with at >= 0, column by column */
 static void trailing(void *factor, int *at, int size, double *out)
 {
     cholmod_factor *L = factor;
@@ -101,8 +101,11 @@ static void trailing(void *factor, int *at, int size, double *out)
         for (int c = 0; c < first[s + 1] - first[s]; c++) {
             int column = at[first[s] + c];
             double *values = (double *)L->x + values_of[s] + (size_t)c * count;
-            for (int k = c; column >= 0 && k < count; k++)
-                out[(size_t)column * size + at[rows[rows_of[s] + k]]] = values[k];
+            for (int k = c; column >= 0 && k < count; k++) {
+                /* merged supernodes have zeros at rows that L does not couple to the column */
+                int row = at[rows[rows_of[s] + k]];
+                if (row >= 0) out[(size_t)column * size + row] = values[k];
+            }
         }
     }
 }
