@@ -33,6 +33,7 @@ from dolfinmpm.body.location import bounds
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints
+    from dolfinmpm.body.pointtable import PointTable
 
 __all__ = [
     "checked_radii",
@@ -90,7 +91,7 @@ def ring(radius, amount):
     return 2 * math.pi * radius * amount
 
 
-def section(points: MaterialPoints, volume: str, x: str) -> Array:
+def section(points: PointTable, volume: str, x: str) -> Array:
     """What the points have of the grid: areas of axisymmetric sections (m²), else volumes (m^d).
 
     Args:

@@ -131,7 +131,7 @@ class Boundary:
         )  # fmt: skip
         check_outward(points, markers["x"], markers["area"], self.name)
         # laws whose parameters vary have fields of the same names on both
-        markers.laws = points.laws
+        markers.symbols.laws = points.laws
         mark = {**markers.dx.metadata(), "boundary": self}
         self.ds = markers.dx.reconstruct(metadata=mark)
 

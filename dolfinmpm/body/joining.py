@@ -59,8 +59,8 @@ def joined(a: MaterialPoints, b: MaterialPoints) -> MaterialPoints:
     values = (rows[name] for name in ("x", "cell", "V", "l", "density"))
     points = type(a)(a.grid, *values, tag=rows["tag"], id=rows["id"], axisymmetric=a.axisymmetric)
     for body in (a, b):
-        for name, field in body._ufl.items():
-            if name not in points._ufl:
+        for name, field in body.symbols.fields.items():
+            if name not in points.symbols.fields:
                 # values come below; a function would be asked again for those
                 points.add_field(name, field.ufl_shape, field.unit).first = field.first
     points.fields.update(rows)
@@ -82,8 +82,8 @@ def add(points: MaterialPoints, other: MaterialPoints) -> PointChange:
     rows = _rows_of_both(points, other)
     change = _change(other, slice(None))
     points.overlapping = points.overlapping or other.overlapping
-    for name, field in other._ufl.items():
-        if name not in points._ufl:
+    for name, field in other.symbols.fields.items():
+        if name not in points.symbols.fields:
             points.add_field(name, field.ufl_shape, field.unit, field.first)
     points.fields.update(rows)
     _changed(points)
@@ -141,10 +141,11 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
             f"axisymmetric = {a.axisymmetric} of one body and {b.axisymmetric} of the other: "
             "axisymmetric points and points of plane strain cannot be joined; fill both alike"
         )
-    for name, field in b._ufl.items():
-        if name in a._ufl and a._ufl[name].ufl_shape != field.ufl_shape:
+    known = a.symbols.fields
+    for name, field in b.symbols.fields.items():
+        if name in known and known[name].ufl_shape != field.ufl_shape:
             raise FieldShapeError(
-                f"field '{name}' has shape {a._ufl[name].ufl_shape} at the points of one body, "
+                f"field '{name}' has shape {known[name].ufl_shape} at the points of one body, "
                 f"{field.ufl_shape} at those of the other; give one another name"
             )
     raise_together(a.comm, _overlap(a, b))
@@ -154,10 +155,10 @@ def _rows_of_both(a: MaterialPoints, b: MaterialPoints) -> dict[str, Array]:
         if name in body.fields:
             return body[name]
         other = b if body is a else a
-        if name not in other._ufl:
+        if name not in other.symbols.fields:
             # a mark of laws, of what they have not done yet at these points
             return np.zeros((len(body), *other[name].shape[1:]), other[name].dtype)
-        return other._ufl[name].first_values(body["x0"])
+        return other.symbols.fields[name].first_values(body["x0"])
 
     def concatenated() -> dict[str, Array]:
         names = dict.fromkeys([*a.fields, *b.fields])

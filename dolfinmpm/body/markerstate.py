@@ -49,8 +49,8 @@ def take_state(boundary: Boundary, tags: Tags = None) -> None:
     for name, values in found.items():
         if name in markers.fields:
             markers.fields[name][...] = values
-        elif name in points._ufl:
-            like = points._ufl[name]
+        elif name in points.symbols.fields:
+            like = points.symbols.fields[name]
             markers.add_field(name, like.ufl_shape, like.unit)
             markers.fields[name][...] = values
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,66 +9,40 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import ufl
 from dolfinx.mesh import Mesh
-from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown, truth
-from dolfinmpm._platform.errors import (
-    DolfinMPMError,
-    FieldShapeError,
-    ParameterError,
-    UnknownNameError,
-    call_together,
-    raise_together,
-)
-from dolfinmpm._platform.together import meet, together
-from dolfinmpm.basis import Placement
+from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
+from dolfinmpm._platform.together import together
 from dolfinmpm.body import files, joining, sources
-from dolfinmpm.body.acting import FACETS
-from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring, section
-from dolfinmpm.body.fieldarrays import FieldArrays
+from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
-from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
+from dolfinmpm.body.pointtable import BUILT_IN, PointTable
 from dolfinmpm.body.validity import astray, checked_rows, fault, require_grid
-from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.partition import Partition
 
-__all__ = ["MOTION", "UNSET", "MaterialPoints", "PointChange", "PointField"]
+__all__ = [
+    "ACTIVE_CELLS",
+    "GHOST_FACETS",
+    "MOTION",
+    "UNSET",
+    "MaterialPoints",
+    "PointChange",
+    "PointField",
+]
 
-_numbers = itertools.count(1)
-
-# Subdomain ids of the facets that ghost penalty acts on, and of the active cells.
-GHOST_FACETS = 990_001
-ACTIVE_CELLS = 990_002
-
-# Fields that every point has, by their units; those of whole numbers are no functions in a form.
-_BUILT_IN = {
-    "x": "m",
-    "x0": "m",
-    "V": "m^d",
-    "V0": "m^d",
-    "density": "kg/m^d",
-    "F": "",
-    "l": "m",
-    "l0": "m",
-    "stress": "Pa",
-}
 # Those that change as a body moves, and that no law asks for before it does
 MOTION = frozenset(("cell", "x", "V", "F", "l", "stress", "velocity", "acceleration"))
-_RESERVED = ("id", "cell", "tag", "moved_under", *_BUILT_IN)
-
-# Length of a step (s) that nobody has set
-UNSET = math.nextafter(1.0, 2.0)
+_RESERVED = ("id", "cell", "tag", "moved_under", *BUILT_IN)
 
 Density = npt.ArrayLike | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
 
-class MaterialPoints:
+class MaterialPoints(PointTable):
     """The material points of a body, each on the rank that owns the cell it is in.
 
     `points["name"]` is a field's array on this rank, `points.name` the same field
@@ -172,64 +145,29 @@ class MaterialPoints:
         axisymmetric: bool = False,
     ):
         require_grid(grid)
-        self.axisymmetric = truth("axisymmetric", axisymmetric)
+        axisymmetric = truth("axisymmetric", axisymmetric)
         if axisymmetric:
             require_axis(grid)
-        self.grid = grid
-        self.comm: MPI.Intracomm = grid.comm
-        self.number, self._order = next(_numbers), next_on(grid, "points")
-        self.gdim = grid.geometry.dim
-        self.strain_dim = e = 3 if axisymmetric else self.gdim
-        self.fields = FieldArrays()
-        self._ufl: dict[str, PointField] = {}
+        super().__init__(grid, axisymmetric)
         # which positions their ranks and cells are those of; see `settle`
         self.configuration = "updated"
-        # what laws in forms need of the points, by the number in the metadata of their measures
-        self.declarations: dict[int, Any] = {}
-        # laws whose parameters vary from point to point, each with a field of its own
-        self.laws: list[Any] = []
         self.overlapping = False
         # the revision that is known not to overlap
         self.roomy = -1
         self.shape_volume: float | None = None
         self.volume_error: float | None = None
-        self.revision = self.restored = 0
+        self.restored = 0
         self.partition: Partition | None = None
         bounds(grid)  # all ranks ask for them together, once
 
-        def checked() -> dict[str, npt.NDArray[Any]]:
-            rows = checked_rows(grid, x, cell, volume, half_length, density, tag, id)
-            if axisymmetric:
-                checked_radii(rows["x"])
-            return rows
-
-        values = call_together(self.comm, checked)
-        n = len(values["x"])
+        given = x, cell, volume, half_length, density, tag, id
+        values = call_together(self.comm, lambda: checked_rows(grid, *given, axisymmetric))
         if id is None:
-            values["id"] += self.comm.exscan(n) or 0
-        values |= {"x0": values["x"], "V0": values["V"], "l0": values["l"]}
-        values |= {"F": np.broadcast_to(np.eye(e), (n, e, e)), "stress": np.zeros((n, 3, 3))}
-        for name in ("id", "cell", "tag"):
-            self.fields[name] = values[name]
-        # measure of strain of the last step, see kinematics.history
-        self.fields["moved_under"] = np.zeros(n, np.int8)
-        for name, unit in _BUILT_IN.items():
-            self._ufl[name] = PointField(self, name, values[name].shape[1:], unit)
-            self.fields[name] = values[name].copy()
+            values["id"] += self.comm.exscan(len(values["id"])) or 0
+        self.take_first(values)
         self._located = math.nan
         raise_together(self.comm, self.fault())
-        self._next_id: int = 0
         self.recount()
-        domain = grid.ufl_domain()
-        self.dX = ufl.Measure("dc", domain=domain, metadata=self._mark("V0"))
-        self.dx = ufl.Measure("dc", domain=domain, metadata=self._mark("V"))
-        # facets and cells themselves are found by the solver, which knows the active cells
-        own = {FACETS: self.number}
-        self.dS = ufl.Measure("dS", domain=domain, subdomain_id=GHOST_FACETS, metadata=own)
-        self.dC = ufl.Measure("dx", domain=domain, subdomain_id=ACTIVE_CELLS, metadata=own)
-        # length of a step in time (s), which whoever steps in time sets
-        self.dt = own_constant(grid, UNSET)
-        self.inertia = own_constant(grid, 0.0)
 
     # -- where points come from -----------------------------------------------
 
@@ -365,147 +303,6 @@ class MaterialPoints:
             rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
-    def _mark(self, volume: str) -> dict[str, Any]:
-        return {"points": self.number, "volume": volume}
-
-    def __len__(self) -> int:
-        return len(self.fields.read("id"))
-
-    def recount(self) -> None:
-        """Note that rows of the arrays have come or gone. Collective.
-
-        Whoever replaces the arrays in `fields` by those of other points calls it.
-        """
-        ids = self.fields.read("id")
-        self.total: int = self.comm.allreduce(len(ids), op=MPI.SUM)
-        highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
-        # a number is not given again when its point has been removed
-        self._next_id = max(self._next_id, highest + 1)
-        self.revision += 1
-
-    def add_field(
-        self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
-    ) -> PointField:
-        """Add a field, or return the one of that name and shape. Collective if by a function.
-
-        Args:
-            name: Its name.
-            shape: Shape of its value at one point.
-            unit: Its unit.
-            value: First value, one for all points, or a function of first positions (m), shape
-                (gdim, n), to shape (n, *shape). Points that join the body later without
-                this field have it too.
-
-        Raises:
-            FieldShapeError: A field of that name, or the first value, has another shape.
-            ParameterError: The name cannot be one of a field, or a function does not give
-                first values.
-        """
-        if not isinstance(name, str):
-            raise ParameterError(f"name = {shown(name)} must be a word: it names a field")
-        if not isinstance(shape, (tuple, list)) or not all(isinstance(n, int) for n in shape):
-            raise ParameterError(
-                f"shape = {shown(shape)} of field '{name}' must be a tuple: () for a number, "
-                f"({self.gdim},) for a vector"
-            )
-        if not isinstance(unit, str):
-            raise ParameterError(f"unit = {shown(unit)} of field '{name}' must be a word")
-        shape = tuple(shape)
-        if name in self._ufl:
-            if self._ufl[name].ufl_shape != shape:
-                raise FieldShapeError(
-                    f"field '{name}' has shape {self._ufl[name].ufl_shape} at a point, "
-                    f"asked for {shape}; choose another name"
-                )
-            given = callable(value) or bool(np.any(np.not_equal(value, 0.0)))
-            if name in _BUILT_IN and given:
-                raise ParameterError(
-                    f"all points have a field '{name}', and a first value would not be looked at: "
-                    f"set points['{name}'] = ..."
-                )
-            return self._ufl[name]
-        if not name.isidentifier() or name in self.__dict__ or hasattr(MaterialPoints, name):
-            raise ParameterError(f"'{name}' cannot name a field; use a new identifier")
-        field = PointField(self, name, shape, unit, value)
-
-        def first():
-            return field.first_values(self["x0"])
-
-        if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name=name)
-        # a function may fail at the points of some ranks only
-        values = call_together(self.comm, first) if callable(value) else first()
-        self.fields[name] = values
-        self._ufl[name] = field
-        return field
-
-    def __getattr__(self, name: str) -> PointField:
-        try:
-            return self.__dict__["_ufl"][name]
-        except KeyError:
-            raise UnknownNameError(no_field(name, self.__dict__.get("_ufl", {}))) from None
-
-    def __getitem__(self, name: str) -> npt.NDArray[Any]:
-        if not isinstance(name, str):
-            raise UnknownNameError(
-                f"points[{shown(name)}]: fields go by their names, one at a time, as in points['x']"
-            )
-        try:
-            return self.fields[name]
-        except KeyError:
-            raise UnknownNameError(no_field(name, self.fields)) from None
-
-    def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
-        """Set a field's values on this rank; a single value is given to all points.
-
-        What is impossible for the body, such as a negative density, ends the next step
-        on all ranks.
-
-        Raises:
-            FieldShapeError: The array has the wrong shape.
-            ParameterError: Values are no numbers, or not whole where they must be.
-        """
-        target = self[name]
-        if name == "cell":
-            raise ParameterError(
-                "'cell' is what the body itself keeps of its points; set their positions, "
-                "points['x'], and call points.locate()"
-            )
-        several = self.total if np.ndim(values) == 0 else len(self)
-        if name == "id" and np.unique(values).size < several:
-            raise ParameterError(
-                "'id' tells the points apart, and some would have the same; add a field of your "
-                "own, points.add_field"
-            )
-        given = np.asarray(values)
-        if not np.can_cast(given.dtype, target.dtype, "same_kind"):
-            raise ParameterError(
-                f"field '{name}' takes values of kind {target.dtype}, got {given.dtype}"
-            )
-        if given.shape not in (target.shape, target.shape[1:]):
-            raise FieldShapeError(
-                f"field '{name}' should have shape {target.shape} (this rank's points first) or "
-                f"{target.shape[1:]} (one value for all), got {given.shape}"
-            )
-        target[:] = given
-
-    def placement(self, configuration: str = "updated") -> Placement:
-        """The points as a basis sees them.
-
-        Args:
-            configuration: "updated" for where they are now, "total" for where they were at first.
-        """
-        x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
-        size = section(self, volume, x)
-        return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        # without this `points.density = 5000.0` would hide the field and change nothing
-        if name in self.__dict__.get("fields", ()):
-            self[name] = value
-        else:
-            super().__setattr__(name, value)
-
     # -- changes of the body --------------------------------------------------
 
     @together
@@ -598,17 +395,3 @@ class MaterialPoints:
         self._located = self.fields.read("x").sum()
         self.revision += moved > 0
         return moved
-
-    @together
-    def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
-        """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
-
-        Collective: called on rank 0 alone it waits for the others.
-        """
-        pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
-        if pieces is None:
-            return None
-        order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
-        return tuple(
-            np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
-        )

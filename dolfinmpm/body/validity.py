@@ -17,6 +17,7 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     UnsupportedGridError,
 )
+from dolfinmpm.body.axisymmetry import checked_radii
 from dolfinmpm.body.location import bounds, destinations, outside_cells
 from dolfinmpm.grid.tensors import determinants
 
@@ -93,7 +94,7 @@ def checked_tag(tag: Any, n: int) -> npt.NDArray[np.int32]:
 
 
 def checked_rows(
-    grid: Mesh, x, cell, volume, half_length, density, tag, id
+    grid: Mesh, x, cell, volume, half_length, density, tag, id, axisymmetric: bool
 ) -> dict[str, npt.NDArray[Any]]:
     """Arguments of `MaterialPoints` as arrays of this rank's points, by the names of the fields.
 
@@ -123,6 +124,8 @@ def checked_rows(
             f"cell = {values['cell'][p]} of the point at {values['x'][p]} m is not one of the "
             f"{owned} cells that this rank owns; MaterialPoints.from_arrays finds the cells"
         )
+    if axisymmetric:
+        checked_radii(values["x"])
     return values
 
 

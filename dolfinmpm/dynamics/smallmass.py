@@ -160,8 +160,8 @@ def viscous_pressure(
     n, d = len(points), points.gdim
     velocity, gradient = np.empty((n, d)), np.empty((n, d, d))
     gather(s, V, velocity, gradient)
-    gradient = full_gradient(points, velocity, gradient)
-    rate = np.minimum(np.trace(gradient, axis1=1, axis2=2), 0.0)
+    whole = full_gradient(points, velocity, gradient)
+    rate = np.minimum(np.trace(whole, axis1=1, axis2=2), 0.0)
     h = smallest_height(points.grid)
     q = points["density"] * points["V0"] * h * (b[0] * c * -rate + b[1] ** 2 * h * rate**2)
     return -q[:, None, None] * np.eye(points.strain_dim)

@@ -117,9 +117,9 @@ def _points(points: MaterialPoints) -> Any:
     # sets of points have laws in the order in which forms are made
     parts = {
         "number": points.total,
-        "fields": list(points._ufl),
+        "fields": list(points.symbols.fields),
         "axisymmetric": points.axisymmetric,
-        "order among the points of its grid": points._order,
+        "order among the points of its grid": points.symbols.order,
     }
     return told(parts)
 

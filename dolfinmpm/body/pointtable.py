@@ -1,0 +1,305 @@
+"""Material points as a table: arrays of fields by name, one row per point, and UFL's symbols."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from mpi4py import MPI
+
+from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.errors import (
+    FieldShapeError,
+    ParameterError,
+    UnknownNameError,
+    call_together,
+)
+from dolfinmpm._platform.together import meet, together
+from dolfinmpm.basis import Placement
+from dolfinmpm.body.axisymmetry import section
+from dolfinmpm.body.fieldarrays import FieldArrays
+from dolfinmpm.body.fields import PointField
+from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.pointsymbols import PointSymbols
+
+if TYPE_CHECKING:
+    from dolfinmpm.body.points import MaterialPoints
+
+__all__ = ["BUILT_IN", "PointTable"]
+
+# Fields that every point has, by their units; those of whole numbers are no functions in a form.
+BUILT_IN = {
+    "x": "m",
+    "x0": "m",
+    "V": "m^d",
+    "V0": "m^d",
+    "density": "kg/m^d",
+    "F": "",
+    "l": "m",
+    "l0": "m",
+    "stress": "Pa",
+}
+
+
+class PointTable:
+    """Fields of material points by name: their arrays on this rank, and their symbols for UFL.
+
+    Args:
+        grid: Background grid.
+        axisymmetric: Whether the body is one of revolution about x[0] = 0.
+
+    Attributes:
+        fields: Arrays by name; their rows are the points of this rank.
+        symbols: Measures, constants and fields for UFL.
+        total: Number of points on all ranks.
+        revision: How many times the rows of the arrays have changed.
+    """
+
+    def __init__(self, grid: Mesh, axisymmetric: bool):
+        self.grid = grid
+        self.axisymmetric = axisymmetric
+        self.fields = FieldArrays()
+        self.symbols = PointSymbols(grid)
+        self.total = self.revision = self._next_id = 0
+
+    def take_first(self, values: dict[str, npt.NDArray[Any]]) -> None:
+        """Take the first points: make the fields that every point has.
+
+        Args:
+            values: Values of "id", "cell", "tag", "x", "V", "l" and "density" on this rank, each of
+                shape (n, ...).
+        """
+        n, e = len(values["x"]), self.strain_dim
+        values |= {"x0": values["x"], "V0": values["V"], "l0": values["l"]}
+        values |= {"F": np.broadcast_to(np.eye(e), (n, e, e)), "stress": np.zeros((n, 3, 3))}
+        # measure of strain of the last step, see kinematics.history
+        values["moved_under"] = np.zeros(n, np.int8)
+        for name in ("id", "cell", "tag", "moved_under"):
+            self.fields[name] = values[name]
+        for name, unit in BUILT_IN.items():
+            self.symbols.fields[name] = PointField(
+                cast("MaterialPoints", self), name, values[name].shape[1:], unit
+            )
+            self.fields[name] = values[name].copy()
+
+    @property
+    def comm(self) -> MPI.Intracomm:
+        """Communicator of the grid."""
+        return self.grid.comm
+
+    @property
+    def gdim(self) -> int:
+        """Dimension of space."""
+        return self.grid.geometry.dim
+
+    @property
+    def strain_dim(self) -> int:
+        """Dimension of the gradients' tensors, gdim or 3."""
+        return 3 if self.axisymmetric else self.gdim
+
+    # -- UFL's symbols --------------------------------------------------------
+
+    @property
+    def number(self) -> int:
+        """Number of the points in the metadata of their measures."""
+        return self.symbols.number
+
+    @property
+    def dX(self) -> ufl.Measure:
+        """Measure over the points, with their first volume V0."""
+        return self.symbols.dX
+
+    @property
+    def dx(self) -> ufl.Measure:
+        """Measure over the points, with their volume V at the start of the step."""
+        return self.symbols.dx
+
+    @property
+    def dS(self) -> ufl.Measure:
+        """Measure over the facets of a ghost penalty."""
+        return self.symbols.dS
+
+    @property
+    def dC(self) -> ufl.Measure:
+        """Measure over the whole of the active cells."""
+        return self.symbols.dC
+
+    @property
+    def dt(self) -> fem.Constant:
+        """Time that the step's increments take (s), a constant for UFL."""
+        return self.symbols.dt
+
+    @property
+    def inertia(self) -> fem.Constant:
+        """Derivative of the body's acceleration by the increment (1/s²), a constant for UFL."""
+        return self.symbols.inertia
+
+    @property
+    def declarations(self) -> dict[int, Any]:
+        """Declarations of laws in forms, see `PointSymbols`."""
+        return self.symbols.declarations
+
+    @property
+    def laws(self) -> list[Any]:
+        """Laws whose parameters vary from point to point."""
+        return self.symbols.laws
+
+    # -- rows and fields ------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self.fields.read("id"))
+
+    def recount(self) -> None:
+        """Note that rows of the arrays have come or gone. Collective.
+
+        Whoever replaces the arrays in `fields` by those of other points calls it.
+        """
+        ids = self.fields.read("id")
+        self.total = self.comm.allreduce(len(ids), op=MPI.SUM)
+        highest = self.comm.allreduce(int(ids.max(initial=-1)), op=MPI.MAX)
+        # a number is not given again when its point has been removed
+        self._next_id = max(self._next_id, highest + 1)
+        self.revision += 1
+
+    def add_field(
+        self, name: str, shape: tuple[int, ...] = (), unit: str = "", value: Any = 0.0
+    ) -> PointField:
+        """Add a field, or return the one of that name and shape. Collective if by a function.
+
+        Args:
+            name: Its name.
+            shape: Shape of its value at one point.
+            unit: Its unit.
+            value: First value, one for all points, or a function of first positions (m), shape
+                (gdim, n), to shape (n, *shape). Points that join the body later without
+                this field have it too.
+
+        Raises:
+            FieldShapeError: A field of that name, or the first value, has another shape.
+            ParameterError: The name cannot be one of a field, or a function does not give
+                first values.
+        """
+        if not isinstance(name, str):
+            raise ParameterError(f"name = {shown(name)} must be a word: it names a field")
+        if not isinstance(shape, (tuple, list)) or not all(isinstance(n, int) for n in shape):
+            raise ParameterError(
+                f"shape = {shown(shape)} of field '{name}' must be a tuple: () for a number, "
+                f"({self.gdim},) for a vector"
+            )
+        if not isinstance(unit, str):
+            raise ParameterError(f"unit = {shown(unit)} of field '{name}' must be a word")
+        shape = tuple(shape)
+        if name in self.symbols.fields:
+            if self.symbols.fields[name].ufl_shape != shape:
+                raise FieldShapeError(
+                    f"field '{name}' has shape {self.symbols.fields[name].ufl_shape} at a point, "
+                    f"asked for {shape}; choose another name"
+                )
+            given = callable(value) or bool(np.any(np.not_equal(value, 0.0)))
+            if name in BUILT_IN and given:
+                raise ParameterError(
+                    f"all points have a field '{name}', and a first value would not be looked at: "
+                    f"set points['{name}'] = ..."
+                )
+            return self.symbols.fields[name]
+        if not name.isidentifier() or name in self.__dict__ or hasattr(type(self), name):
+            raise ParameterError(f"'{name}' cannot name a field; use a new identifier")
+        field = PointField(cast("MaterialPoints", self), name, shape, unit, value)
+
+        def first():
+            return field.first_values(self["x0"])
+
+        if callable(value):
+            meet(self.comm, "MaterialPoints.add_field", name=name)
+        # a function may fail at the points of some ranks only
+        values = call_together(self.comm, first) if callable(value) else first()
+        self.fields[name] = values
+        self.symbols.fields[name] = field
+        return field
+
+    def __getattr__(self, name: str) -> PointField:
+        # copies are asked before they have symbols
+        known = self.__dict__["symbols"].fields if "symbols" in self.__dict__ else {}
+        try:
+            return known[name]
+        except KeyError:
+            raise UnknownNameError(no_field(name, known)) from None
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if not isinstance(name, str):
+            raise UnknownNameError(
+                f"points[{shown(name)}]: fields go by their names, one at a time, as in points['x']"
+            )
+        try:
+            return self.fields[name]
+        except KeyError:
+            raise UnknownNameError(no_field(name, self.fields)) from None
+
+    def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
+        """Set a field's values on this rank; a single value is given to all points.
+
+        What is impossible for the body, such as a negative density, ends the next step
+        on all ranks.
+
+        Raises:
+            FieldShapeError: The array has the wrong shape.
+            ParameterError: Values are no numbers, or not whole where they must be.
+        """
+        target = self[name]
+        if name == "cell":
+            raise ParameterError(
+                "'cell' is what the body itself keeps of its points; set their positions, "
+                "points['x'], and call points.locate()"
+            )
+        several = self.total if np.ndim(values) == 0 else len(self)
+        if name == "id" and np.unique(values).size < several:
+            raise ParameterError(
+                "'id' tells the points apart, and some would have the same; add a field of your "
+                "own, points.add_field"
+            )
+        given = np.asarray(values)
+        if not np.can_cast(given.dtype, target.dtype, "same_kind"):
+            raise ParameterError(
+                f"field '{name}' takes values of kind {target.dtype}, got {given.dtype}"
+            )
+        if given.shape not in (target.shape, target.shape[1:]):
+            raise FieldShapeError(
+                f"field '{name}' should have shape {target.shape} (this rank's points first) or "
+                f"{target.shape[1:]} (one value for all), got {given.shape}"
+            )
+        target[:] = given
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # without this `points.density = 5000.0` would hide the field and change nothing
+        if name in self.__dict__.get("fields", ()):
+            self[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    def placement(self, configuration: str = "updated") -> Placement:
+        """The points as a basis sees them.
+
+        Args:
+            configuration: "updated" for where they are now, "total" for where they were at first.
+        """
+        x, half, volume = ("x0", "l0", "V0") if configuration == "total" else ("x", "l", "V")
+        size = section(self, volume, x)
+        return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
+
+    @together
+    def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
+        """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
+
+        Collective: called on rank 0 alone it waits for the others.
+        """
+        pieces = self.comm.gather([self["id"], *(self[name] for name in names)], root=0)
+        if pieces is None:
+            return None
+        order = np.argsort(np.concatenate([piece[0] for piece in pieces]))
+        return tuple(
+            np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
+        )
