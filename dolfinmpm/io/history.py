@@ -45,7 +45,7 @@ class History:
     def record(self, *unnamed: Any, **values: float | Probe) -> None:
         """Add one value per name, and the displacement of each probe.
 
-        With a probe the call is collective.
+        With a probe all ranks must call it.
 
         Args:
             unnamed: Not allowed; values need names.
