@@ -10,14 +10,14 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.assembly.stencilsums import Entries
-from dolfinmpm.assembly.term import ActiveTerm, NewState
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.contact.candidates import candidates
 from dolfinmpm.contact.corners import ALL, Rows, Sight, Sites, Which
 from dolfinmpm.contact.declared import DeclaredContact
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
-from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners, lessened
-from dolfinmpm.contact.placestate import PlaceForces, PlaceStart
+from dolfinmpm.contact.penalty import FREE, SLIPS, forces_on_corners, lessened
+from dolfinmpm.contact.placestate import ContactPlaces, PlaceForces, PlaceStart
 from dolfinmpm.contact.surfaces import Probe
 from dolfinmpm.contact.unseen import missed, passed
 from dolfinmpm.cut.participants import Participants
@@ -31,7 +31,7 @@ Chosen = npt.NDArray[np.bool_]
 _ROUNDING = 1e-12
 
 
-class ActiveContact(ActiveTerm):
+class ActiveContact(ContactPlaces):
     """A contact where the points and the body are at the start of a step. Collective.
 
     Args:
@@ -52,7 +52,6 @@ class ActiveContact(ActiveTerm):
         found: Forces on them there.
     """
 
-    kind = "contact"
     pushes = True
 
     def __init__(
@@ -86,21 +85,6 @@ class ActiveContact(ActiveTerm):
             self._probe[0], points[traction][c.rows, c.which], pressed, k, multiplier, areas,
             points[closing][c.rows, c.which],
         )  # fmt: skip
-
-    @property
-    def forces(self) -> Array:
-        """Forces on the corners as they were last found (N), shape (m, gdim)."""
-        return self.found.forces
-
-    @property
-    def pressures(self) -> Array:
-        """Their normal forces (N), shape (m,)."""
-        return self.found.pressures
-
-    @property
-    def states(self) -> npt.NDArray[np.int8]:
-        """Whether corners are free, stick or slip, shape (m,)."""
-        return self.found.states
 
     def _kept(self, x: Array, distance: float) -> Which:
         """Which corners are so near to the body where it is (m); what it is like there."""
@@ -279,22 +263,6 @@ class ActiveContact(ActiveTerm):
 
     # -- multipliers and what is kept -----------------------------------------
 
-    def augment(self) -> bool:
-        """Take the pressures for multipliers where corners are too deep. Collective.
-
-        Returns:
-            Whether any was, so that balance must be found again.
-        """
-        bound = self.contact.penetration
-        if bound is None:
-            return False
-        deepest = float(-self.found.gap.min(initial=0.0)) if len(self.x) else 0.0
-        deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
-        if deepest <= bound:
-            return False
-        self.start.multiplier = self.pressures.copy()
-        return True
-
     def totals(self) -> tuple[Array, Array]:
         """Force and moment of the points on the body (N, N m), on all ranks. Collective.
 
@@ -364,11 +332,6 @@ class ActiveContact(ActiveTerm):
                 float(np.sum(size * (np.linalg.norm(trial, axis=1) - size) / eT)) if t.size else 0.0
             )
         return self.contact.points.comm.allreduce(done, op=MPI.SUM)
-
-    @property
-    def count(self) -> tuple[int, int]:
-        """Corners of this rank that stick, and that slip."""
-        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
 
 
 def _cross(a: Array, b: Array) -> Array:

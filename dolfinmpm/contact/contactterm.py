@@ -205,8 +205,9 @@ def contact(
 
     The corners of the points' domains touch the body, see `dolfinmpm.contact.corners`, or the
     faces of a `Surface` do. A corner with a gap g_N < 0 is inside the body. A pressure κ |g_N| per
-    area pushes the corner out. Friction follows Coulomb's law, see `dolfinmpm.contact.penalty`.
-    Each corner has a share of the initial faces of its point.
+    area pushes the corner out. Friction follows Coulomb's law: see
+    `dolfinmpm.contact.penalty` for quasi-static and explicit steps, and `dolfinmpm.contact.means`
+    for implicit steps in time. Each corner has a share of the initial faces of its point.
 
     The penalty leaves some penetration. With the argument `penetration`, multipliers take over the
     pressure (Uzawa's augmented Lagrangian). Newton's method finds balance. The pressure then

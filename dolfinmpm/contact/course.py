@@ -55,6 +55,7 @@ class Course:
         self.given: Any = given
         self.rate: Any = rate
         self._first: Array = np.zeros(size)
+        self._reached: Array = np.zeros(size)
         if isinstance(given, fem.Constant):
             if given.value.size != size:
                 raise ParameterError(
@@ -86,11 +87,18 @@ class Course:
         answer = np.atleast_1d(np.asarray(at_time(self.name, function, t)))
         return vector(f"{self.name}({t:g})", answer, self.size)
 
-    def change(self, start: Array, t: float, dt: float) -> Array:
-        """Change from the start of a step, at t, to dt later."""
+    def begin(self) -> None:
+        """Begin a substep: take the value of a constant, which is that at the end of the substep.
+
+        Later in the substep solvers set constants to the level where forces balance.
+        """
         if isinstance(self.given, fem.Constant):
-            # the solver has set the constant to its value for the substep
-            return self.unit * (np.array(self.given.value, float).ravel() - self._first) - start
+            self._reached = np.array(self.given.value, float).ravel()
+
+    def change(self, start: Array, t: float, dt: float) -> Array:
+        """Change from the start of a substep, at t, to dt later."""
+        if isinstance(self.given, fem.Constant):
+            return self.unit * (self._reached - self._first) - start
         if self.given is not None:
             return self.unit * (self.value(self.given, t + dt) - self._first) - start
         if self.rate is None or dt == 0.0:

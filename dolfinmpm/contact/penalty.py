@@ -42,7 +42,7 @@ def forces_on_corners(
         traction: Output: t (N), shape (m, d).
         pressure: Output: p (N), shape (m,).
         slope: Output: ∂f/∂ξ (N/m), shape (m, d, d).
-        state: Output: FREE, STICKS or SLIPS, shape (m,).
+        state: Output: FREE, STICKS or SLIPS, shape (m,). Contact without friction counts as STICKS.
     """
     d = at.shape[1]
     w, trial, dn = np.empty(d), np.empty(d), np.empty(d)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from mpi4py import MPI
 
-from dolfinmpm.contact.penalty import FREE
+from dolfinmpm.assembly.term import ActiveTerm
+from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS
 
-__all__ = ["PlaceForces", "PlaceStart"]
+__all__ = ["ContactPlaces", "PlaceForces", "PlaceStart"]
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass
 class PlaceStart:
-    """What m places have at the start of a step.
+    """State of m places at the start of a step.
 
     Attributes:
         gap: Gaps (m), shape (m,).
@@ -39,13 +42,15 @@ class PlaceStart:
 
 @dataclass
 class PlaceForces:
-    """Forces on m places, as they were last found.
+    """Last computed forces on m places.
 
     Attributes:
-        forces: Forces (N), shape (m, gdim).
-        traction: Forces along the surface at the end of the step (N), likewise.
+        forces: Forces in the frame of the grid (N), shape (m, gdim).
+        traction: Forces along the surface at the end of the step (N), in the frame of the rigid
+            body if there is one, shape (m, gdim).
         pressures: Normal forces (N), shape (m,).
-        slope: Derivative of the forces by the places (N/m), shape (m, gdim, gdim).
+        slope: Derivative of the forces by the places (N/m), in the frame of traction, shape
+            (m, gdim, gdim).
         states: Whether places are free, stick or slip, shape (m,).
         gap: Gaps (m), likewise; infinite where nobody looked.
         way: How far places have gone in the frame of the body (m), likewise.
@@ -81,3 +86,54 @@ class PlaceForces:
     def by_law(self) -> tuple[Array, ...]:
         """What the law of contact gives of each place: forces, traction, pressures, slope."""
         return self.forces, self.traction, self.pressures, self.slope
+
+
+class ContactPlaces(ActiveTerm):
+    """Base of contacts: places with a state at the start of the step, and forces on the places.
+
+    Attributes:
+        contact: The contact, as the form declares it.
+        start: State of the places at the start of the step.
+        found: Forces on the places.
+    """
+
+    kind = "contact"
+    contact: Any
+    start: PlaceStart
+    found: PlaceForces
+
+    @property
+    def forces(self) -> Array:
+        """Last computed forces on the places (N), shape (m, gdim)."""
+        return self.found.forces
+
+    @property
+    def pressures(self) -> Array:
+        """Normal parts of the forces (N), shape (m,)."""
+        return self.found.pressures
+
+    @property
+    def states(self) -> npt.NDArray[np.int8]:
+        """States of the places (free, sticking or slipping), shape (m,)."""
+        return self.found.states
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """Numbers of places of this rank that stick, or touch without friction, and that slip."""
+        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))
+
+    def augment(self) -> bool:
+        """See `ActiveTerm`: normal forces become multipliers where places are too deep. Collective.
+
+        Returns:
+            Whether a place was too deep, so that balance must be found again.
+        """
+        bound = self.contact.penetration
+        if bound is None:
+            return False
+        deepest = float(-self.found.gap.min(initial=0.0))
+        deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
+        if deepest <= bound:
+            return False
+        self.start.multiplier = self.pressures.copy()
+        return True

@@ -223,6 +223,8 @@ class RigidBody(ReadOnce):
     def begin(self, dt: float) -> None:
         """Begin a step, or a substep, of the length dt (s; steps)."""
         self.dt = dt
+        for course in self.courses:
+            course.begin()
 
     def put(self, share: float) -> None:
         """Move it to its pose at a share of the step."""

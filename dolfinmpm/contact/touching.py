@@ -11,15 +11,15 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.assembly.stencilsums import Entries
-from dolfinmpm.assembly.term import ActiveTerm, NewState
+from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.contact.corners import stencil_matrix
 from dolfinmpm.contact.cutpieces import pieces_in_cells
 from dolfinmpm.contact.declared import DeclaredBetween
 from dolfinmpm.contact.entries import add_corners
 from dolfinmpm.contact.means import Means, mean_forces
-from dolfinmpm.contact.penalty import FREE, SLIPS, STICKS, forces_on_corners
-from dolfinmpm.contact.placestate import PlaceForces, PlaceStart
+from dolfinmpm.contact.penalty import FREE, SLIPS, forces_on_corners
+from dolfinmpm.contact.placestate import ContactPlaces, PlaceForces, PlaceStart
 from dolfinmpm.contact.sides import side_of
 from dolfinmpm.contact.starts import RUBBED, held_back, stored_by
 from dolfinmpm.cut.participants import ActiveField, Participants
@@ -193,7 +193,7 @@ def _seen(field: ActiveField, x: Array, beside: Array) -> scipy.sparse.csr_matri
     return N if field.C is None else scipy.sparse.csr_matrix(N @ field.C)
 
 
-class ActiveBetween(ActiveTerm):
+class ActiveBetween(ContactPlaces):
     """Forces of two bodies on each other under nodal increments, and what is kept of them.
 
     Args:
@@ -207,8 +207,6 @@ class ActiveBetween(ActiveTerm):
         start: What the places have at the start of the step.
         found: Forces on the first body there.
     """
-
-    kind = "contact"
 
     def __init__(self, facing: Facing, means: Means | None = None):
         self.contact, self.facing, self.clings = facing.contact, facing, False
@@ -233,21 +231,6 @@ class ActiveBetween(ActiveTerm):
             kept, spare = (float(markers[name].sum()) for name in contact.names[4:6])
             comm, stored = contact.points.comm, self._stored(q, np.zeros((m, d)))
             start.multiplier = held_back(q, stored, along, kept, spare, comm)
-
-    @property
-    def forces(self) -> Array:
-        """Forces on the first body as they were last found (N), shape (m, d)."""
-        return self.found.forces
-
-    @property
-    def pressures(self) -> Array:
-        """Their normal parts (N), shape (m,)."""
-        return self.found.pressures
-
-    @property
-    def states(self) -> npt.NDArray[np.int8]:
-        """Whether places are free, stick or slip, shape (m,)."""
-        return self.found.states
 
     def touch(self, u: Sequence[Array], scale: float) -> None:
         """See `ActiveTerm`. Mean forces over a step are those of the increments at its end."""
@@ -306,18 +289,6 @@ class ActiveBetween(ActiveTerm):
             for b in self.facing.sides:
                 to = entries[a.field, b.field]
                 add_corners(active, a.entries(), b.entries(), K if a is b else -K, to)
-
-    def augment(self) -> bool:
-        """Take the pressures for multipliers where places are too deep; see `ActiveContact`."""
-        bound = self.contact.penetration
-        if bound is None:
-            return False
-        deepest = float(-self.found.gap.min(initial=0.0))
-        deepest = self.contact.points.comm.allreduce(deepest, op=MPI.MAX)
-        if deepest <= bound:
-            return False
-        self.start.multiplier = self.pressures.copy()
-        return True
 
     def fault(self, new: NewState) -> str | None:
         """See `ActiveTerm`: places that may have met without being looked at. Collective."""
@@ -388,8 +359,3 @@ class ActiveBetween(ActiveTerm):
             size = np.linalg.norm(t, axis=1)
             done[slips] = size * (trial - size) / stiffness
         return done
-
-    @property
-    def count(self) -> tuple[int, int]:
-        """Places of this rank that stick, and that slip."""
-        return int(np.sum(self.states == STICKS)), int(np.sum(self.states == SLIPS))

@@ -95,6 +95,10 @@ class InTime(Static):
         whole = self.clock.end - self.clock.start
         return Step(self.clock.start + (done + share) * whole, share * whole, share)
 
+    def fail(self) -> None:
+        """See `Static`."""
+        self.set_time(self.clock.time)
+
     def end(self, record: StepRecord | None) -> None:
         """See `Static`. Collective."""
         if record is None:

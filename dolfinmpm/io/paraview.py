@@ -67,7 +67,8 @@ class ParaView:
     Args:
         path: File of the points' series; ends in ".pvd".
         points: Material points.
-        fields: Names of the points' fields to write; all fields of the table by default.
+        fields: Names of the points' fields to write; all fields by default. The internal variables
+            of a law are fields with the names in `Law.internal`, once a problem has been made.
         increments: Lagrange or piecewise constant functions on the grid, such as
             `Space.increment` (m). They are written with `active` at every time. Without
             increments only the mesh is written, once.

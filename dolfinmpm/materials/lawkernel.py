@@ -59,7 +59,9 @@ class Kernel:
 def law_kernel(function: Callable) -> Kernel:
     """Make a law's kernel. It is compiled when a process first uses the law.
 
-    The function takes six arrays. It returns 0, or another number if the strain admits no stress:
+    The function takes six C pointers to doubles. Use them by index only, as in `stress[0] = ...`:
+    they have no slices, lengths or methods. The function writes every entry of `new`, `stress` and
+    `tangent`, and returns 0. It returns another number if the strain admits no stress:
 
     `kernel(parameters, strain, old, new, stress, tangent)`
 
@@ -75,7 +77,7 @@ def law_kernel(function: Callable) -> Kernel:
         function: The function.
 
     Raises:
-        ParameterError: The argument is not a function of six arrays.
+        ParameterError: The argument is not a function of six pointers.
     """
     check_function("function", function, "of six arrays, kernel(parameters, strain, ...)")
     try:

@@ -313,7 +313,8 @@ class Problem(ReadOnce):
     def state(self) -> dict[str, Any]:
         """The state from step to step besides the points' fields, by name. Collective.
 
-        It serves checkpoints and the rollback of failed steps; see `dolfinmpm.assembly.state`.
+        It serves checkpoints, and studies that go back to a state; see `dolfinmpm.assembly.state`.
+        A failed step needs no state: nothing is written before the step has converged.
         """
         return gathered(self.keeping())
 

@@ -244,6 +244,7 @@ class QuasiStatic(Problem):
         except BaseException:
             # after an interruption, too, load and state belong to the same substep
             self.loads.set(done)
+            self.scheme.fail()
             self.bodies.reset()
             raise
         finally:
@@ -256,7 +257,11 @@ class QuasiStatic(Problem):
         return record
 
     def _attempt(self, step: Step) -> Failed | None:
-        """Take a step or a substep. On failure return why, with the state unchanged. Collective."""
+        """Take a step or a substep; return None, or why it was not taken. Collective.
+
+        Nothing is put back after a failure. New values stay in `NewState` until `_commit`. The next
+        attempt sets loads from the last converged substep, and bodies from their start.
+        """
         failed = self._ready(step)
         if failed is not None:
             return failed

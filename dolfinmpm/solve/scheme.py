@@ -114,6 +114,9 @@ class Static(Scheme):
     def count(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
 
+    def fail(self) -> None:
+        """A call of `step` ends with an error: the form gets back the time of the state."""
+
     def end(self, record: StepRecord | None) -> None:
         """End a call of `step`. Collective.
 

@@ -153,6 +153,23 @@ def test_a_step_of_two_cells_is_what_parts_of_it_are():
     assert forces[1] > 1e3
 
 
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.GeneralisedAlpha])
+def test_a_constant_moves_a_body_as_a_function_does(kind):
+    """Forces balance within the step, and the body is at its place at the end of the step."""
+    found = []
+    by_function = Block(kind, "disc", displacement=lambda t: (0.0, -5.0 * t))
+    place = fem.Constant(by_function.grid, (0.0, 0.0))
+    for block in (by_function, Block(kind, "disc", displacement=place)):
+        first = block.tool.position[1]
+        for k in range(1, 6):
+            place.value[1] = -0.05 * k
+            block.problem.step(0.01 * k)
+            assert block.tool.position[1] == pytest.approx(first - 0.05 * k, abs=1e-12)
+        found.append(block.points["x"])
+    assert np.abs(found[0] - block.points["x0"]).max() > 1e-3
+    assert np.abs(found[0] - found[1]).max() < 1e-9
+
+
 def test_half_of_a_thickness():
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     facets = surface_of(mpm.Box((0, 0, 0), (1, 1, 1)), 0.0).facets

@@ -574,3 +574,31 @@ def test_nothing_is_warned_of():
         warnings.simplefilter("error")
         problem, _ = block(load=(0.0, -1.0))
         problem.step(0.01)
+
+
+@pytest.mark.parametrize("kind", [mpm.Newmark, mpm.GeneralisedAlpha])
+def test_after_an_error_the_time_of_the_form_is_that_of_the_state(kind):
+    clock = None
+
+    class Clocked(kind):
+        def __init__(self, form, u, points, *others, **options):
+            nonlocal clock
+            clock = fem.Constant(points.grid, 0.0)
+            super().__init__(form, u, points, *others, time=clock, **options)
+
+    problem, _ = block(Clocked, load=(0.0, -1.0))
+    problem.step(0.01)
+    finish, taken = problem.scheme.finish, []
+
+    def second_fails(*given):
+        taken.append(given)
+        return finish(*given) if len(taken) == 1 else "so that it fails"
+
+    problem.scheme.finish, problem.share, problem.max_halvings = second_fails, 0.5, 2
+    with pytest.raises(ConvergenceError):
+        problem.step(0.03)
+    assert problem.time == pytest.approx(0.02)
+    assert float(clock.value) == problem.time
+    problem.scheme.finish = finish
+    problem.step(0.03)
+    assert float(clock.value) == problem.time == 0.03
