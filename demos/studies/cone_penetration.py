@@ -282,7 +282,7 @@ class Scene:
         signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * d, indexing="ij")).reshape(d, -1).T
         height = points["x"][:, None, -1] + signs[:, -1] * points["l"][:, None, -1]
         above = height > self.height - self.depth
-        friction = -float(points["contact1_traction"][above][:, -1].sum())
+        friction = -float(points["contact1_tangential_force"][above][:, -1].sum())
         return points.comm.allreduce(friction) * (1 if self.flat else 4)
 
     def at_shoulder(self):

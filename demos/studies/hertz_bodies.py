@@ -184,7 +184,7 @@ class Scene:
     def pressures(self):
         """Distances from the middle (m), forces (N) and pressures (Pa) of markers. Collective."""
         rim = self.rims[1].markers
-        name = self.problem.form.parts.terms[0].names[1]
+        name = self.problem.form.parts.terms[0].names.normal_force
         own = np.linalg.norm(rim["x"][:, :-1], axis=1), rim[name], rim[name] / rim["V"]
         x, force, pressure = (
             np.concatenate(part) for part in zip(*self.points.comm.allgather(own))

@@ -163,7 +163,7 @@ class Scene:
     def pressure(self):
         """Mean pressure on the wedge's side up to the highest corner that touches (Pa)."""
         points, theta = self.points, math.radians(self.args.semi_angle)
-        p = points["contact1_pressure"]
+        p = points["contact1_normal_force"]
         touches = p.sum(axis=1) > 0
         top = (points["x"] + points["l"])[touches, 1].max(initial=-np.inf)
         top = points.comm.allreduce(float(top), op=MPI.MAX)

@@ -194,7 +194,7 @@ class Term:
         """Act in steps in time: in the mean over a step, or with None at its start or end.
 
         Args:
-            means: See `dolfinmpm.contact.means`.
+            means: See `dolfinmpm.contact.meanforces`.
         """
 
     def place(self) -> None:

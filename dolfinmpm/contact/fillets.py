@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.facets import Facets, facet_normals
+from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
 from dolfinmpm.contact.surfaces import Rounded
 
 __all__ = ["filleted"]
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 _MISS = 0.05
 
 
-def filleted(mesh: Facets, radius: float) -> Rounded:
+def filleted(mesh: FacetedSurface, radius: float) -> Rounded:
     """A mesh with its convex edges rounded; it stays within its shape.
 
     Args:
@@ -67,4 +67,4 @@ def filleted(mesh: Facets, radius: float) -> Rounded:
             f"{worst} at {shown(mesh.x[mesh.facets[worst, 0]])} m; give less than half of the "
             "body's thickness there"
         )
-    return Rounded(Facets(core, mesh.facets), radius)
+    return Rounded(FacetedSurface(core, mesh.facets), radius)

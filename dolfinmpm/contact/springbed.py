@@ -21,7 +21,7 @@ from dolfinmpm.assembly.term import ActiveTerm, Term, as_form
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.corners import stencil_matrix
+from dolfinmpm.contact.contactstencils import stencil_matrix
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.rigidbodies import RigidBodies
 
 __all__ = ["late_by_contact", "lateness", "taken"]
 
@@ -58,7 +58,7 @@ def taken(old: Array, change: Array, new: Array, mass: Array, filtered: bool) ->
 
 
 def late_by_contact(
-    bodies: Bodies, contacts: Sequence[ActiveContact], comm: MPI.Intracomm
+    bodies: RigidBodies, contacts: Sequence[ActiveRigidContact], comm: MPI.Intracomm
 ) -> tuple[float, float]:
     """Lateness of the velocities of points and of free bodies by contact (J). Collective.
 

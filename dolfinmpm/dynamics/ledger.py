@@ -26,7 +26,7 @@ from mpi4py import MPI
 from dolfinmpm._platform.errors import UnknownNameError
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.energies import kinetic_energy, stress_volumes
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.weakform import WeakForm
@@ -194,7 +194,7 @@ class Ledger:
         self,
         points: MaterialPoints,
         form: WeakForm,
-        bodies: Bodies,
+        bodies: RigidBodies,
         scaling: float = 1.0,
         by_points: bool = False,
     ):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.bodies import Bodies
+from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.dynamics.ledger import Work
 
 __all__ = ["CallMemory", "Snapshot"]
@@ -33,7 +33,7 @@ class Snapshot:
     """
 
     def __init__(
-        self, points: MaterialPoints, bodies: Bodies, markers: Sequence[MaterialPoints] = ()
+        self, points: MaterialPoints, bodies: RigidBodies, markers: Sequence[MaterialPoints] = ()
     ):
         self.time = math.nan
         self._bodies, self._of_bodies = bodies, bodies.state()

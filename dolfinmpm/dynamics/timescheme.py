@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
-from dolfinmpm.contact.means import Means
+from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.dynamics.clock import mean_increment
 from dolfinmpm.dynamics.faces import set_velocities
@@ -64,10 +64,12 @@ class TimeScheme(InTime):
         self.rule, self.ties_movers, self.jumped = rule, ties_movers, False
 
     @property
-    def means(self) -> Means:
+    def means(self) -> MeanForceWeights:
         """How contacts act in the mean over a step."""
         rule = self.rule
-        return Means((1.0 - rule.alpha_m) / (2.0 * rule.beta), 1.0 / (1.0 - rule.alpha_f))
+        return MeanForceWeights(
+            (1.0 - rule.alpha_m) / (2.0 * rule.beta), 1.0 / (1.0 - rule.alpha_f)
+        )
 
     def begin(self, problem: Any, t: float | None) -> None:
         """See `InTime`. Collective."""

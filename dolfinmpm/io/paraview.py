@@ -20,7 +20,7 @@ from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.rigid import RigidBody, check_bodies
+from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.vtkfiles import (
     Arrays,

@@ -17,7 +17,7 @@ from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.rigid import RigidBody, check_bodies
+from dolfinmpm.contact.rigidbody import RigidBody, check_bodies
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.io.figures import check_picture, check_size, two_numbers
 from dolfinmpm.io.scene import Scene

@@ -24,7 +24,7 @@ from dolfinmpm.body.fields import PointField
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Polygon, Shape
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.forms.carriedfields import CARRIED, CarriedField
 from dolfinmpm.materials.parametrised import Parametrised
 

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.bodyslopes import add_slopes, add_to_body
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.bodytangent import add_body_columns, add_body_rows
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.solve.newton import Newton
 from dolfinmpm.solve.operator import Operator
 
@@ -61,7 +61,7 @@ class FreeBodies:
 
     unmet = "the forces on a free rigid body were not balanced"
 
-    def __init__(self, bodies: Bodies, tolerance: float):
+    def __init__(self, bodies: RigidBodies, tolerance: float):
         self.tolerance = tolerance
         self._all, self._bodies = bodies, bodies.free
         self.inertial: Inertial | None = None
@@ -135,7 +135,7 @@ class FreeBodies:
             for contact in self._contacts(body):
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                add_slopes(contact, nodal)
+                add_body_columns(contact, nodal)
                 total = total + self._columns(nodal[:, :, free], contact.field)
             found.append(total)
         return np.hstack(found)
@@ -157,7 +157,7 @@ class FreeBodies:
                 touching += weight * np.concatenate([force, moment])
                 shape = self._operator.increments[contact.field].shape
                 nodal = np.zeros((*shape, size))
-                add_to_body(contact, nodal, by_y)
+                add_body_rows(contact, nodal, by_y)
                 by_x = by_x + self._columns(nodal[:, :, own], contact.field)
             by_y = comm.allreduce(by_y, op=MPI.SUM)
             t = body.time + self._level * body.dt
@@ -196,7 +196,7 @@ class FreeBodies:
         return np.concatenate(gaps), np.hstack(columns), whole
 
 
-def check_masses(bodies: Bodies) -> None:
+def check_masses(bodies: RigidBodies) -> None:
     """Raise ParameterError unless every free body has a mass, as steps in time need it."""
     for body in bodies.free:
         assert body.freedom is not None

@@ -29,8 +29,8 @@ from dolfinmpm.body.meshparts import warn_of_imbalance
 from dolfinmpm.body.migration import settle
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.room import check_room
-from dolfinmpm.contact.bodies import Bodies
-from dolfinmpm.contact.contactterm import Contact
+from dolfinmpm.contact.rigidbodies import RigidBodies
+from dolfinmpm.contact.rigidcontact import RigidContact
 from dolfinmpm.cut.activation import activate, active_on_grid
 from dolfinmpm.cut.couplings import KeptCouplings
 from dolfinmpm.cut.held import Held
@@ -138,8 +138,8 @@ class Problem(ReadOnce):
         check_fields(form, spaces)
         check_bodies(self.fields, self.form)
         check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
-        rigid = [term for term in self.form.terms if isinstance(term, Contact)]
-        self.bodies = Bodies(rigid, points.grid)
+        rigid = [term for term in self.form.terms if isinstance(term, RigidContact)]
+        self.bodies = RigidBodies(rigid, points.grid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
         refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:

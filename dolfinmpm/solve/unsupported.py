@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.rigidbody import RigidBody
 
 __all__ = ["unsupported"]
 
 
 def unsupported(
-    bodies: Sequence[RigidBody], contacts: Sequence[ActiveContact], reason: str, comm: MPI.Comm
+    bodies: Sequence[RigidBody], contacts: Sequence[ActiveRigidContact], reason: str, comm: MPI.Comm
 ) -> str:
     """What to do about a step that failed because a free body has no support. Collective.
 
@@ -28,7 +28,7 @@ def unsupported(
     """
     for body in bodies:
         own = [contact for contact in contacts if contact.contact.body is body]
-        touching = any(bool(contact.pressures.any()) for contact in own)
+        touching = any(bool(contact.now.normal.any()) for contact in own)
         touches = comm.allreduce(touching, op=MPI.LOR)
         if touches and "singular" not in reason:
             continue

@@ -17,7 +17,7 @@ from dolfinmpm.assembly.term import ActiveTerm, Term
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
-from dolfinmpm.contact.means import Means
+from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
 from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
@@ -92,7 +92,7 @@ class WeakForm:
         self.terms: list[Term] = [*self.boundaries, *self.parts.terms, *grids]
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
-        self.means: Means | None = None
+        self.means: MeanForceWeights | None = None
         self.own: list[OwnStress] = []
         self.updates: Sequence[PointUpdates | OwnStress] = ()
         # none before the first step
@@ -108,7 +108,7 @@ class WeakForm:
         """Add a term that stands in no UFL form, such as the mass."""
         self.terms.append(term)
 
-    def start_in_time(self, means: Means | None) -> None:
+    def start_in_time(self, means: MeanForceWeights | None) -> None:
         """Act in steps in time: contacts in the mean over a step, or with None at its start."""
         self.means = means
         for term in self.terms:

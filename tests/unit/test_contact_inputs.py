@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, FormError, ParameterError
-from dolfinmpm.contact.making import surface_of
+from dolfinmpm.contact.shapesurface import surface_of
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 FACES = surface_of(mpm.Box((0, 0, 0), (1, 1, 1)), 0.0).facets
@@ -241,7 +241,7 @@ def test_no_friction_and_much_of_it(friction):
         block.problem.step()
     assert block.body.force[1] > 0
     (contact,) = block.problem.bodies.contacts
-    across = np.abs(block.points["contact1_traction"]).max()
+    across = np.abs(block.points["contact1_tangential_force"]).max()
     assert (across > 0) == (friction > 0)
     assert contact.dissipated >= 0
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from dolfinmpm.contact.penalty import lessened
-from dolfinmpm.contact.starts import held_back, stored_by
+from dolfinmpm.contact.contactlaw import explicit_reduction
+from dolfinmpm.contact.storedenergy import bounding_multipliers, normal_energy
 from dolfinmpm.dynamics.gains import Gains
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.reserve import Reserve
@@ -66,11 +66,10 @@ def test_a_step_that_makes_energy_is_parted():
 @pytest.mark.parametrize("spare", [0.0, 0.4, 1e3])
 def test_places_start_with_no_more_than_they_had(spare):
     k, q = np.array([2.0, 3.0, 4.0]), np.array([1.0, -5.0, 4.0])
-    none = np.zeros((3, 2))
-    stored = stored_by(q, none, k, 0.0)
+    stored = normal_energy(q, k)
     assert stored == pytest.approx([0.25, 0.0, 2.0])
-    held = held_back(q, stored, np.zeros(3), 1.5, spare, MPI.COMM_SELF)
-    started = stored_by(q + held, none, k, 0.0).sum()
+    held = bounding_multipliers(q, stored.sum(), 0.0, 1.5 + spare, MPI.COMM_SELF)
+    started = normal_energy(q + held, k).sum()
     assert started == pytest.approx(min(2.25, 1.5 + spare))
     assert held[1] == 0.0
 
@@ -82,7 +81,7 @@ def bounced(dt, offset, corrects):
         p = max(-x, 0.0)
         last = p
         if corrects:
-            p -= float(lessened(np.array([x]), np.array([-v * dt]), np.array([p]))[0])
+            p -= float(explicit_reduction(np.array([x]), np.array([-v * dt]), np.array([p]))[0])
         v += dt * p
         x += dt * v
         if x > 4.0 * dt and v > 0.0:

@@ -17,12 +17,12 @@ from dolfinmpm._platform.checks import coordinates, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.contact.pose import Pose
 
-__all__ = ["Freedom", "vector"]
+__all__ = ["FreeMotion", "vector"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Freedom:
+class FreeMotion:
     """The free components of a body's motion, with their inertia and loads.
 
     Args:

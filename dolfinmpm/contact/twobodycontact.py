@@ -12,81 +12,73 @@ import scipy
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.contact.means import Means
-from dolfinmpm.contact.touching import LAYERS, ActiveBetween, Facing
+from dolfinmpm.contact.activetwobodycontact import ActiveTwoBodyContact
+from dolfinmpm.contact.contactlaw import ContactLaw
+from dolfinmpm.contact.contactpairs import LAYERS, ContactPairs
+from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.contact.protocols import MarkerFields
 from dolfinmpm.cut.participants import Activation, Coupling, Participants
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height
 
-__all__ = ["Between", "contact_between"]
+__all__ = ["TwoBodyContact", "contact_between"]
 
 
-class Between(Term):
+class TwoBodyContact(Term):
     """Contact of two boundaries in a weak form; see `contact_between`.
 
-    Attributes:
+    Args:
         boundaries: The first boundary, with the markers that touch, and the second boundary.
         u: Increments that move the bodies.
-        points: The points of both bodies.
-        friction: μ.
+        law: The contact law.
+
+    Attributes:
+        boundaries, u, law: The arguments.
         stiffness: κ (Pa/m). If κ follows from moduli, it is valid only after `bind`.
-        slip_share: ε_T/ε_N.
-        penetration: Largest penetration (m), bounded by multipliers, or None.
+        means: Weights of mean forces over a step in its balance; None for forces at its end.
         name: Name in records, and first part of the names of the markers' fields.
-        names: Names of six fields of the first boundary's markers: tangential forces (N), normal
-            forces (N), work dissipated by friction (J), number of steps, stored energy (J), and
-            spare energy (J), see `dolfinmpm.contact.starts`.
+        names: Names of the fields of the first boundary's markers with the state of the contact.
     """
 
-    def __init__(
-        self, boundaries, u, friction, penalty, stiffness, slip_share, penetration
-    ):  # fmt: skip
-        self.boundaries: tuple[Boundary, Boundary] = boundaries
-        self.u: tuple[Any, Any] = u
-        self.friction: float = friction
-        self.stiffness: float = 0.0 if stiffness is None else stiffness
-        self._penalty: float | None = penalty if stiffness is None else None
-        self.slip_share: float = slip_share
-        self.penetration: float | None = penetration
-        points = boundaries[0].points
-        counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
+    def __init__(self, boundaries: tuple[Boundary, Boundary], u: tuple[Any, Any], law: ContactLaw):
+        self.boundaries, self.u, self.law = boundaries, u, law
+        self.stiffness: float = 0.0 if law.stiffness is None else law.stiffness
+        counter = self.points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         self.name = f"contact{next(counter)}"
-        self.means: Means | None = None
-        parts = ("traction", "pressure", "work", "steps", "stored", "spare")
-        self.names = tuple(f"{self.name}_{part}" for part in parts)
+        self.means: MeanForceWeights | None = None
+        self.names = MarkerFields(*(f"{self.name}_{part}" for part in MarkerFields._fields))
 
     kind, layers = "contact", LAYERS
 
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
         """See `Term`: slip makes the tangent unsymmetric."""
-        return not self.friction
+        return not self.law.friction
 
     @property
     def sides(self) -> Sequence[tuple[Boundary, Any]]:
         """See `Term`."""
         return list(zip(self.boundaries, self.u))
 
-    def start_in_time(self, means: Means | None) -> None:
+    def start_in_time(self, means: MeanForceWeights | None) -> None:
         """See `Term`."""
         self.means = means
 
     def couple(self, here: Participants) -> list[Coupling]:
         """See `Term`. Collective."""
-        return [Facing(self, here)]
+        return [ContactPairs(self, here)]
 
-    def on(self, here: Activation) -> ActiveBetween | None:
+    def on(self, here: Activation) -> ActiveTwoBodyContact | None:
         """See `Term`."""
-        own = (c for c in here.couplings if isinstance(c, Facing) and c.contact is self)
-        facing = next(own, None)
-        return None if facing is None else ActiveBetween(facing, self.means)
+        own = (c for c in here.couplings if isinstance(c, ContactPairs) and c.contact is self)
+        pairs = next(own, None)
+        return None if pairs is None else ActiveTwoBodyContact(pairs, self.means)
 
     def energy(self) -> tuple[float, float]:
         """See `Term`. Collective."""
@@ -94,7 +86,7 @@ class Between(Term):
 
     def summary(self) -> str:
         """See `Term`."""
-        return f"contact of two bodies, friction {self.friction:g}"
+        return f"contact of two bodies, friction {self.law.friction:g}"
 
     def __repr__(self) -> str:
         return f"the contact of {self.boundaries[0]} with {self.boundaries[1]}"
@@ -107,19 +99,19 @@ class Between(Term):
     @property
     def dissipated(self) -> float:
         """Work dissipated by friction (J), on all ranks. Collective."""
-        done = float(self.boundaries[0].markers[self.names[2]].sum())
+        done = float(self.boundaries[0].markers[self.names.work].sum())
         return self.points.comm.allreduce(done, op=MPI.SUM)
 
     @property
     def stored(self) -> float:
         """Energy stored by the penalties (J), on all ranks. Collective."""
-        own = float(self.boundaries[0].markers[self.names[4]].sum())
+        own = float(self.boundaries[0].markers[self.names.stored].sum())
         return self.points.comm.allreduce(own, op=MPI.SUM)
 
     @property
     def begun(self) -> bool:
         """Whether at least one step has been taken. Collective."""
-        steps = self.boundaries[0].markers[self.names[3]]
+        steps = self.boundaries[0].markers[self.names.steps]
         return self.points.comm.allreduce(bool(steps.any()), op=MPI.LOR)
 
     def stiffness_per_area(self) -> npt.NDArray[np.float64]:
@@ -160,7 +152,7 @@ class Between(Term):
         shapes, units = ((points.gdim,), (), (), (), (), ()), ("N", "N", "J", "", "J", "J")
         for name, shape, unit in zip(self.names, shapes, units):
             markers.add_field(name, shape, unit)
-        if self._penalty is None:
+        if self.law.stiffness is not None:
             return
         moduli = []
         for k, u in enumerate(self.u):
@@ -174,7 +166,7 @@ class Between(Term):
                     "contact_between(..., stiffness_per_area=...) in Pa/m"
                 )
         both = 2.0 * moduli[0] * moduli[1] / (moduli[0] + moduli[1])
-        self.stiffness = self._penalty * both / smallest_height(points.grid)
+        self.stiffness = self.law.penalty * both / smallest_height(points.grid)
 
 
 def _young(moduli):
@@ -212,7 +204,7 @@ def contact_between(
     cut anew at the grid's lines in every step. Then a uniform pressure balances a uniform stress.
 
     Where the gap is closed, a pressure κ |g| per area pushes the bodies apart. Friction follows
-    Coulomb's law, see `dolfinmpm.contact.penalty`. A bound of the penetration adds multipliers,
+    Coulomb's law, see `dolfinmpm.contact.contactlaw`. A bound of the penetration adds multipliers,
     see `contact`.
 
     In a step the bodies may approach by at most one cell. A step with a larger approach is halved.
@@ -273,18 +265,8 @@ def contact_between(
             "v are not the test functions of the fields of u, in their order; give "
             "(one.increment, other.increment) and (one.test, other.test)"
         )
-    friction = friction_coefficient(friction)
-    number("penalty", penalty, 0.0)
-    if stiffness_per_area is not None:
-        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
-    number("slip_stiffness", slip_stiffness, 0.0)
-    if penetration is not None:
-        number("penetration", penetration, 0.0, unit="m")
-    term = Between(
-        (first, second), (u[0], u[1]), friction, penalty, stiffness_per_area, slip_stiffness,
-        penetration,
-    )  # fmt: skip
-    return as_form(term, u[0], v[0])
+    law = ContactLaw(friction, penalty, stiffness_per_area, slip_stiffness, penetration)
+    return as_form(TwoBodyContact((first, second), (u[0], u[1]), law), u[0], v[0])
 
 
 def _pair(name: str, given: Any) -> tuple[Any, Any]:

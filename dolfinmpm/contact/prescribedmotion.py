@@ -11,16 +11,16 @@ from dolfinx import fem
 
 from dolfinmpm._platform.checks import at_time, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.contact.freedom import vector
+from dolfinmpm.contact.freemotion import vector
 from dolfinmpm.grid.constants import begin_at_zero
 
-__all__ = ["Course", "Motion", "first_rate"]
+__all__ = ["Motion", "PrescribedMotion", "first_rate"]
 
 Array = npt.NDArray[np.float64]
 Motion = Callable[[float], Any]
 
 
-class Course:
+class PrescribedMotion:
     """One prescribed motion, a displacement or a rotation.
 
     Args:
@@ -108,8 +108,8 @@ class Course:
         return np.asarray(self.unit * dt / 6 * (first + 4 * middle + last))
 
 
-def first_rate(course: Course) -> Array:
+def first_rate(motion: PrescribedMotion) -> Array:
     """Initial velocity, or first increment; zero where neither is given."""
-    if course.rate is None:
-        return np.zeros(course.size)
-    return course.unit * course.value(course.rate, 0.0)
+    if motion.rate is None:
+        return np.zeros(motion.size)
+    return motion.unit * motion.value(motion.rate, 0.0)

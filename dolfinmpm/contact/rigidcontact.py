@@ -13,69 +13,59 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
+from dolfinmpm._platform.checks import Tags, as_tags, check_kind, choice
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
-from dolfinmpm.contact.activecontact import ActiveContact
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.corners import corner_count
-from dolfinmpm.contact.means import Means
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.contact.protocols import CornerFields
+from dolfinmpm.contact.rigidbody import RigidBody
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import smallest_height
 
-__all__ = ["Contact", "contact"]
+__all__ = ["RigidContact", "contact"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Contact(Term):
+class RigidContact(Term):
     """Contact of material points with a rigid body in a weak form; see `contact`.
 
-    Attributes:
+    Args:
         body, points, u: The body, the points, and the increment that moves the points.
         surface: Marked faces, or None.
         material: True if corners follow the points' material, False if they follow the domains.
         tags: Tags of the points that touch, or None for all points.
-        friction: μ.
-        stiffness: Penalty given by the user (Pa/m), or None.
-        penalty: Penalty in units of E/h, if `stiffness` is None.
-        slip_share: ε_T/ε_N.
-        penetration: Largest penetration (m), bounded by multipliers, or None.
-        names: Names of five fields of the points: tangential forces on corners (N) in the frame of
-            the body, normal forces (N), Young's modulus (Pa), stiffness of touching corners
-            (N/m), and the closing of the gaps in the last step (m).
+        law: The contact law.
+
+    Attributes:
+        body, points, u, surface, material, tags, law: The arguments.
+        names: Names of the points' fields with the state of the contact.
         dissipated: Work dissipated by friction (J), on all ranks.
-        means: How mean forces over a step enter the balance; None for forces at the end.
+        means: Weights of mean forces over a step in its balance; None for forces at the end.
         in_time: Whether steps have inertia.
         limit: Largest motion of the body at once (m).
     """
 
     def __init__(
-        self, body, points, u, surface, material, tags, friction, stiffness, penalty, slip_share,
-        penetration,
+        self, body: RigidBody, points: MaterialPoints, u: Any, surface: Surface | None,
+        material: bool, tags: Tags, law: ContactLaw,
     ):  # fmt: skip
-        self.body: RigidBody = body
-        self.points: MaterialPoints = points
-        self.u, self.surface, self.tags = u, surface, tags
-        self.material: bool = material
-        self.friction: float = friction
-        self.stiffness: float | None = stiffness
-        self.penalty: float = penalty
+        self.body, self.points, self.u = body, points, u
+        self.surface, self.material, self.tags, self.law = surface, material, tags, law
         self._cell: float | None = None
-        self.slip_share: float = slip_share
-        self.penetration: float | None = penetration
         counter = points.__dict__.setdefault("_contact_numbers", itertools.count(1))
         first = f"contact{next(counter)}"
-        kept = "traction", "pressure", "modulus", "stiffness", "closing"
-        self.names = tuple(f"{first}_{name}" for name in kept)
+        self.names = CornerFields(*(f"{first}_{name}" for name in CornerFields._fields))
         self.dissipated = 0.0
-        self.means: Means | None = None
+        self.means: MeanForceWeights | None = None
         self.in_time, self.limit = False, math.inf
 
     kind, definite, fusable = "contact", False, True
@@ -83,14 +73,14 @@ class Contact(Term):
     @property
     def symmetric(self) -> bool:  # type: ignore[override]
         """See `Term`: slip makes the tangent unsymmetric."""
-        return not self.friction
+        return not self.law.friction
 
     @property
     def loads(self) -> list[Any]:
         """See `Term`: the loads on the free components of the body."""
         return self.body.loads
 
-    def start_in_time(self, means: Means | None) -> None:
+    def start_in_time(self, means: MeanForceWeights | None) -> None:
         """See `Term`."""
         self.means, self.in_time = means, True
 
@@ -103,19 +93,19 @@ class Contact(Term):
         Raises:
             ParameterError: The penalty needs Young's modulus, and a point has none.
         """
-        points, count = self.points, corner_count(self.points.gdim, self.surface)
-        traction, pressure, modulus, stiffness, closing = self.names
-        points.add_field(traction, (count, points.gdim), "N")
-        points.add_field(pressure, (count,), "N")
-        points.add_field(stiffness, (count,), "N/m")
-        points.add_field(closing, (count,), "m")
-        if self.stiffness is not None:
+        points, names = self.points, self.names
+        count = corner_count(points.gdim, self.surface)
+        points.add_field(names.tangential_force, (count, points.gdim), "N")
+        points.add_field(names.normal_force, (count,), "N")
+        points.add_field(names.stiffness, (count,), "N/m")
+        points.add_field(names.closing, (count,), "m")
+        if self.law.stiffness is not None:
             return
-        points.add_field(modulus, (), "Pa")
+        points.add_field(names.modulus, (), "Pa")
         if self._cell is None:
             # a regridded grid must not change the stiffness of the contact
             self._cell = smallest_height(points.grid)
-        E = points[modulus]
+        E = points[names.modulus]
         new = E == 0.0
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
             found = np.zeros((len(points), 2))
@@ -137,19 +127,20 @@ class Contact(Term):
             )
         raise_together(points.comm, error)
 
-    def on(self, here: Activation) -> ActiveContact:
+    def on(self, here: Activation) -> ActiveRigidContact:
         """See `Term`. Collective."""
-        return ActiveContact.on(self, here)
+        return ActiveRigidContact.on(self, here)
 
     def summary(self) -> str:
         """See `Term`."""
-        return f"contact with '{self.body.name}', friction {self.friction:g}"
+        return f"contact with '{self.body.name}', friction {self.law.friction:g}"
 
     def describe(self) -> str:
         """See `Term`."""
+        law = self.law
         return (
-            f"friction = {self.friction:g}, penalty = {self.penalty:g}, stiffness_per_area = "
-            f"{self.stiffness}, tag = {self.tags}"
+            f"friction = {law.friction:g}, penalty = {law.penalty:g}, stiffness_per_area = "
+            f"{law.stiffness}, tag = {self.tags}"
         )
 
     def chosen(self, rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
@@ -175,11 +166,12 @@ class Contact(Term):
 
     def stiffness_at(self, rows: npt.NDArray[np.integer]) -> Array:
         """Penalty per area at some points (Pa/m), shape (len(rows),)."""
-        if self.stiffness is not None:
-            return np.full(rows.size, self.stiffness)
+        law = self.law
+        if law.stiffness is not None:
+            return np.full(rows.size, law.stiffness)
         if self._cell is None:
             raise ParameterError(f"{self!r} has no stiffness before a problem is made of the form")
-        return np.asarray(self.penalty / self._cell * self.points[self.names[2]][rows])
+        return np.asarray(law.penalty / self._cell * self.points[self.names.modulus][rows])
 
     def stiffness_per_area(self) -> Array:
         """κ of the points on this rank (Pa/m), shape (points,)."""
@@ -206,8 +198,9 @@ def contact(
     The corners of the points' domains touch the body, see `dolfinmpm.contact.corners`, or the
     faces of a `Surface` do. A corner with a gap g_N < 0 is inside the body. A pressure κ |g_N| per
     area pushes the corner out. Friction follows Coulomb's law: see
-    `dolfinmpm.contact.penalty` for quasi-static and explicit steps, and `dolfinmpm.contact.means`
-    for implicit steps in time. Each corner has a share of the initial faces of its point.
+    `dolfinmpm.contact.contactlaw` for quasi-static and explicit steps, and
+    `dolfinmpm.contact.meanforces` for implicit steps in time. Each corner has a share of the
+    initial faces of its point.
 
     The penalty leaves some penetration. With the argument `penetration`, multipliers take over the
     pressure (Uzawa's augmented Lagrangian). Newton's method finds balance. The pressure then
@@ -248,13 +241,7 @@ def contact(
         )
     if points.axisymmetric:
         body.require_axis()
-    friction = friction_coefficient(friction)
-    number("penalty", penalty, 0.0)
-    if stiffness_per_area is not None:
-        number("stiffness_per_area", stiffness_per_area, 0.0, unit="Pa/m")
-    number("slip_stiffness", slip_stiffness, 0.0)
-    if penetration is not None:
-        number("penetration", penetration, 0.0, unit="m")
+    law = ContactLaw(friction, penalty, stiffness_per_area, slip_stiffness, penetration)
     if surface is not None:
         check_kind("surface", surface, Surface, "make it with mpm.Surface(points, where, normal)")
         if surface.points is not points:
@@ -266,8 +253,5 @@ def contact(
     if tags is None:
         # corners of points outside the field of u would not move
         tags = getattr(getattr(u, "_dolfinmpm_space", None), "tags", None)
-    term = Contact(
-        body, points, u, surface, corners == "material", tags, friction,
-        stiffness_per_area, penalty, slip_stiffness, penetration,
-    )  # fmt: skip
+    term = RigidContact(body, points, u, surface, corners == "material", tags, law)
     return as_form(term, u, v)

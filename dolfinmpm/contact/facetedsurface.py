@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dolfinmpm.contact.surfaces import Probe
 
-__all__ = ["Facets", "facet_normals"]
+__all__ = ["FacetedSurface", "facet_normals"]
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def facet_normals(x: Array, facets: npt.NDArray[np.integer]) -> Array:
     return np.asarray(np.cross(along, a[:, 2] - a[:, 0]))
 
 
-class Facets:
+class FacetedSurface:
     """A closed surface of segments or triangles.
 
     Args:

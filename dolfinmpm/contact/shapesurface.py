@@ -11,12 +11,11 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.shapes import Ball, Box, Polygon, TurnedBox
-from dolfinmpm.contact.facets import Facets
+from dolfinmpm.contact.facetedsurface import FacetedSurface
 from dolfinmpm.contact.fillets import filleted
-from dolfinmpm.contact.meshes import is_mesh, mesh_surface
-from dolfinmpm.contact.revolution import Revolved
-from dolfinmpm.contact.surfaces import HalfSpace, RigidSurface, Round, Rounded
-from dolfinmpm.contact.tools import Cone, Plane
+from dolfinmpm.contact.rigidshapes import Cone, Plane
+from dolfinmpm.contact.surfacemesh import is_mesh, mesh_surface
+from dolfinmpm.contact.surfaces import HalfSpace, Revolved, RigidSurface, Round, Rounded
 
 __all__ = ["surface_of"]
 
@@ -68,10 +67,10 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
     )
 
 
-def _ring(corners: Array) -> Facets:
+def _ring(corners: Array) -> FacetedSurface:
     """The surface of a polygon whose corners go anticlockwise."""
     at = np.arange(len(corners))
-    return Facets(corners, np.column_stack([at, np.roll(at, -1)]))
+    return FacetedSurface(corners, np.column_stack([at, np.roll(at, -1)]))
 
 
 def _polygon(vertices: Array, fillet: float) -> RigidSurface:
@@ -116,5 +115,5 @@ def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
         x = np.where(bits, high, low)
     if isinstance(shape, TurnedBox):
         x = shape.turn(x)
-    core = _ring(x) if low.size == 2 else Facets(x, _TRIANGLES)
+    core = _ring(x) if low.size == 2 else FacetedSurface(x, _TRIANGLES)
     return Rounded(core, fillet) if fillet else core

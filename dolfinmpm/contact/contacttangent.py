@@ -1,4 +1,4 @@
-"""Tangents of contact into the matrix: between the nodes that corners, or places, see."""
+"""Assembly of the tangent of contact between the nodes of the contact points' stencils."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.assembly.stencilsums import Entries
-from dolfinmpm.contact.motions import Seen
+from dolfinmpm.contact.contactstencils import StencilRows
 
-__all__ = ["add_corners"]
+__all__ = ["add_tangent"]
 
 
-def add_corners(
+def add_tangent(
     active: npt.NDArray[np.integer],
-    rows: Seen,
-    columns: Seen,
+    rows: StencilRows,
+    columns: StencilRows,
     K: npt.NDArray[np.float64],
     to: Entries,
 ) -> None:
     """Add Σ_c W_caᵀ K_c W_cb to the matrix.
 
     Args:
-        active: Which places, shape (n,).
-        rows, columns: What they see of the row field and of the column field; either both of them
-            N, or both ∂x_i/∂u_j.
-        K: Derivatives of forces by displacements there (N/m), shape (n, d, d).
+        active: The contact points that contribute, shape (n,).
+        rows, columns: Stencils in the row field and in the column field; either both with values
+            N, or both with blocks ∂x_i/∂u_j.
+        K: Derivatives of forces by displacements of the points (N/m), shape (n, d, d).
         to: The matrix between the two fields.
     """
-    kernel = _add if rows[2].ndim == 1 else _add_mixed
+    kernel = _add if rows[2].ndim == 1 else _add_blocks
     kernel(
         active, *rows, *columns, K, to.rows.row_of, to.columns.row_of, to.pattern.indptr,
         to.pattern.indices, to.data, to.prescribed, to.lift,
@@ -56,7 +56,7 @@ def _add(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _add_mixed(
+def _add_blocks(
     active, a_start, a_nodes, a_W, b_start, b_nodes, b_W, K, row_of, column_of, indptr, indices,
     data, prescribed, lift,
 ):  # fmt: skip

@@ -13,13 +13,13 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.contact.activecontact import ActiveContact
-from dolfinmpm.contact.contactterm import Contact
-from dolfinmpm.contact.passing import limit_of, too_far
-from dolfinmpm.contact.rigid import RigidBody
+from dolfinmpm.contact.activerigidcontact import ActiveRigidContact
+from dolfinmpm.contact.rigidbody import RigidBody
+from dolfinmpm.contact.rigidcontact import RigidContact
+from dolfinmpm.contact.tunnelling import limit_of, too_far
 from dolfinmpm.grid.lattice import smallest_height
 
-__all__ = ["Bodies"]
+__all__ = ["RigidBodies"]
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 _STILL = 1e-9
 
 
-class Bodies:
+class RigidBodies:
     """The rigid bodies in the contacts of a form.
 
     Args:
@@ -45,7 +45,7 @@ class Bodies:
         ParameterError: A body's motion does not begin at its shape.
     """
 
-    def __init__(self, contacts: Sequence[Contact], grid: Mesh):
+    def __init__(self, contacts: Sequence[RigidContact], grid: Mesh):
         self.contacts = list(contacts)
         for one, other in itertools.combinations(contacts, 2):
             if _same(one, other):
@@ -93,17 +93,17 @@ class Bodies:
         """
         for body in self.all:
             free = set() if body.freedom is None else set(body.freedom.free)
-            for course, first in zip(body.courses, (0, body.gdim)):
-                if in_time and course.kind == "increment":
+            for motion, first in zip(body.prescribed_motions, (0, body.gdim)):
+                if in_time and motion.kind == "increment":
                     raise ParameterError(
-                        f"{course.name} is the motion of '{body.name}' per step, and the steps of "
+                        f"{motion.name} is the motion of '{body.name}' per step, and the steps of "
                         f"{kind} have a length in time: give its velocity, or its motion in total"
                     )
                 # velocities of free components are initial values
-                held = not free.issuperset(range(first, first + course.size))
-                if held and not in_time and course.kind == "velocity":
+                held = not free.issuperset(range(first, first + motion.size))
+                if held and not in_time and motion.kind == "velocity":
                     raise ParameterError(
-                        f"{course.name} is the motion of '{body.name}' per second, and {kind} "
+                        f"{motion.name} is the motion of '{body.name}' per second, and {kind} "
                         "knows no time: give its increment per step, or its motion in total"
                     )
 
@@ -191,7 +191,7 @@ class Bodies:
                 count = min(count, body.ahead(dt, count, limit_of(body, self._limit)))
         return count
 
-    def push(self, contacts: Sequence[ActiveContact], kick: float) -> None:
+    def push(self, contacts: Sequence[ActiveRigidContact], kick: float) -> None:
         """Let forces at the start of an explicit step move the free bodies in it. Collective.
 
         Args:
@@ -211,7 +211,7 @@ class Bodies:
                     force += np.concatenate(active.totals())
             body.push(force, kick)
 
-    def commit(self, contacts: Sequence[ActiveContact]) -> float:
+    def commit(self, contacts: Sequence[ActiveRigidContact]) -> float:
         """Keep the poses of the bodies, and the forces on them. Collective.
 
         Returns:
@@ -240,7 +240,7 @@ class Bodies:
         """Name of a body → its part of the record of a step."""
         return {body.name: body.record() for body in self.all}
 
-    def acting(self, operator: Any) -> list[ActiveContact]:
+    def acting(self, operator: Any) -> list[ActiveRigidContact]:
         """The contacts of the bodies in the equations of a step.
 
         Args:
@@ -269,7 +269,7 @@ class Bodies:
             self.given = None if math.isnan(given) else given
 
 
-def _same(one: Contact, other: Contact) -> bool:
+def _same(one: RigidContact, other: RigidContact) -> bool:
     """Whether two contacts have the same body, and common points or faces of points."""
     if one.body is not other.body or one.points is not other.points:
         return False

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.checks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.meshfiles import read_mesh
-from dolfinmpm.contact.facets import Facets, facet_normals
+from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
 
 __all__ = ["checked", "is_mesh", "mesh_surface"]
 
@@ -27,7 +27,7 @@ def is_mesh(shape: Any) -> bool:
     return isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio")
 
 
-def mesh_surface(mesh: Any) -> Facets:
+def mesh_surface(mesh: Any) -> FacetedSurface:
     """The surface of a mesh of triangles, or in the plane of segments.
 
     Args:
@@ -57,7 +57,7 @@ def mesh_surface(mesh: Any) -> Facets:
     )
 
 
-def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> Facets:
+def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurface:
     """A closed surface whose normals point outwards, of facets that may not share their corners.
 
     Args:
@@ -94,7 +94,7 @@ def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> Facets:
             f"{name} is inside out: the normals of its facets point into the body; turn their "
             "corners round"
         )
-    return Facets(x, cells)
+    return FacetedSurface(x, cells)
 
 
 def _joined(x: Array, facets: Facet) -> tuple[Array, Facet]:

@@ -15,12 +15,12 @@ from dolfinx import fem
 from dolfinmpm._platform.checks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.given import ReadOnce
-from dolfinmpm.contact.course import Course, Motion, first_rate
-from dolfinmpm.contact.freedom import Freedom, vector
-from dolfinmpm.contact.making import surface_of
-from dolfinmpm.contact.passing import half_thickness, travelled
+from dolfinmpm.contact.freemotion import FreeMotion, vector
 from dolfinmpm.contact.pose import Pose, rotation_of
+from dolfinmpm.contact.prescribedmotion import Motion, PrescribedMotion, first_rate
+from dolfinmpm.contact.shapesurface import surface_of
 from dolfinmpm.contact.surfaces import RigidSurface
+from dolfinmpm.contact.tunnelling import half_thickness, travelled
 
 __all__ = ["RigidBody", "check_bodies"]
 
@@ -116,8 +116,10 @@ class RigidBody(ReadOnce):
         if not isinstance(self.name, str) or not self.name.isidentifier():
             raise ParameterError(f"name = {shown(name)} must be an identifier")
         turns = 1 if d < 3 else 3
-        self._shift = Course(d, displacement=displacement, velocity=velocity, increment=increment)
-        self._turn = Course(
+        self._shift = PrescribedMotion(
+            d, displacement=displacement, velocity=velocity, increment=increment
+        )
+        self._turn = PrescribedMotion(
             turns, rotation=rotation, angular_velocity=angular_velocity,
             rotation_increment=rotation_increment,
         )  # fmt: skip
@@ -125,13 +127,13 @@ class RigidBody(ReadOnce):
         self._turn.absolute = d == 3 and rotation is not None
         self._turn.unit = math.radians(1.0)
         loads = mass, inertia, gravity, force, moment
-        self.freedom: Freedom | None = None
+        self.freedom: FreeMotion | None = None
         if free is not None or any(load is not None for load in loads):
-            rates = [first_rate(course) for course in self.courses]
-            self.freedom = Freedom(d, free, *loads, np.concatenate(rates))
+            rates = [first_rate(motion) for motion in self.prescribed_motions]
+            self.freedom = FreeMotion(d, free, *loads, np.concatenate(rates))
         self.pose = self.start = Pose.first(middle)
         self.time, self.dt = 0.0, 0.0
-        self.mover: Any = None  # see `Bodies.take`
+        self.mover: Any = None  # see `RigidBodies.take`
         self._force: Array = np.zeros(d)
         self._moment: Array = np.zeros(turns)
 
@@ -198,33 +200,33 @@ class RigidBody(ReadOnce):
         return np.degrees(self.pose.turn)
 
     @property
-    def courses(self) -> tuple[Course, Course]:
+    def prescribed_motions(self) -> tuple[PrescribedMotion, PrescribedMotion]:
         """Its prescribed motions: the motion of the centre, and the rotation."""
         return self._shift, self._turn
 
     @property
     def loads(self) -> list[fem.Constant]:
         """DOLFINx constants that prescribe its motion or its loads."""
-        prescribe = [c.given for c in self.courses if isinstance(c.given, fem.Constant)]
+        prescribe = [c.given for c in self.prescribed_motions if isinstance(c.given, fem.Constant)]
         return prescribe + ([] if self.freedom is None else self.freedom.loads)
 
     def prescribed(self, t: float) -> list[Array]:
         """Values of prescribing functions at a time (s; steps): translation, then rotation."""
-        both = [(c, f) for c in self.courses for f in (c.given, c.rate) if f is not None]
+        both = [(c, f) for c in self.prescribed_motions for f in (c.given, c.rate) if f is not None]
         return [c.value(f, t) for c, f in both if not isinstance(f, fem.Constant)]
 
     def check_start(self) -> None:
         """Raise ParameterError if its prescribed motion does not begin at its shape."""
-        for course in self.courses:
-            course.check_start()
+        for motion in self.prescribed_motions:
+            motion.check_start()
 
     # -- for solvers ----------------------------------------------------------
 
     def begin(self, dt: float) -> None:
         """Begin a step, or a substep, of the length dt (s; steps)."""
         self.dt = dt
-        for course in self.courses:
-            course.begin()
+        for motion in self.prescribed_motions:
+            motion.begin()
 
     def put(self, share: float) -> None:
         """Move it to its pose at a share of the step."""

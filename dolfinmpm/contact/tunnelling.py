@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm.contact.facets import Facets, facet_normals
+from dolfinmpm.contact.facetedsurface import FacetedSurface, facet_normals
 from dolfinmpm.contact.pose import Pose
-from dolfinmpm.contact.revolution import Revolved
-from dolfinmpm.contact.surfaces import RigidSurface, Round, Rounded
+from dolfinmpm.contact.surfaces import Revolved, RigidSurface, Round, Rounded
 
 __all__ = [
     "entered",
@@ -52,7 +51,7 @@ def half_thickness(surface: RigidSurface) -> float:
         return half_thickness(surface.core) + surface.radius
     if isinstance(surface, Revolved):
         return half_thickness(surface.profile)
-    if not isinstance(surface, Facets):
+    if not isinstance(surface, FacetedSurface):
         return math.inf
     normals = facet_normals(surface.x, surface.facets)
     # of triangles twice the area
