@@ -79,8 +79,8 @@ INPUTS = {
     # -- stabilisation
     'mpm.Stabilisation("ghost", target=-1.0)': "stabilisation's target = -1 must be above 1",
     'mpm.Stabilisation("ghost", target=nan)': "stabilisation's target = nan must be above 1; nan",
-    'mpm.Stabilisation("aggregation", target=10.0)': "target = 10.0 would do nothing: it is of",
-    'mpm.Stabilisation("none", factor=1.0)': "factor = 1.0 would do nothing: it is of the",
+    'mpm.Stabilisation("aggregation", target=10.0)': "target = 10.0 would do nothing: it belongs",
+    'mpm.Stabilisation("none", factor=1.0)': "factor = 1.0 would do nothing: it belongs to",
     'mpm.Stabilisation("aggregation", factor=2.0)': 'stabilisation "ghost" and "weak-aggregation"',
     'mpm.Stabilisation("soft", threshold=0.5)': "threshold = 0.5 would do nothing",
     'mpm.Stabilisation("ghost", eta=1e-3)': 'of the stabilisation "soft", and this is "ghost"',

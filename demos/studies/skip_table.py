@@ -132,7 +132,7 @@ class Feature:
 
 def without_ties():
     """No field is asked whether a stabilisation ties its nodes."""
-    return mock.patch.object(activation.Field, "ties_nodes", False)
+    return mock.patch.object(activation.Field, "constrains_nodes", False)
 
 
 def without_means():

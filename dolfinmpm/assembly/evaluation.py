@@ -13,7 +13,7 @@ from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.assembly.term import ActiveTerm
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import ActiveRegion
+from dolfinmpm.cut.activation import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import PointOperator
 from dolfinmpm.forms.pointterms import PointTerms

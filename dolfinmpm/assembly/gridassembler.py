@@ -27,8 +27,8 @@ from dolfinmpm.assembly.splinefacets import FacetBlock, are_alike
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import ACTIVE_CELLS, GHOST_FACETS
+from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.facetmoduli import FacetModulus
-from dolfinmpm.cut.participants import ActiveField
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.prolongation import reduce_blocks
 from dolfinmpm.forms.gridterms import GridTerms

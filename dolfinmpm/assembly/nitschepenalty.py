@@ -28,7 +28,7 @@ from dolfinmpm.basis.stencils import pushed_forward
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 
 __all__ = ["trace_constants"]
 

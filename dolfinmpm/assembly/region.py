@@ -13,9 +13,9 @@ from dolfinmpm._platform import stages
 from dolfinmpm.assembly.functions import function_values
 from dolfinmpm.assembly.stencilsums import Entries, Slope, add_stiffness, add_vector
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.cellmeans import add_outer
+from dolfinmpm.cut.activation import ActiveRegion
+from dolfinmpm.cut.cellcouplings import add_outer
 from dolfinmpm.cut.facetmoduli import isotropic_moduli
-from dolfinmpm.cut.participants import ActiveRegion
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.forms.operators import AveragingLaw, KeepingLaw, KeptTangents, PointOperator, if_kept
 from dolfinmpm.forms.pointterms import PointTerms

@@ -20,7 +20,7 @@ from dolfinmpm._platform.checks import Tags
 from dolfinmpm.assembly.stencilsums import Entries
 from dolfinmpm.body.location import Destinations
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.forms.declarations import Declaration
 
@@ -210,7 +210,7 @@ class Term:
         """
         return {}
 
-    def couple(self, here: Participants) -> list[Coupling]:
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
         """Which nodes it couples beside those that the points couple. Collective."""
         return []
 

@@ -26,7 +26,7 @@ from dolfinmpm.contact.meanforces import MeanForceWeights, mean_forces
 from dolfinmpm.contact.protocols import RigidContactTerm
 from dolfinmpm.contact.storedenergy import normal_energy, slip_energy
 from dolfinmpm.contact.surfaces import Probe
-from dolfinmpm.cut.participants import Participants
+from dolfinmpm.cut.activation import ActiveDomain
 
 __all__ = ["ActiveRigidContact"]
 
@@ -119,7 +119,7 @@ class ActiveRigidContact(ActiveContact):
         )  # fmt: skip
 
     @staticmethod
-    def on(contact: RigidContactTerm, here: Participants) -> ActiveRigidContact:
+    def on(contact: RigidContactTerm, here: ActiveDomain) -> ActiveRigidContact:
         """A contact on an activation. Collective."""
         k = next(k for k, f in enumerate(here.fields) if f.space.increment is contact.u)
         displacement = DisplacementBasis.of(

@@ -12,7 +12,7 @@ from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.contact.contactstencils import ContactStencils, stencil_matrix
 from dolfinmpm.contact.protocols import TwoBodyContactTerm
-from dolfinmpm.cut.participants import ActiveField, Participants
+from dolfinmpm.cut.activation import ActiveDomain, ActiveField
 from dolfinmpm.cut.unknowns import Unknowns
 from dolfinmpm.grid.lattice import Lattice, lattice_of, smallest_height
 
@@ -70,7 +70,7 @@ class ContactPairs:
         ParameterError: The bodies overlap before the first step.
     """
 
-    def __init__(self, contact: TwoBodyContactTerm, here: Participants):
+    def __init__(self, contact: TwoBodyContactTerm, here: ActiveDomain):
         self.contact = contact
         first, second = (b.markers for b in contact.boundaries)
         self.reach = smallest_height(contact.points.grid)

@@ -38,7 +38,7 @@ from dolfinmpm.contact.contactstencils import (
     growth_by_gradient,
     stencil_matrix,
 )
-from dolfinmpm.cut.participants import ActiveField, Basis
+from dolfinmpm.cut.activation import ActiveField, Basis
 
 __all__ = ["ALL", "CornerLayout", "Corners", "DisplacementBasis", "corner_count", "longest"]
 

@@ -26,7 +26,7 @@ from dolfinmpm.contact.corners import corner_count
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.contact.protocols import CornerFields
 from dolfinmpm.contact.rigidbody import RigidBody
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import smallest_height
 

@@ -22,7 +22,7 @@ from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.contactstencils import stencil_matrix
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 
 __all__ = ["springs"]

@@ -23,7 +23,7 @@ from dolfinmpm.contact.contactlaw import ContactLaw
 from dolfinmpm.contact.contactpairs import LAYERS, ContactPairs
 from dolfinmpm.contact.meanforces import MeanForceWeights
 from dolfinmpm.contact.protocols import MarkerFields
-from dolfinmpm.cut.participants import Activation, Coupling, Participants
+from dolfinmpm.cut.activation import Activation, ActiveDomain, Coupling
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.grid.lattice import require_lattice, smallest_height
 
@@ -70,7 +70,7 @@ class TwoBodyContact(Term):
         """See `Term`."""
         self.means = means
 
-    def couple(self, here: Participants) -> list[Coupling]:
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
         """See `Term`. Collective."""
         return [ContactPairs(self, here)]
 

@@ -13,8 +13,8 @@ from dolfinx import fem
 from dolfinx.la import InsertMode
 
 from dolfinmpm.basis import LatticeBasis, Placement
+from dolfinmpm.cut.activation import ActiveField
 from dolfinmpm.cut.fractions import fill_fractions
-from dolfinmpm.cut.participants import ActiveField
 
 __all__ = ["cell_offsets"]
 
@@ -77,7 +77,7 @@ def _with_roots(where: Placement, field: ActiveField, sums: Array) -> tuple[Arra
     basis = field.basis
     assert isinstance(basis, LatticeBasis)
     assert field.level is not None
-    filled = fill_fractions(where, field.seen, basis)
+    filled = fill_fractions(where, field.full_stencils, basis)
     root = _roots(basis, filled, field.level)
     own = np.arange(basis.cells.owned)
     together = _summed(basis, root, np.column_stack([sums[own], filled[own]]))

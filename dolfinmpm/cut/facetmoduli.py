@@ -29,7 +29,7 @@ from dolfinmpm.cut.fractions import cell_sums
 from dolfinmpm.grid.lattice import once_per_grid
 
 if TYPE_CHECKING:
-    from dolfinmpm.cut.participants import ActiveField
+    from dolfinmpm.cut.activation import ActiveField
 
 __all__ = [
     "FIELD",
@@ -162,7 +162,8 @@ def update(modulus: FacetModulus, field: ActiveField) -> None:
     # points without a law do not count
     weights = np.where(M > 0, where.volume, 0.0)
     sums = [
-        cell_sums(where, field.seen, field.basis, w) for w in (weights, weights * M, weights * G)
+        cell_sums(where, field.full_stencils, field.basis, w)
+        for w in (weights, weights * M, weights * G)
     ]
     if field.basis.grid_cells is not None:
         sums = [s[field.basis.grid_cells] for s in sums]

@@ -40,7 +40,7 @@ GHOST_FACTORS = {1: 1.0, 2: 1e2, 3: 1e4}
 
 
 def penalty_factor(what: str, value: Any) -> float:
-    """A penalty's factor, finite and not negative.
+    """The factor of a penalty, finite and not negative.
 
     Raises:
         ParameterError: The value is not a finite number, or negative.
@@ -51,13 +51,13 @@ def penalty_factor(what: str, value: Any) -> float:
 
 
 def check_word(what: str, value: str) -> None:
-    """Raise ParameterError unless a factor given as a word is "adaptive"."""
+    """Raise ParameterError unless a factor in words is "adaptive"."""
     if value != ADAPTIVE:
         raise ParameterError(f'{what} = {value!r} must be a number or "{ADAPTIVE}"')
 
 
 def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
-    """A number, not negative, or a scalar of UFL on the points' grid."""
+    """A number that is not negative, or a UFL scalar on the points' grid."""
     if isinstance(value, str) and value == ADAPTIVE:
         raise ParameterError(
             f'{what} = "{ADAPTIVE}" must be a number (Pa); "{ADAPTIVE}" is a factor of the laws\' '
@@ -69,7 +69,7 @@ def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
         raise ParameterError(f"{what} = {shown(value)} must be a number or a scalar of UFL")
     if extract_unique_domain(value) not in (None, points.grid.ufl_domain()):
         raise ParameterError(
-            f"{what} lives on another grid than the points; make it on points.grid"
+            f"{what} is defined on another grid than the points; make it on points.grid"
         )
     return value
 
@@ -140,7 +140,7 @@ def ghost(
         check_word("factor", factor)
         target = TARGET if target is None else number("target", target, 1.0)
     elif target is not None:
-        raise ParameterError(f'target = {shown(target)} is of factor="{ADAPTIVE}" alone')
+        raise ParameterError(f'target = {shown(target)} belongs to factor="{ADAPTIVE}" only')
     of_law = factor is not None
     if of_law and gamma is not None:
         raise ParameterError(
@@ -152,7 +152,7 @@ def ghost(
     elif target is None:
         gamma = _scalar("factor", factor, points) / 30
     order = None if order is None else whole("order", order, 1)
-    # always before γ: FFCx identifies forms by the order in which their constants were made
+    # h always before γ: FFCx identifies forms by the order in which their constants were made
     space = getattr(u, "_dolfinmpm_space", None)
     size = cell_size(points.grid) if space is None else space.cell_size
     if of_law:
@@ -182,7 +182,7 @@ def ghost(
     ]
     facets = points.dS
     if smooth:
-        # exact on the rectangular grids of splines, where UFL would allow for cells of any shape
+        # exact on rectangular grids of splines; UFL would choose a degree for cells of any shape
         metadata = {**facets.metadata(), "quadrature_degree": 2 * order}
         facets = facets.reconstruct(metadata=metadata)
     jumps = sum(terms[1:], start=terms[0])

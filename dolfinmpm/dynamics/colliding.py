@@ -15,8 +15,8 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, Touching
 from dolfinmpm.dynamics.energies import stress_volumes
@@ -54,7 +54,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
             f'mass = "{mass}" and mapping = "{settings.mapping.kind}" do not go with Collision: '
             'give mass="lumped" and mapping="flip" or "pic"'
         )
-    if settings.scheme == "usf" or not settings.plain or field.ties_nodes or field.prolongate:
+    if settings.scheme == "usf" or not settings.plain or field.constrains_nodes or field.prolongate:
         return ParameterError(
             'Collision goes with scheme="musl" or "usl", without bulk viscosity, filters of light '
             "nodes, or stabilisations that tie nodes"
@@ -96,7 +96,7 @@ class Colliding(ExplicitBase):
     def __init__(
         self,
         problem: Problem,
-        held: Held,
+        held: EssentialConditions,
         updates: Sequence,
         settings: Settings,
         sides: Sides,

@@ -15,7 +15,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.mass import Mass, MassTerms
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import spectra

@@ -25,7 +25,7 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.boundaryforces import Stiffness, check_boundaries, weighed
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
 from dolfinmpm.dynamics.colliding import Colliding, why_it_does_not_collide

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
@@ -47,7 +47,7 @@ class ExplicitBase(ABC):
     def __init__(
         self,
         problem: Any,
-        held: Held,
+        held: EssentialConditions,
         updates: Sequence,
         settings: Settings,
         sides: Sides,

@@ -22,7 +22,7 @@ from dolfinmpm.basis.conditions import Condition, prescribed, side_of
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import ring
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import inherited
+from dolfinmpm.cut.essentialconditions import renumbered
 from dolfinmpm.grid.lattice import require_lattice
 
 __all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
@@ -199,7 +199,7 @@ class Faces:
             base = face.space.basis
             marks = np.zeros(base.nodes.size)
             marks[face.nodes] = 1.0
-            nodes = np.flatnonzero(inherited(marks, base, basis))
+            nodes = np.flatnonzero(renumbered(marks, base, basis))
             if face.friction is not None:
                 outward = 1.0 if face.end else -1.0
                 self._rubbing.append((nodes, face.axis, outward, face.friction))

@@ -13,7 +13,7 @@ from ufl.constantvalue import Zero
 
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MOTION, MaterialPoints
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.fusedneohookean import stored_energy
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.passes import JAUMANN, LAW, NEO, SMALL
@@ -35,7 +35,12 @@ _OF_LOADS = frozenset((*_FIXED, "tag"))
 
 
 def why_not(
-    form: WeakForm, field: Any, mass: str, settings: Settings, held: Held, options: dict[str, Any]
+    form: WeakForm,
+    field: Any,
+    mass: str,
+    settings: Settings,
+    held: EssentialConditions,
+    options: dict[str, Any],
 ) -> str | None:
     """Why the fused loops cannot take a problem, or None if they can.
 
@@ -55,7 +60,7 @@ def why_not(
         return "bulk viscosity or filters of light nodes act"
     if held.follows:
         return "conditions whose place follows something"
-    tied = field.stabilisation.ties_nodes or options.get("prolongation")
+    tied = field.stabilisation.constrains_nodes or options.get("prolongation")
     if tied or options.get("updates"):
         return "nodes are tied, or fields updated"
     if settings.mapping.kind not in ("flip", "pic", "apic", "tpic"):

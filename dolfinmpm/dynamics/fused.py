@@ -20,7 +20,7 @@ from mpi4py import MPI
 from dolfinmpm._platform import stages
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads, Laws
 from dolfinmpm.dynamics.fusedcontact import RigidContacts
@@ -90,7 +90,7 @@ class Fused:
         self,
         points: MaterialPoints,
         basis: LatticeBasis,
-        held: Held,
+        held: EssentialConditions,
         laws: Laws,
         loads: FusedLoads,
         settings: Settings,

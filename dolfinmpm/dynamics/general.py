@@ -24,7 +24,7 @@ from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.boundaryforces import Stiffness, weighed
 from dolfinmpm.dynamics.critical import wave_speed

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.assembly.term import ActiveTerm
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.mass import Mass
 

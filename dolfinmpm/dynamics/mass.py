@@ -24,7 +24,7 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.term import Term
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation, ActiveField, Field, movers
+from dolfinmpm.cut.activation import Activation, ActiveField, Field, movers
 from dolfinmpm.cut.pattern import Blocks, Pattern
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.prolongation import reduce_blocks
@@ -99,7 +99,7 @@ class MassTerms(Term):
         unit = np.eye(field.space.components)
         if self.kind == "lumped":
             sums = np.zeros((field.basis.nodes.size, 1))
-            scatter(field.seen, mass, np.ones((len(mass), 1)), sums)
+            scatter(field.full_stencils, mass, np.ones((len(mass), 1)), sums)
             nodes = field.active
             single = Blocks(k, k, nodes, nodes, sums[nodes, :, None] * unit)
             return reduce_blocks(field.C, field.C, single)
@@ -158,7 +158,7 @@ def _ghost_mass(field: Field, points: MaterialPoints, factor: float | None) -> u
     """The ghost penalty of a field's mass, or None. Collective."""
     space = field.space
     if factor is None:
-        tied = field.ties_nodes and field.stabilisation.kind != "weak-aggregation"
+        tied = field.constrains_nodes and field.stabilisation.kind != "weak-aggregation"
         factor = 0.0 if tied else 0.25 * GHOST_FACTORS[space.basis.degree]
     if factor == 0:
         return None

@@ -13,7 +13,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.stencils import gather
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.gains import Gains

@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from dolfinmpm.assembly.term import ActiveTerm, NewState
 from dolfinmpm.contact.meanforces import MeanForceWeights
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.dynamics.clock import mean_increment
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.gains import LEAST

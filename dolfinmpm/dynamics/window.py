@@ -13,8 +13,8 @@ from dolfinx.la import InsertMode
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import greville
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.cellmeans import numbering
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.cellaverages import numbering
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.cellfinder import CellFinder, extent
 from dolfinmpm.dynamics.faces import Faces, Sides, set_velocities
 from dolfinmpm.dynamics.nodes import take_means
@@ -178,7 +178,7 @@ class Prescribed:
     _window: Window | None
     _rate: float
 
-    def __init__(self, held: Held):
+    def __init__(self, held: EssentialConditions):
         self._held, self._window = held, None
         # flags and values as they were last taken
         self._known: tuple[Any, ...] = (None, None, math.nan)

@@ -4,7 +4,7 @@ De Souza Neto, Perić, Dutko & Owen (1996, doi 10.1016/0020-7683(95)00259-6) rep
 change at every integration point by one value per element. Coombs, Charlton, Cortis & Augarde
 (2018, doi 10.1016/j.cma.2018.01.010) take the volume-weighted mean over the material points in a
 cell; for GIMP, over the shares of the points' domains in the cell. For splines, the mean is taken
-over splines of one degree less, see `dolfinmpm.cut.cellmeans`.
+over splines of one degree less, see `dolfinmpm.cut.cellaverages`.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class FBar:
     """F-bar around a strain formulation, as an operator of the increment's gradient H.
 
     Let ΔF = I + H and ΔJ = det ΔF. ΔJ̄ is the mean of ΔJ over the cells of the point, or over
-    splines of one degree less (see `CellMeans`), with the volumes at the start of the step as
+    splines of one degree less (see `CellAverages`), with the volumes at the start of the step as
     weights. The strain formulation gets ΔF̄ = r ΔF, r = (ΔJ̄/ΔJ)^(1/d), with the dimension d (2 in
     plane strain, else 3), and returns the flux S̄ = τ ΔF̄⁻ᵀ. F-bar returns the flux
     S = (J/J̄) r S̄ = (J/J̄) τ ΔF⁻ᵀ, which is integrated over the true volume with true spatial

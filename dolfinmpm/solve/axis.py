@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import FreeAxisWarning, warn
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 
 __all__ = ["warn_of_free_axis"]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError, raise_together
-from dolfinmpm.cut.participants import Field, movers
+from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.solve.weakform import WeakForm
 
 __all__ = ["check_bodies", "refuse_bodies"]

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform.errors import DifferentProblemWarning, warn
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.cut.participants import Field
+from dolfinmpm.cut.activation import Field
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.solve.weakform import WeakForm
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import krylov, schur
 from dolfinmpm.solve.method import Method, Tangent, as_used, crossover

@@ -15,8 +15,8 @@ from petsc4py import PETSc
 from dolfinmpm._platform import stages
 from dolfinmpm.assembly.stencilsums import Entries, Matrix, add_blocks, add_product
 from dolfinmpm.assembly.term import ActiveTerm, Term
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.merging import merged
-from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.solve.weakform import WeakForm

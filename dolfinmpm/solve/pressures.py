@@ -12,8 +12,8 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.heldmotions import idle
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import PointField
-from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Activation, movers
+from dolfinmpm.cut.activate import active_on_grid
+from dolfinmpm.cut.activation import Activation, movers
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.solve.operator import Operator
 

@@ -31,10 +31,10 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.rigidbodies import RigidBodies
 from dolfinmpm.contact.rigidcontact import RigidContact
-from dolfinmpm.cut.activation import activate, active_on_grid
+from dolfinmpm.cut.activate import activate, active_on_grid
+from dolfinmpm.cut.activation import Activation, Field, Prolongate, movers, with_constraints
 from dolfinmpm.cut.couplings import KeptCouplings
-from dolfinmpm.cut.held import Held
-from dolfinmpm.cut.participants import Activation, Field, Prolongate, movers, with_ties
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.formchecks import check_fields, check_form, check_levels
 from dolfinmpm.forms.hoop import check_hoops
@@ -132,7 +132,7 @@ class Problem(ReadOnce):
         self.fields = [Field(*both, prolongation) for both in zip(spaces, stabilisations)]
         if scheme.ties_movers:
             for k in movers(spaces):
-                self.fields[k] = with_ties(self.fields[k])
+                self.fields[k] = with_constraints(self.fields[k])
         whole, soft, changes = with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
@@ -147,7 +147,7 @@ class Problem(ReadOnce):
         self._settle_markers()
         self.here: Activation | None = None
         self.kept: KeptCouplings | None = None
-        self.held = Held(bcs, spaces)
+        self.held = EssentialConditions(bcs, spaces)
         if self.held.follows and self.configuration == "total":
             raise ParameterError(
                 'conditions with follows=True need Space(..., configuration="updated"), got '

@@ -21,8 +21,8 @@ from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
 from dolfinmpm.body.loadbalance import balance, imbalance
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.activation import active_on_grid
-from dolfinmpm.cut.participants import Prolongate
+from dolfinmpm.cut.activate import active_on_grid
+from dolfinmpm.cut.activation import Prolongate
 from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import (

@@ -17,7 +17,7 @@ from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.pattern import Blocks
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.splitting import split

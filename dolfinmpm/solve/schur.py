@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from petsc4py import PETSc
 
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.solve.options import Options
 from dolfinmpm.solve.spectra import near_kernel_within
 

@@ -13,7 +13,7 @@ from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Field, movers
+from dolfinmpm.cut.activation import Field, movers
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.forms.declarations import declared

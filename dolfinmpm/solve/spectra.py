@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from dolfinmpm._platform.checks import check_kind, coordinates
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm._platform.together import together
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
 __all__ = ["condition_number", "critical_step", "near_kernel", "near_kernel_within", "rigid_modes"]

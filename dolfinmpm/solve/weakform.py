@@ -18,11 +18,11 @@ from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.meanforces import MeanForceWeights
+from dolfinmpm.cut.activation import Activation, ActiveDomain, ActiveField, Coupling
 from dolfinmpm.cut.celloffsets import cell_offsets
 from dolfinmpm.cut.facetmoduli import FIELD, FacetModulus, FacetRing, bounded
-from dolfinmpm.cut.participants import Activation, ActiveField, Coupling, Participants
 from dolfinmpm.cut.pattern import Blocks
-from dolfinmpm.cut.regions import region_on
+from dolfinmpm.cut.regions import active_region
 from dolfinmpm.forms.carriedfields import CarriedField, CellOffset
 from dolfinmpm.forms.declarations import Declaration, LawConstant
 from dolfinmpm.forms.pointterms import PointTerms
@@ -125,7 +125,7 @@ class WeakForm:
                 self.points[field.name] = cell_offsets(here.where, of)
         parts = here.regions
         if here.terms is not self:
-            parts = [region_on(r, self.points, here) for r in self.regions]
+            parts = [active_region(r, self.points, here) for r in self.regions]
             if self.parts.grid:
                 self.grid.attach(here.fields)
         evaluation = Evaluation(self.regions, self.points, here.unknowns, parts)
@@ -264,7 +264,7 @@ class WeakForm:
                 found.setdefault(kind, []).extend(own)
         return found
 
-    def couple(self, here: Participants) -> list[Coupling]:
+    def couple(self, here: ActiveDomain) -> list[Coupling]:
         """Which nodes its terms couple beside those that the points couple. Collective."""
         return [one for term in self.terms for one in term.couple(here)]
 

@@ -10,7 +10,7 @@ from dolfinmpm._platform.checks import check_kind, number
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
+from dolfinmpm.cut.activation import Activation
 from dolfinmpm.cut.penalties import GHOST_FACTORS, ghost
 from dolfinmpm.cut.stabilisations import Stabilisation
 from dolfinmpm.dynamics.mass import Mass, MassTerms

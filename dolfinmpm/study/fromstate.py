@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from dolfinmpm._platform.checks import number, whole
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError, PointsOutsideGridError
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.cut.held import Held
+from dolfinmpm.cut.essentialconditions import EssentialConditions
 from dolfinmpm.dynamics.transient import Transient
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.kinematics.jaumann import Jaumann
@@ -177,7 +177,7 @@ class FromState:
             condition if condition.kind == "value" else replace(condition, value=0.0, velocity=None)
             for condition in held.conditions
         ]
-        problem.held = Held(still, problem.form.spaces)
+        problem.held = EssentialConditions(still, problem.form.spaces)
         try:
             yield
         finally:

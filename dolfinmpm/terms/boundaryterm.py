@@ -22,8 +22,8 @@ from dolfinmpm.body.boundary import OWN, Boundary
 from dolfinmpm.body.location import Destinations, cells_here, destinations
 from dolfinmpm.body.markerstate import take_state
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.cut.participants import Activation
-from dolfinmpm.cut.regions import regions_of
+from dolfinmpm.cut.activation import Activation
+from dolfinmpm.cut.regions import active_boundary_regions
 from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
@@ -89,7 +89,9 @@ class BoundaryTerm(Term):
         """See `Term`."""
         mine = any(self is of for of in here.terms.boundaries)
         known = here.boundaries[self.markers.number].regions
-        return ActiveBoundaryTerm(self, here, known if mine else regions_of(self, here))
+        return ActiveBoundaryTerm(
+            self, here, known if mine else active_boundary_regions(self, here)
+        )
 
     def set_penalties(
         self,

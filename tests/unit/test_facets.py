@@ -15,7 +15,7 @@ from scipy.interpolate import NdBSpline
 import dolfinmpm as mpm
 from dolfinmpm.assembly.splinefacets import FacetBlock
 from dolfinmpm.body.points import GHOST_FACETS
-from dolfinmpm.cut.active import GhostFacets
+from dolfinmpm.cut.activecells import GhostFacets
 
 SPLINES = ("bspline2", "bspline3")
 BASES = ("linear", "gimp", *SPLINES)

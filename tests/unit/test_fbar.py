@@ -17,7 +17,7 @@ from test_tangent import box, check, strained
 import dolfinmpm as mpm
 from dolfinmpm._platform import errors
 from dolfinmpm.basis.stencils import gather
-from dolfinmpm.cut.cellmeans import CellMeans, layers_needed, sharing
+from dolfinmpm.cut.cellaverages import CellAverages, layers_needed, sharing_stencils
 from dolfinmpm.cut.fractions import domain_shares
 from dolfinmpm.forms import PointOperator
 from dolfinmpm.kinematics.fbar import FBar
@@ -169,8 +169,8 @@ def test_tangent_of_two_laws_two_fields_and_a_nonlinear_form():
 def means_of(points, basis):
     """Means over cells, or over lower splines, as a problem takes them."""
     where = points.placement()
-    shared = sharing(where, basis.stencils(where), basis)
-    return CellMeans(points["V"], where, shared, basis)
+    shared = sharing_stencils(where, basis.stencils(where), basis)
+    return CellAverages(points["V"], where, shared, basis)
 
 
 @pytest.mark.parametrize("basis", BASES)

@@ -1,225 +1,36 @@
-"""Means of what stands at the material points, over cells or splines, and their couplings.
+"""Couplings by averages over cells: the nodes of all points with a share in a cell.
 
-A scalar m at the points has in cell c the mean M_c = Σ_q s_qc V_q m_q / W_c with
-W_c = Σ_q s_qc V_q, over the points of all ranks whose domains lie in the cell by the
-shares s_qc, and at point p the mean m̄_p = Σ_c s_pc M_c. What depends on it couples
-all nodes seen by points that share a cell: the tangent gains Σ_c b_c g_cᵀ / W_c,
-where b_c sums up what the points in the cell do to the forces when its mean
-changes, and g_c how W_c M_c changes with the nodal increments.
-
-Splines of degree 2 and more can alternate from cell to cell without a mean over any cell:
-there would be no stiffness against such a change of volume. Their means are those of
-the splines one degree lower on the same cells, as in the B-bar and F-bar projections of
-Elguedj, Bazilevs, Calo & Hughes (2008, doi 10.1016/j.cma.2008.01.012), with the mass
-matrix lumped: s_pc is the value at the point of the lower spline c, averaged over the
-point's domain as the basis is. Shares in cells and in splines alike are not negative and
-sum to 1 at a point, and what is said of a cell below holds for a lower spline too.
+Terms that depend on the averages of `dolfinmpm.cut.cellaverages` couple all nodes of points with a
+share in the same cell. The tangent gains Σ_c b_c g_cᵀ / W_c. Here b_c is the derivative of the
+forces by the average of cell c, summed over the points in the cell, and g_c is the derivative of
+W_c M_c by the nodal increments.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 import numpy.typing as npt
-from dolfinx.la import InsertMode
 from mpi4py import MPI
 
-from dolfinmpm.basis import LatticeBasis, LinearBasis, Placement, Stencils
-from dolfinmpm.basis.space import lattice_basis
-from dolfinmpm.basis.stencils import add_weighted, running_sum
-from dolfinmpm.cut.fractions import domain_shares
+from dolfinmpm.basis import Stencils
+from dolfinmpm.basis.stencils import running_sum
+from dolfinmpm.cut.cellaverages import CellAverages
 from dolfinmpm.cut.pattern import Pattern
 from dolfinmpm.cut.unknowns import FieldUnknowns
-from dolfinmpm.grid.halo import Numbering
-from dolfinmpm.grid.lattice import once_per_grid
 
-__all__ = [
-    "CellCouplings",
-    "CellMeans",
-    "Shares",
-    "add_outer",
-    "layers_needed",
-    "numbering",
-    "sharing",
-]
+__all__ = ["CellCouplings", "add_outer"]
 
 Array = npt.NDArray[np.float64]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _to_points(order, groups, cell_start, cells, share_start, shares, values, out):
-    for g in range(groups.size - 1):
-        number = cell_start[g + 1] - cell_start[g]
-        for position in range(groups[g], groups[g + 1]):
-            start = share_start[g] + (position - groups[g]) * number
-            value = 0.0
-            for k in range(number):
-                value += shares[start + k] * values[cells[cell_start[g] + k]]
-            out[order[position]] = value
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Shares of the points in cells or lower splines; those of a point sum to 1.
-
-    Attributes:
-        cells: Numbering of the cells, or of the splines.
-        cell_start: First entry of every group of the stencils in `of`, shape (groups + 1,).
-        of: Local indices of the cells that the group's points share in.
-        start: First entry of every group in `values`, shape (groups + 1,).
-        values: The shares (-): for each of a group's points one row of the group's cells.
-    """
-
-    cells: Numbering
-    cell_start: npt.NDArray[np.int32]
-    of: npt.NDArray[np.int32]
-    start: npt.NDArray[np.int64]
-    values: Array
-
-
-@once_per_grid
-def _lower_splines(grid, degree: int, averaged: bool, coarsen: int) -> LatticeBasis:
-    """Splines for means alone: their overlap of ranks follows that of the basis above. Collective.
-
-    The basis of a field on them would not do, for its numbering must not change when
-    that of another one does.
-    """
-    return lattice_basis(grid, degree, averaged, coarsen)
-
-
-def _over_splines(basis: LatticeBasis | LinearBasis) -> bool:
-    """Whether means are taken over splines one degree lower, and not over cells."""
-    return basis.degree > 1
-
-
-def sharing(where: Placement, seen: Stencils, basis: LatticeBasis | LinearBasis) -> Stencils:
-    """Stencils that tell which cells, or splines one degree lower, points share in. Collective.
-
-    Args:
-        where: The points as the stencils see them.
-        seen: Their stencils.
-        basis: The basis that these belong to.
-    """
-    if not _over_splines(basis):
-        return seen
-    return _lower(basis).stencils(where)
-
-
-def _lower(basis: LatticeBasis | LinearBasis) -> LatticeBasis:
-    """Splines one degree lower, with the same overlap of ranks. Collective."""
-    assert isinstance(basis, LatticeBasis)
-    lower = _lower_splines(basis.grid, basis.degree - 1, basis.averaged, basis.coarsen)
-    return lower.grown(basis.halo.layers, basis.partition)
-
-
-def shares_of(where: Placement, stencils: Stencils, basis: LatticeBasis | LinearBasis) -> Shares:
-    """The points' shares in cells or, for splines, in those one degree lower. Collective.
-
-    Args:
-        where: The points as the stencils see them.
-        stencils: What `sharing` gives, in any groups.
-        basis: The basis of the field.
-    """
-    s = stencils
-    if _over_splines(basis):
-        return Shares(_lower(basis).nodes, s.node_start, s.nodes, s.value_start, s.N)
-    start, values = domain_shares(where, s, basis)
-    return Shares(basis.cells, s.cell_start, s.cells, start, values)
-
-
-def numbering(basis: LatticeBasis) -> tuple[Numbering, npt.NDArray[np.int32]]:
-    """What means are taken over: cells, or splines one degree lower. Collective.
-
-    Args:
-        basis: The basis of the field, with the overlap that is needed.
-
-    Returns:
-        Their numbering, and their lattice positions, shape (size, gdim).
-    """
-    if not _over_splines(basis):
-        return basis.cells, basis.halo.cell_ijk
-    lower = _lower(basis)
-    return lower.nodes, lower.halo.node_ijk
-
-
-def layers_needed(span: int, basis: LatticeBasis | LinearBasis) -> int:
-    """Layers of cells beyond a rank's own that couplings of means need.
-
-    The rank that owns a cell, or a lower spline, has to know all nodes that points in
-    it see: their domains reach as far as they span cells, and the support of a spline of
-    degree 1 or 2 to the neighbours of the cell that it is numbered with. Nodes that
-    a prolongation puts in the place of others lie further off by as far as roots do.
-
-    Args:
-        span: Cells that a point's domain spans in one direction, at most.
-        basis: The basis of the field.
-    """
-    return span - 1 + int(_over_splines(basis))
-
-
-class CellMeans:
-    """Means over cells, weighted with the points' volumes as they are now. Collective.
-
-    Args:
-        volume: Volumes of the points as they are now (m^d), shape (points,).
-        where: The points as the stencils see them.
-        stencils: What `sharing` gives, in any groups.
-        basis: The basis of the field.
-
-    Attributes:
-        shares: Shares of the points in the cells.
-        volume: W_c, the volume of the points in every local cell (m^d), shape (cells,).
-        weight: V, the volumes of the points (m^d), shape (points,).
-        exchanges: Whether points of some rank are in cells of another.
-    """
-
-    def __init__(
-        self,
-        volume: Array,
-        where: Placement,
-        stencils: Stencils,
-        basis: LatticeBasis | LinearBasis,
-    ):
-        self.shares = shares = shares_of(where, stencils, basis)
-        cells, of = shares.cells, shares.of
-        self._graph = (
-            stencils.order, stencils.groups, shares.cell_start, of, shares.start, shares.values
-        )  # fmt: skip
-        self._shared = cells.vector()
-        # points of linear functions are in cells of their own rank only
-        beyond = cells.comm.size > 1 and of.size > 0 and int(of.max()) >= cells.owned
-        self.exchanges = cells.comm.size > 1 and cells.comm.allreduce(bool(beyond), op=MPI.LOR)
-        self.weight = volume.copy()
-        self.volume = self._sums(self.weight).copy()
-
-    def _sums(self, values: Array) -> Array:
-        out = self._shared.array
-        out[:] = 0.0
-        add_weighted(*self._graph, values, out)
-        if self.exchanges:
-            self._shared.scatter_reverse(InsertMode.add)
-            self._shared.scatter_forward()
-        return out
-
-    def mean(self, values: Array) -> Array:
-        """Means m̄ at the points of a scalar m at the points, shape (points,). Collective."""
-        sums = self._sums(self.weight * values)
-        of_cell = np.divide(sums, self.volume, out=np.zeros_like(sums), where=self.volume > 0)
-        # points that do not share in it have none
-        out = np.zeros(len(values))
-        _to_points(*self._graph, of_cell, out)
-        return out
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _cell_nodes(
     node_start, nodes, group_of, first, of_cell, seen, place, start, out, entry_start, entry
 ):
-    """Nodes seen by the points in every cell, in increasing order; only counts if `out` is empty.
+    """Nodes of the points in every cell, in increasing order; only counts if `out` is empty.
 
-    For each pair of group and cell, `entry` says where the group's nodes stand in `out`.
+    For each pair of group and cell, `entry` has the positions of the group's nodes in `out`.
     """
     total = 0
     for c in range(first.size - 1):
@@ -273,7 +84,7 @@ def _add_outer(
 ):  # fmt: skip
     for c in range(start.size - 1):
         if volume[c] == 0.0:
-            # domains reach into it, but no centre that counts
+            # only domains of points that do not count reach into the cell
             continue
         # nodes and columns both increase: one walk along each row of the matrix
         for a in range(row_start[c], row_start[c + 1]):
@@ -295,24 +106,25 @@ def _add_outer(
 
 
 class CellCouplings:
-    """The nodes of one field that points sharing a cell see: all are coupled. Collective.
+    """The nodes of one field that the cells couple. Collective.
 
-    A cell at a rank border has points of several ranks: what they contribute goes
-    to the rank that owns the cell, which adds the products to the matrix.
+    All nodes of points with a share in the same cell are coupled. A cell at a rank border has
+    points of several ranks. Their contributions go to the rank that owns the cell, and this rank
+    adds the products to the matrix.
 
     Args:
-        means: Means over the cells.
+        means: Averages over the cells.
         stencils: Stencils on the solver's nodes.
         numbering: Numbering of the nodes.
-        nodes: The solver's active nodes known here.
+        nodes: The solver's active nodes known on this rank.
 
     Attributes:
-        means: The means.
-        complete: Whether every rank knows the nodes seen by points in its cells; the
-            couplings cannot be used otherwise.
+        means: The averages.
+        complete: Whether every rank knows all nodes of its cells. Otherwise the couplings cannot
+            be used.
     """
 
-    def __init__(self, means: CellMeans, stencils: Stencils, numbering, nodes):
+    def __init__(self, means: CellAverages, stencils: Stencils, numbering, nodes):
         self.means = means
         self._stencils = s = stencils
         cells, of = means.shares.cells, means.shares.of
@@ -334,7 +146,7 @@ class CellCouplings:
                 break
             out = np.empty(self._start[-1], np.int32)
         self._nodes = out
-        # where every cell has one group the stencils have all couplings already
+        # if every cell has one group, the stencils contain all couplings
         self._simple = not means.exchanges and bool(np.all(np.diff(first) <= 1))
         self.complete = True
         self._exchange: _Exchange | None = None
@@ -343,7 +155,7 @@ class CellCouplings:
             self.complete = self._exchange.complete
 
     def lists(self) -> tuple[npt.NDArray, npt.NDArray] | None:
-        """Lists of nodes that are coupled beyond those of the stencils; None if none are."""
+        """Lists of coupled nodes, or None if the stencils contain all couplings."""
         return None if self._simple else self.merged()
 
     def merged(self) -> tuple[npt.NDArray, npt.NDArray]:
@@ -371,7 +183,7 @@ class CellCouplings:
         )  # fmt: skip
 
     def summed(self, values: Array) -> Array:
-        """What all ranks have by cell and node, on the entries of `merged`. Collective."""
+        """Sums over all ranks by cell and node, on the entries of `merged`. Collective."""
         return values if self._exchange is None else self._exchange.merge(values)
 
 
@@ -406,16 +218,16 @@ def add_outer(
 
 
 class _Exchange:
-    """Brings what ranks have for the nodes of a cell to the rank that owns the cell. Collective.
+    """Exchange of values by cell and node with the ranks that own the cells. Collective.
 
     Args:
         cells, numbering: Numberings of cells and nodes.
-        active: The solver's active nodes known here.
+        active: The solver's active nodes known on this rank.
         start, nodes: Nodes of every local cell.
 
     Attributes:
-        complete: Whether all nodes that came are known where they came, on all ranks.
-        lists: Start and nodes of the owned cells, with those that came.
+        complete: Whether all ranks know all nodes that they received.
+        lists: Start and nodes of the owned cells, with received nodes.
     """
 
     def __init__(self, cells, numbering, active, start, nodes):
@@ -447,7 +259,7 @@ class _Exchange:
         self.lists = running_sum(counts, np.int64), (merged % numbering.size).astype(np.int32)
 
     def _swap(self, rows):
-        """Rows for other ranks, against those that came from them."""
+        """Send rows to other ranks, and return the received rows."""
         width = rows.shape[1]
         came = np.empty((self._arriving.sum(), width), rows.dtype)
         send = [np.ascontiguousarray(rows), self._counts * width]

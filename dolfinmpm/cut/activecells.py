@@ -1,4 +1,4 @@
-"""Which nodes and cells take part in a step, and where ghost penalty acts."""
+"""Active nodes and cells of a step, and the ghost facets."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def _flags(indices: npt.NDArray[np.int32], numbering: Numbering) -> npt.NDArray[
 
 
 def active_nodes(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.int32]:
-    """Nodes that any rank's points see, in increasing local order. Collective."""
+    """Nodes in the stencils of points on any rank, in increasing local order. Collective."""
     return np.flatnonzero(_flags(stencils.nodes, numbering)).astype(np.int32)
 
 
 def active_cells(stencils: Stencils, numbering: Numbering) -> npt.NDArray[np.bool_]:
-    """Whether each local cell is overlapped by a point or its domain, on any rank. Collective."""
+    """Mask of the local cells that a point or its domain overlaps, on any rank. Collective."""
     return _flags(stencils.cells, numbering)
 
 
@@ -71,8 +71,8 @@ def _select_facets(active, boundary, owned_facets, cell_facets, facet_cells, row
 class GhostFacets:
     """Interior facets between active cells of which at least one borders on an inactive cell.
 
-    The definition of Coombs (2023, doi 10.1002/nme.7332): the outer edge of the
-    grid makes no cell a boundary cell.
+    This is the definition of Coombs (2023, doi 10.1002/nme.7332). The outer edge of the grid makes
+    no cell a boundary cell.
 
     Args:
         grid: Background grid.
@@ -90,7 +90,7 @@ class GhostFacets:
         to_cells = topology.connectivity(tdim - 1, tdim)
         of_cells = topology.connectivity(tdim, tdim - 1)
         ghosts = grid.comm.allreduce(topology.index_map(tdim).num_ghosts, op=MPI.SUM)
-        # a facet with one cell here, that is not on the edge of the grid, has its other elsewhere
+        # a facet with one local cell inside the grid has its other cell on another rank
         cut = int(np.count_nonzero(np.diff(to_cells.offsets) == 1)) - len(
             exterior_facet_indices(topology)
         )
@@ -113,7 +113,7 @@ class GhostFacets:
         """The facets as rows (cell, local facet, cell, local facet) flattened. Collective.
 
         Args:
-            active: Whether each local cell of DOLFINx's mesh is active.
+            active: Mask of the active local cells of DOLFINx's mesh.
         """
         cells = self._cells
         boundary = np.zeros(cells.size, bool)
@@ -121,11 +121,11 @@ class GhostFacets:
         return self._between(active, cells.share_flags(boundary)).ravel()
 
     def select_coarse(self, active: npt.NDArray[np.bool_], basis: LatticeBasis) -> GhostRows:
-        """The parts of the facets of a basis's coarse cells, as `select` gives facets. Collective.
+        """The facets of coarse cells, in parts, in the format of `select`. Collective.
 
         Args:
-            active: Whether each cell of the basis is active.
-            basis: The basis.
+            active: Mask of the active cells of the basis.
+            basis: A basis on coarse cells.
         """
         of = basis.grid_cells
         assert of is not None
@@ -134,7 +134,7 @@ class GhostFacets:
         return rows[of[rows[:, 0]] != of[rows[:, 2]]].ravel()
 
     def _between(self, active, boundary) -> GhostRows:
-        """Facets between active cells of which one is at the boundary, shape (facets, 4)."""
+        """Facets between active cells, at least one of them a boundary cell, shape (facets, 4)."""
         rows = np.empty((0, 4), np.int32)
         for _ in range(2):  # first count, then fill
             arguments = self._owned_facets, self._cell_facets, self._facet_cells
@@ -146,7 +146,7 @@ class GhostFacets:
 
 
 def _beside_inactive(active: npt.NDArray[np.bool_], basis: LatticeBasis) -> npt.NDArray[np.bool_]:
-    """Whether each cell of a lattice is active and has an inactive neighbour. Collective."""
+    """Mask of the active cells of a lattice with an inactive neighbour. Collective."""
     halo, shape = basis.halo, np.array(basis.lattice.shape)
     beside = np.zeros(active.size, bool)
     own = np.flatnonzero(active[: basis.cells.owned])
@@ -167,11 +167,11 @@ def ghost_facets(grid: Mesh) -> GhostFacets:
 def entities(
     grid: Mesh, moving: set[int], seen: Stencils, basis: LatticeBasis | LinearBasis
 ) -> dict[int, npt.NDArray[np.int32]]:
-    """What terms integrate over in the active cells of a field, by subdomain id. Collective.
+    """Ghost facets and active cells of a field for integrals, by subdomain id. Collective.
 
     Args:
         grid: The grid.
-        moving: Ids of the facets and cells that terms integrate over.
+        moving: Subdomain ids that occur in the terms.
         seen: Stencils of the points on all active nodes.
         basis: The basis of the field.
     """

@@ -1,4 +1,4 @@
-"""Components of nodes that essential conditions prescribe, field by field."""
+"""Essential conditions: the components of nodes that are prescribed, per field."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 
-__all__ = ["Held", "inherited"]
+__all__ = ["EssentialConditions", "renumbered"]
 
 Basis = LatticeBasis | LinearBasis
 Flags = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]
 
-# Bases, with what their overlap and partition were, for which flags are kept
+# Number of bases, with overlap and partition, whose flags are kept
 _KEPT = 8
 
 
-def inherited(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
-    """Values of the nodes that a basis of a space owns, in all numberings of it. Collective.
+def renumbered(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArray[Any]:
+    """Nodal values in the numbering of a basis with another overlap or partition. Collective.
 
     Args:
-        values: Values of the nodes of the basis as its space has it, shape (nodes, n) or (nodes,);
-            those of nodes owned by other ranks do not count.
-        base: That basis.
-        basis: The same, with the overlap and the partition that are meant.
+        values: Values at the nodes of `base`, shape (nodes, n) or (nodes,). Values of nodes that
+            other ranks own do not count.
+        base: The basis of the space.
+        basis: The same basis with another overlap and partition.
 
     Returns:
-        Those at all nodes known there.
+        Values at all nodes of `basis` known on this rank.
     """
     shape = basis.nodes.size, *values.shape[1:]
     own, result = base.nodes.owned, np.zeros(shape, values.dtype)
@@ -55,8 +55,8 @@ def inherited(values: npt.NDArray[Any], base: Basis, basis: Basis) -> npt.NDArra
     return result
 
 
-class Held:
-    """What conditions prescribe, in any numbering of the nodes. Collective.
+class EssentialConditions:
+    """The conditions of a problem, for any numbering of the nodes. Collective.
 
     Args:
         conditions: The conditions.
@@ -64,10 +64,10 @@ class Held:
 
     Attributes:
         conditions: The conditions.
-        changing: Whether values may differ from zero in some step.
+        changing: Whether prescribed values may differ from zero in some step.
 
     Raises:
-        ConflictingConditionsError: An unknown is given two values.
+        ConflictingConditionsError: Two conditions prescribe different values of a component.
     """
 
     def __init__(self, conditions: Sequence[Condition], spaces: Sequence[Space]):
@@ -86,7 +86,7 @@ class Held:
         return any(condition.place is not None for condition in self.conditions)
 
     def follow(self) -> None:
-        """Let conditions be where their places are now. Collective."""
+        """Move conditions to the present positions of their places. Collective."""
         now = [condition.now() for condition in self.conditions]
         if any(a is not b for a, b in zip(now, self.conditions)):
             self.conditions[:] = now
@@ -98,7 +98,7 @@ class Held:
         return {f"{k}": np.array(value.value) for k, value in enumerate(self._constants)}
 
     def set_state(self, values: Mapping[str, Any]) -> None:
-        """Take what `state` returned."""
+        """Restore a state returned by `state`."""
         for k, value in enumerate(self._constants):
             value.value = values[f"{k}"]
 
@@ -113,15 +113,15 @@ class Held:
         return self._spaces[0].grid.comm.allreduce(moved, op=MPI.LOR)
 
     def at(self, bases: Sequence[Basis], share: float) -> tuple[list[Flags], list[Array]]:
-        """Which components are prescribed, and their values. Collective.
+        """Masks of the prescribed components, and their values. Collective.
 
         Args:
-            bases: Basis of each field, with the overlap whose nodes are meant.
+            bases: Basis of each field, with the overlap of the step.
             share: Share of the step's increments.
 
         Returns:
-            Flags and values of every field, each of shape (nodes, components). The flags
-            are the same arrays as long as the bases are.
+            Masks and values per field, each of shape (nodes, components). The masks are the same
+            arrays as long as the bases are the same objects.
         """
         key = tuple(bases)
         if key in self._fixed and not self.changing:
@@ -132,12 +132,12 @@ class Held:
             shape = (space.basis.nodes.size, space.components)
             flags, numbers = np.zeros(shape, bool), np.zeros(shape)
             error = self._apply(space, share, flags, numbers) or error
-            fixed.append(inherited(flags, space.basis, basis))
-            values.append(inherited(numbers, space.basis, basis))
+            fixed.append(renumbered(flags, space.basis, basis))
+            values.append(renumbered(numbers, space.basis, basis))
         raise_together(self._spaces[0].grid.comm, error)
         while len(self._fixed) > _KEPT:
             del self._fixed[next(iter(self._fixed))]
-        # values may change from step to step, which components they are of does not
+        # values may change from step to step, the masks do not
         fixed = self._fixed.setdefault(key, fixed)
         if not self.changing:
             self._still = {key: values for key, values in self._still.items() if key in self._fixed}
@@ -145,7 +145,7 @@ class Held:
         return fixed, values
 
     def _apply(self, space: Space, share: float, flags, values) -> Exception | None:
-        """Mark and set what is prescribed at this rank's own nodes; a contradiction if any."""
+        """Set masks and values at the own nodes of this rank; returns a contradiction or None."""
         basis = space.basis
         owner = np.full(flags.shape, -1, np.int32)
         error = None
