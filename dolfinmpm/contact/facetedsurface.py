@@ -1,8 +1,8 @@
 """Signed distance to surfaces of segments (2D) and triangles (3D), by a tree of boxes.
 
-The nearest point of the nearest facet decides; which side a position is on says the outward
-pseudo-normal of the corner, edge or facet that this point is in (Bærentzen & Aanæs 2005, doi
-10.1109/TVCG.2005.49). Facets have corners in the order that makes normals point outwards:
+The nearest point on the nearest facet gives the distance. The sign follows from the outward
+pseudo-normal of the facet, edge or corner with this point (Bærentzen & Aanæs 2005, doi
+10.1109/TVCG.2005.49). The corners of a facet have the order that makes its normal point outwards:
 anticlockwise around a polygon.
 """
 
@@ -22,12 +22,12 @@ Array = npt.NDArray[np.float64]
 
 # Facets in a leaf of the tree
 _LEAF = 4
-# Distance, by the size of the surface, below which a direction is rounding
+# Below this distance, in sizes of the surface, the direction to the surface is rounding
 _NEAR = 1e-13
 
 
 def facet_normals(x: Array, facets: npt.NDArray[np.integer]) -> Array:
-    """Normals of facets times their length or twice their area, shape (n, gdim)."""
+    """Normals of facets times their length, or twice their area, shape (n, gdim)."""
     a = x[facets]
     along = a[:, 1] - a[:, 0]
     if x.shape[1] == 2:
@@ -81,7 +81,7 @@ class FacetedSurface:
         )
 
     def probe(self, x: Array) -> Probe:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         n, d = x.shape
         gap, normal, curvature = np.empty(n), np.empty((n, d)), np.zeros((n, d, d))
         near = _NEAR * float(np.max(self.high - self.low))
@@ -92,19 +92,19 @@ class FacetedSurface:
         return gap, normal, curvature
 
     def outline(self, low: Array, high: Array) -> Array:
-        """See `Surface`."""
+        """See `RigidSurface`."""
         return self.x[self.facets]
 
 
 def _tree(corners: Array) -> tuple[Array, Array, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """A tree of boxes around facets: boxes' corners, their parts, and the facets' order.
+    """A tree of boxes around facets: corners and parts of the boxes, and order of the facets.
 
     Args:
         corners: Corners of the facets, shape (n, gdim, gdim).
 
     Returns:
-        Lower and upper corners, shape (boxes, gdim); first and last place in the order, and first
-        of two children or -1, shape (boxes, 3); and the order, shape (n,).
+        Lower and upper corners, shape (boxes, gdim). First and last position in the order, and
+        first of two children or -1, shape (boxes, 3). The order, shape (n,).
     """
     low, high, middle = corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)
     order = np.arange(len(corners))
@@ -135,7 +135,7 @@ def _tree(corners: Array) -> tuple[Array, Array, npt.NDArray[np.int64], npt.NDAr
 
 @numba.njit(cache=True, error_model="numpy")
 def _nearest_on_segment(p, a, b, y):
-    """Nearest point of a segment; 0 or 1 if it is that end, 2 if it is between."""
+    """Nearest point y of a segment. Returns 0 or 1 for an end, 2 for a point between."""
     along, size = 0.0, 0.0
     for i in range(2):
         along += (p[i] - a[i]) * (b[i] - a[i])
@@ -158,14 +158,16 @@ def _dot(a, b):
 
 @numba.njit(cache=True, error_model="numpy")
 def _along(x, to, p, q):
-    """(to − x)·(p − q) without arrays in between, which would cost more than the sum."""
+    """(to − x)·(p − q) without temporary arrays, which would cost more than the sum."""
     first = (to[0] - x[0]) * (p[0] - q[0])
     return first + (to[1] - x[1]) * (p[1] - q[1]) + (to[2] - x[2]) * (p[2] - q[2])
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _nearest_on_triangle(p, a, b, c, y):
-    """Nearest point of a triangle: 0, 1, 2 at a corner, 3, 4, 5 on the edge behind it, 6 inside.
+    """Nearest point y of a triangle.
+
+    Returns 0, 1, 2 for a corner, 3, 4, 5 for the edge after the corner, 6 for the inside.
 
     Ericson, Real-Time Collision Detection (2005), 5.1.5.
     """
@@ -238,7 +240,7 @@ def _probe(
             if child >= 0:
                 one = _square_to_box(p, low[child], high[child])
                 other = _square_to_box(p, low[child + 1], high[child + 1])
-                # the nearer one is looked at first
+                # the nearer child is searched first
                 stack[top] = child + 1 if one <= other else child
                 stack[top + 1] = child if one <= other else child + 1
                 top += 2
@@ -254,7 +256,7 @@ def _probe(
                 square = 0.0
                 for i in range(d):
                     square += (p[i] - y[i]) ** 2
-                # of equally near ones the face itself, whose normal is certain
+                # at equal distance a face wins, because its normal is certain
                 if square < best or (square == best and k == (2 if d == 2 else 6)):
                     best, facet, kind = square, f, k
                     best_y[:] = y
@@ -285,7 +287,7 @@ def _probe(
                 curvature[q, i, j] = -normal[q, i] * normal[q, j] / gap[q]
             curvature[q, i, i] += 1.0 / gap[q]
         if d == 3 and kind >= 3:
-            # along the edge the normal stays
+            # the normal does not change along the edge
             a, b = x[facets[facet, kind - 3]], x[facets[facet, (kind - 2) % 3]]
             e = (b - a) / math.sqrt(_dot(b - a, b - a))
             for i in range(3):

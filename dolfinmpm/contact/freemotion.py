@@ -58,8 +58,8 @@ class FreeMotion:
         flags = isinstance(free, (Sequence, np.ndarray)) and not isinstance(free, str)
         if not flags or len(free) != size or any(f not in (False, True) for f in free):
             raise ParameterError(
-                f"free = {shown(free)} must say of {size} components whether they are, True or "
-                "False: the directions first, then the rotations"
+                f"free = {shown(free)} must have {size} values True or False, one per component: "
+                "the directions first, then the rotations"
             )
         self.free = np.flatnonzero(np.asarray(free, bool))
         self.mass = None if mass is None else number("mass", mass, 0.0, unit="kg")
@@ -74,9 +74,14 @@ class FreeMotion:
             self._inertia = np.broadcast_to(values, (turns,)).astype(float)
         turning = np.any(self.free >= gdim)
         if self.mass is not None and turning and self._inertia is None:
-            raise ParameterError("a body of mass that is free to turn needs its inertia (kg m²)")
+            raise ParameterError(
+                "a body with a mass that is free to rotate needs its inertia (kg m²): give "
+                "inertia=..."
+            )
         if gravity is not None and self.mass is None:
-            raise ParameterError("gravity acts on a mass; give mass = ... (kg), or a force")
+            raise ParameterError(
+                "gravity acts on a mass, and the body has none: give mass=... (kg), or a force"
+            )
         self._gravity = _Load("gravity", gravity, gdim)
         self._force, self._moment = _Load("force", force, gdim), _Load("moment", moment, turns)
         self.velocity = np.array(velocity, float)
@@ -108,7 +113,7 @@ class FreeMotion:
         return M
 
     def gyroscopic(self, pose: Pose) -> Array:
-        """ω × Jω of a body that turns (N m), as forces on all components; zero in 2D."""
+        """ω × Jω of a rotating body (N m), as forces on all components; zero in 2D."""
         out = np.zeros(self.increment.size)
         if self._gdim == 3 and self.mass is not None:
             J, w = self.inertia(pose)[3:, 3:], self.velocity[3:]

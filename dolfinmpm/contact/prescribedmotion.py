@@ -32,7 +32,7 @@ class PrescribedMotion:
     Attributes:
         size: The argument.
         name: Name of the given motion, or "".
-        kind: "total", "velocity" or "increment"; "" for a body that stands still.
+        kind: "total", "velocity" or "increment"; "" for a body at rest.
         given: The total motion, or None.
         rate: The velocity or the increment per step, or None.
         absolute: Whether a rotation is a rotation vector in total.
@@ -46,10 +46,12 @@ class PrescribedMotion:
 
     def __init__(self, size: int, **motions: Any):
         kinds = dict(zip(motions, ("total", "velocity", "increment")))
-        told = {name: motion for name, motion in motions.items() if motion is not None}
-        if len(told) > 1:
-            raise ParameterError(f"{' and '.join(told)} are given at once; leave one out")
-        name, motion = next(iter(told.items()), ("", None))
+        given_motions = {name: motion for name, motion in motions.items() if motion is not None}
+        if len(given_motions) > 1:
+            raise ParameterError(
+                f"{' and '.join(given_motions)} are given at once; give only one of them"
+            )
+        name, motion = next(iter(given_motions.items()), ("", None))
         self.size, self.name, self.kind, self.absolute = size, name, kinds.get(name, ""), False
         given, rate = (motion, None) if self.kind == "total" else (None, motion)
         self.given: Any = given
@@ -78,8 +80,8 @@ class PrescribedMotion:
         """Raise ParameterError if the total motion is not zero at t = 0."""
         if self._first.any():
             raise ParameterError(
-                f"{self.name}(0) = {shown(self._first)} must be 0: it tells how far the body has "
-                "moved since it was made; make the shape at the body's initial position"
+                f"{self.name}(0) = {shown(self._first)} must be 0: it is the motion of the body "
+                "since it was made; make the shape at the body's initial position"
             )
 
     def value(self, function: Motion, t: float) -> Array:
@@ -88,9 +90,9 @@ class PrescribedMotion:
         return vector(f"{self.name}({t:g})", answer, self.size)
 
     def begin(self) -> None:
-        """Begin a substep: take the value of a constant, which is that at the end of the substep.
+        """Begin a substep: read the value of a constant at the end of the substep.
 
-        Later in the substep solvers set constants to the level where forces balance.
+        Later in the substep, solvers set constants to their values at the time of the balance.
         """
         if isinstance(self.given, fem.Constant):
             self._reached = np.array(self.given.value, float).ravel()
@@ -109,7 +111,7 @@ class PrescribedMotion:
 
 
 def first_rate(motion: PrescribedMotion) -> Array:
-    """Initial velocity, or first increment; zero where neither is given."""
+    """Initial velocity, or first increment; zero if neither is given."""
     if motion.rate is None:
         return np.zeros(motion.size)
     return motion.unit * motion.value(motion.rate, 0.0)

@@ -1,4 +1,4 @@
-"""The rigid bodies of a problem, step by step."""
+"""The rigid bodies of a problem: their motion, forces and energy in each step."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class RigidBodies:
         for one, other in itertools.combinations(contacts, 2):
             if _same(one, other):
                 raise FormError(
-                    f"the form has {one!r} twice for the same points, which would feel its force "
-                    "twice: leave one out, or give them tags or surfaces that share the points"
+                    f"the form has {one!r} twice for the same points, and its force would act "
+                    "twice: leave one out, or give tags or surfaces that divide the points"
                 )
         self._token, self._has_moved = object(), False
-        # the search for it is collective, and without contacts it is not needed
+        # the search for the smallest cell is collective, and only contacts need it
         self._limit = smallest_height(grid) if contacts else 0.0
         self.all: list[RigidBody] = []
         #: Energy stored by the penalties of contact, now and before the first step (J).
@@ -97,14 +97,14 @@ class RigidBodies:
                 if in_time and motion.kind == "increment":
                     raise ParameterError(
                         f"{motion.name} is the motion of '{body.name}' per step, and the steps of "
-                        f"{kind} have a length in time: give its velocity, or its motion in total"
+                        f"{kind} have a length in time: give its velocity, or its total motion"
                     )
                 # velocities of free components are initial values
                 held = not free.issuperset(range(first, first + motion.size))
                 if held and not in_time and motion.kind == "velocity":
                     raise ParameterError(
                         f"{motion.name} is the motion of '{body.name}' per second, and {kind} "
-                        "knows no time: give its increment per step, or its motion in total"
+                        "has no time: give its increment per step, or its total motion"
                     )
 
     def take(self) -> None:
@@ -121,9 +121,8 @@ class RigidBodies:
                 continue
             if self._has_moved or body.mover[1]() is not self.contacts[0].points:
                 raise ParameterError(
-                    f"'{body.name}' has been moved by another problem, to t = {body.time:g}: a "
-                    "rigid body belongs to the steps of one problem; make one for "
-                    "each problem, mpm.RigidBody(...)"
+                    f"'{body.name}' has been moved by another problem, to t = {body.time:g}; only "
+                    "one problem can move it: make a body per problem, mpm.RigidBody(...)"
                 )
         self.own()
 
@@ -192,17 +191,17 @@ class RigidBodies:
         return count
 
     def push(self, contacts: Sequence[ActiveRigidContact], kick: float) -> None:
-        """Let forces at the start of an explicit step move the free bodies in it. Collective.
+        """Accelerate the free bodies by the forces at the start of an explicit step. Collective.
 
         Args:
             contacts: The contacts.
             kick: Time during which the forces act (s).
         """
-        # a body placed inside the points has stored work before the first step
+        # a body placed inside the points has stored energy before the first step
         new = [active for active in contacts if active.contact.body.time == 0.0]
         self._before = sum(active.stored() for active in new)
         if self.given is None:
-            # another problem's steps may have had another stiffness, and other corners
+            # steps of another problem may have had another stiffness and other corners
             self.given = sum(active.stored() for active in contacts if active not in new)
         for body in self.free:
             force = np.concatenate([np.zeros_like(body.force), np.zeros_like(body.moment)])

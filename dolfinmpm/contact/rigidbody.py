@@ -123,7 +123,7 @@ class RigidBody(ReadOnce):
             turns, rotation=rotation, angular_velocity=angular_velocity,
             rotation_increment=rotation_increment,
         )  # fmt: skip
-        # a rotation vector is not the sum of small ones
+        # a rotation vector is not the sum of small rotations
         self._turn.absolute = d == 3 and rotation is not None
         self._turn.unit = math.radians(1.0)
         loads = mass, inertia, gravity, force, moment
@@ -147,9 +147,9 @@ class RigidBody(ReadOnce):
         first = np.concatenate([first_rate(self._shift), first_rate(self._turn)])
         if across or first[0] != 0.0 or first[2] != 0.0:
             raise ParameterError(
-                f"'{self.name}' would go across the axis or turn (at first by {first[:2]} m and "
-                f"{first[2]:g} rad per step or second, free components {across}), and against a "
-                "body of revolution it moves along the axis alone: give increment=(0.0, v), "
+                f"'{self.name}' would move across the axis or rotate (first by {first[:2]} m and "
+                f"{first[2]:g} rad per step or second, free components {across}); in axisymmetric "
+                "problems it moves along the axis only: give increment=(0.0, v), "
                 "velocity=(0.0, v) or free=(False, True, False)"
             )
 
@@ -244,15 +244,14 @@ class RigidBody(ReadOnce):
             turn[own[own >= d] - d] = parts[1][own[own >= d] - d]
         if self._turn.absolute:
             whole = start.turn + turn
-            pose = Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
-            return pose
+            return Pose(start.origin, start.shift + shift, rotation_of(whole, self.gdim), whole)
         return start.moved(shift, turn)
 
     def push(self, force: Array, kick: float) -> None:
-        """Take velocity and motion of an explicit step from the force on it (N, N m).
+        """Compute velocity and motion in an explicit step from the force on it.
 
         Args:
-            force: Forces and moments.
+            force: Force and moment (N, N m), shape (components,).
             kick: Time during which they act (s).
         """
         free = self.freedom

@@ -21,7 +21,7 @@ __all__ = ["surface_of"]
 
 Array = npt.NDArray[np.float64]
 
-# Corners of a box in the order of its bits, and its sides, seen from outside anticlockwise
+# Sides of a box: its corners in binary order, anticlockwise as seen from outside
 _SIDES = np.array(
     [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 )
@@ -36,8 +36,8 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
         fillet: Radius by which convex edges are rounded (m).
 
     Raises:
-        ParameterError: It is none that a rigid body can have, a mesh is not in order, or the
-            fillet does not fit.
+        ParameterError: A rigid body cannot have this shape, a mesh has a fault, or the fillet is
+            too large.
         OSError: A file cannot be read.
     """
     if isinstance(shape, Plane):
@@ -56,7 +56,7 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
     if isinstance(shape, str) and not os.path.splitext(shape)[1]:
         raise ParameterError(
             f"shape = {shown(shape)} is no shape, and no file of a mesh, whose name has an ending: "
-            "give one such as mpm.Disc((0, 1), 0.5)"
+            "give a shape such as mpm.Disc((0, 1), 0.5)"
         )
     if is_mesh(shape):
         surface = mesh_surface(shape)
@@ -67,7 +67,7 @@ def surface_of(shape: Any, fillet: float) -> RigidSurface:
     )
 
 
-def _ring(corners: Array) -> FacetedSurface:
+def _closed(corners: Array) -> FacetedSurface:
     """The surface of a polygon whose corners go anticlockwise."""
     at = np.arange(len(corners))
     return FacetedSurface(corners, np.column_stack([at, np.roll(at, -1)]))
@@ -79,21 +79,22 @@ def _polygon(vertices: Array, fillet: float) -> RigidSurface:
     if np.sum(x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]) < 0:
         x = x[::-1]
     if fillet == 0.0:
-        return _ring(x)
+        return _closed(x)
     before, after = x - np.roll(x, 1, axis=0), np.roll(x, -1, axis=0) - x
     before /= np.linalg.norm(before, axis=1)[:, None]
     after /= np.linalg.norm(after, axis=1)[:, None]
-    # edges moved inwards meet on the bisectors
+    # edges that move inwards meet on the bisectors
     inward = [np.column_stack([-e[:, 1], e[:, 0]]) for e in (before, after)]
     half = 1.0 + np.sum(inward[0] * inward[1], axis=1)
     core = x + fillet * (inward[0] + inward[1]) / half[:, None]
     kept = np.sum((np.roll(core, -1, axis=0) - core) * after, axis=1)
     if not np.all(half > 1e-9) or not np.all(kept > 0.0):
+        shortest = np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).min()
         raise ParameterError(
-            f"fillet = {fillet:g} m is too large: it takes away a whole edge of the shape, of "
-            f"{np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1).min():.4g} m at least"
+            f"fillet = {fillet:g} m is too large: it removes a whole edge of the shape, whose "
+            f"shortest edge has {shortest:.4g} m; give a smaller fillet"
         )
-    return Rounded(_ring(core), fillet)
+    return Rounded(_closed(core), fillet)
 
 
 def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
@@ -115,5 +116,5 @@ def _box(shape: Box | TurnedBox, fillet: float) -> RigidSurface:
         x = np.where(bits, high, low)
     if isinstance(shape, TurnedBox):
         x = shape.turn(x)
-    core = _ring(x) if low.size == 2 else FacetedSurface(x, _TRIANGLES)
+    core = _closed(x) if low.size == 2 else FacetedSurface(x, _TRIANGLES)
     return Rounded(core, fillet) if fillet else core

@@ -1,4 +1,4 @@
-"""Surface meshes of rigid bodies: read, joined at their corners, checked."""
+"""Surface meshes of rigid bodies: reading, joining of equal corners, checks."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["checked", "is_mesh", "mesh_surface"]
 Array = npt.NDArray[np.float64]
 Facet = npt.NDArray[np.int64]
 
-# Corners that are nearer than this share of the mesh's size are one: STL has single precision
+# Corners within this share of the mesh's size are the same corner: STL has single precision
 _SAME = 1e-6
 
 
 def is_mesh(shape: Any) -> bool:
-    """Whether it is a file, or a mesh of meshio's."""
+    """Whether a shape is a file or a `meshio.Mesh`."""
     return isinstance(shape, (str, os.PathLike)) or type(shape).__module__.startswith("meshio")
 
 
@@ -34,7 +34,7 @@ def mesh_surface(mesh: Any) -> FacetedSurface:
         mesh: A file that meshio reads, or a `meshio.Mesh`.
 
     Raises:
-        ParameterError: It has no triangles, or is not closed, or inside out; see `checked`.
+        ParameterError: The mesh has no triangles, is open, or inside out; see `checked`.
         OSError: The file cannot be read.
     """
     import meshio
@@ -52,18 +52,18 @@ def mesh_surface(mesh: Any) -> FacetedSurface:
         return checked(x[:, :2], np.concatenate(lines), name)
     kinds = ", ".join(sorted({b.type for b in mesh.cells})) or "nothing"
     raise ParameterError(
-        f"{name} has cells of kind {kinds}; the surface of a rigid body is of triangles, or in 2D "
-        "of lines"
+        f"{name} has cells of kind {kinds}; the surface of a rigid body has triangles, or in 2D "
+        "lines: give a surface mesh"
     )
 
 
 def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurface:
-    """A closed surface whose normals point outwards, of facets that may not share their corners.
+    """A closed surface with outward normals, from facets that need not share their corners.
 
     Args:
         x: Corners (m), shape (n, gdim).
         facets: Corners of the facets, shape (m, gdim).
-        name: What messages call it.
+        name: Name of the mesh in messages.
 
     Raises:
         ParameterError: A corner is not finite, facets are degenerate, the surface has a hole, two
@@ -84,21 +84,21 @@ def checked(x: Array, facets: npt.NDArray[np.integer], name: str) -> FacetedSurf
         what = "length" if d == 2 else "area"
         raise ParameterError(
             f"{flat.size} facets of {name} have no {what}, such as facet {flat[0]} at "
-            f"{shown(x[cells[flat[0], 0]])} m: take them out"
+            f"{shown(x[cells[flat[0], 0]])} m: remove them"
         )
     _check_edges(x, cells, name)
     middle = x[cells].mean(axis=1) - x.mean(axis=0)
     volume = float(np.sum(middle * facet_normals(x, cells)))
     if volume <= 0.0:
         raise ParameterError(
-            f"{name} is inside out: the normals of its facets point into the body; turn their "
-            "corners round"
+            f"{name} is inside out: the normals of its facets point into the body; reverse the "
+            "order of their corners"
         )
     return FacetedSurface(x, cells)
 
 
 def _joined(x: Array, facets: Facet) -> tuple[Array, Facet]:
-    """Corners in the same place made one."""
+    """Join corners at the same position."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -114,7 +114,7 @@ def _joined(x: Array, facets: Facet) -> tuple[Array, Facet]:
 
 
 def _check_edges(x: Array, facets: Facet, name: str) -> None:
-    """Every edge (in 2D every corner) has two facets, which run through it the opposite ways."""
+    """Raise unless two facets with opposite directions meet at every edge, or corner in 2D."""
     d = x.shape[1]
     if d == 2:
         ends = np.bincount(facets[:, 1], minlength=len(x))
@@ -131,7 +131,7 @@ def _check_edges(x: Array, facets: Facet, name: str) -> None:
     count = forth + back
     part = "corner" if d == 2 else "edge"
     for bad, what in (
-        (count == 1, f"is open: {{}} {part}s have one facet only, which are the rim of a hole"),
+        (count == 1, f"is open: {{}} {part}s at the rim of a hole have one facet only"),
         (count > 2, f"meets itself: {{}} {part}s have more than two facets"),
         (
             forth != back,
@@ -142,6 +142,6 @@ def _check_edges(x: Array, facets: Facet, name: str) -> None:
         if at.size:
             place = np.array2string(places[at[0]], precision=6)
             raise ParameterError(
-                f"{name} {what.format(at.size)}, such as that at {place} m: mend the mesh, so "
-                "that it is closed and all normals point outwards"
+                f"{name} {what.format(at.size)}, such as the {part} at {place} m: repair the mesh, "
+                "so that it is closed and all normals point outwards"
             )

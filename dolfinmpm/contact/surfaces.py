@@ -193,7 +193,7 @@ class Revolved:
         out = arm - z[:, None] * self.axis
         r = np.linalg.norm(out, axis=1)
         on = r <= 1e-14 * max(float(self.profile.high[0]), 1e-300)
-        # on the axis any direction is as good as another
+        # on the axis, any radial direction will do
         some = np.eye(3)[int(np.argmin(np.abs(self.axis)))]
         some = some - (some @ self.axis) * self.axis
         out[on] = some / np.linalg.norm(some)

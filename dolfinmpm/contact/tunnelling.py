@@ -1,7 +1,7 @@
-"""What a step may not do to a rigid body and what touches it: let one pass through the other.
+"""Checks against tunnelling: points must not pass through a rigid body in a step.
 
-A corner that touches is pushed out of a body along the normal of the nearest face. If it gets
-beyond the middle of the body, it is pushed out on the far side, and nothing tells of it any more.
+Contact pushes a corner out of a body along the normal of the nearest face. A corner beyond the
+middle of the body is pushed out on the far side, and later steps cannot detect this.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 Chosen = npt.NDArray[np.bool_]
 
-# Steps along a path within a body, by half its thickness, and how deep it leads through the body
-# at least; paths around a tip are less deep
+# Steps along a path inside a body, and the least depth of a path through the body, in half
+# thicknesses; paths around a tip are less deep
 _STRIDE, _THROUGH = 0.25, 0.25
-# Strides along a path at most
+# Largest number of steps along a path
 _MOST = 10_000
-# Which corner of a box is where in each direction, by dimension
+# Mask of the upper coordinates of the corners of a box, by dimension
 _UPPER = {d: np.indices((2,) * d).reshape(d, -1).T == 1 for d in (2, 3)}
 
 
 def half_thickness(surface: RigidSurface) -> float:
-    """Volume of a body by its surface (m): half the thickness of a plate.
+    """Volume of a body divided by its surface (m): half the thickness of a plate.
 
-    Of a convex body it is at most the radius of the largest ball within it. Of a body of revolution
-    it is that of the section, of one without end infinite.
+    For a convex body it is at most the radius of the largest ball inside. For a body of revolution
+    it is that of the section. For an infinite body it is infinite.
     """
     if isinstance(surface, Round):
         return surface.radius / surface.gdim
@@ -54,7 +54,7 @@ def half_thickness(surface: RigidSurface) -> float:
     if not isinstance(surface, FacetedSurface):
         return math.inf
     normals = facet_normals(surface.x, surface.facets)
-    # of triangles twice the area
+    # normals of triangles have twice their area
     areas = normals / (surface.gdim - 1)
     middles = surface.x[surface.facets].mean(axis=1) - surface.low
     volume = float(np.sum(middles * areas)) / surface.gdim
@@ -67,7 +67,7 @@ def _box_corners(low: Array, high: Array) -> Array:
 
 
 def travelled(surface: RigidSurface, start: Pose, end: Pose) -> float:
-    """How far a body's parts are apart in two poses at most; of one without end its centre (m)."""
+    """Largest motion of a body between two poses; for an infinite body that of its centre (m)."""
     if not np.isfinite(surface.low).all():
         return float(np.linalg.norm(end.shift - start.shift))
     corners = _box_corners(surface.low, surface.high)
@@ -75,16 +75,16 @@ def travelled(surface: RigidSurface, start: Pose, end: Pose) -> float:
 
 
 def limit_of(body: Any, cell: float) -> float:
-    """How far a body may go at once (m): no further than a cell, or half its own thickness."""
+    """Largest allowed motion of a body at once (m): a cell, or half its own thickness."""
     return min(cell, body.half_thickness)
 
 
 def too_far(body: Any, travel: float, cell: float) -> str | None:
-    """Why a body may not go so far (m) at once, or None.
+    """Why a motion of a body is too large, or None.
 
     Args:
         body: The rigid body.
-        travel: How far it goes (m).
+        travel: Its motion (m).
         cell: Smallest size of a cell (m).
     """
     limit = limit_of(body, cell)
@@ -95,13 +95,13 @@ def too_far(body: Any, travel: float, cell: float) -> str | None:
 
 
 def within(poses: list[Pose], surface: RigidSurface, x: Array, reach: Array | float) -> Chosen:
-    """Which positions are within a reach of a box around a surface, in any pose.
+    """Mask of positions near the bounding box of a surface, in any of some poses.
 
     Args:
         poses: The poses.
-        surface: The surface; all are near to one that has no end.
+        surface: The surface. All positions are near an infinite surface.
         x: Positions (m), shape (n, gdim).
-        reach: How far (m), a number or shape (n, 1).
+        reach: Largest distance from the box (m), a number or shape (n, 1).
     """
     if not np.isfinite(surface.low).all():
         return np.ones(len(x), bool)
@@ -111,7 +111,7 @@ def within(poses: list[Pose], surface: RigidSurface, x: Array, reach: Array | fl
 
 
 def entered(surface: RigidSurface, half: float, start: Array, end: Array) -> Chosen:
-    """Which straight paths get into a body, shape (n,).
+    """Mask of the straight paths that enter a body, shape (n,).
 
     Args:
         surface: Its surface.
@@ -121,7 +121,7 @@ def entered(surface: RigidSurface, half: float, start: Array, end: Array) -> Cho
     found = surface.probe(end)[0] < 0.0
     if math.isinf(half):
         return found
-    # those that end beside it may have gone through it
+    # paths that end outside may have gone through the body
     low, high = np.minimum(start, end), np.maximum(start, end)
     rows = np.flatnonzero(~found & np.all((high >= surface.low) & (low <= surface.high), axis=1))
     rows = rows[np.linalg.norm(end[rows] - start[rows], axis=1) > half]
@@ -129,31 +129,32 @@ def entered(surface: RigidSurface, half: float, start: Array, end: Array) -> Cho
     return found
 
 
-def suspected(half: float, gap: Array, way: Array) -> bool:
-    """Whether corners may have passed through a body at all; at least one corner.
+def suspected(half: float, gap: Array, path: Array) -> bool:
+    """Whether some of at least one corner may have passed through a body.
 
     Args:
         half: Half its thickness (m).
-        gap: How far outside they are (m), infinite where they are far, shape (n,).
-        way: How far they have gone towards the body at most (m), likewise.
+        gap: Gaps of the corners (m), infinite if they are far away, shape (n,).
+        path: Upper bounds of the paths of the corners (m), shape (n,).
     """
-    return bool(gap.min() < -_THROUGH * half or way.max() > half)
+    return bool(gap.min() < -_THROUGH * half or path.max() > half)
 
 
 def passes(surface: RigidSurface, half: float, start: Array, end: Array, gap: Array) -> str | None:
-    """How corners pass through a body instead of touching it, or None.
+    """How corners pass through a body instead of touching it, in words, or None.
 
     Args:
         surface: Its surface.
         half: Half its thickness (m), see `half_thickness`.
-        start, end: Where corners were and are in its frame (m), shape (n, gdim).
-        gap: How far outside they are in the end (m), infinite where they are far, shape (n,).
+        start, end: Positions of corners before and after the step, in its frame (m), shape
+            (n, gdim).
+        gap: Gaps at the end (m), infinite for corners far away, shape (n,).
     """
     deepest = -float(gap.min())
     if deepest >= half:
         return f"are {deepest:.3g} m deep in it, beyond half its mean thickness ({half:.3g} m)"
-    way = np.linalg.norm(end - start, axis=1)
-    rows = np.flatnonzero((way > half) | (gap < -_THROUGH * half))
+    path = np.linalg.norm(end - start, axis=1)
+    rows = np.flatnonzero((path > half) | (gap < -_THROUGH * half))
     if not rows.size:
         return None
     low, first = _along(surface, start[rows], end[rows], half)
@@ -164,7 +165,7 @@ def passes(surface: RigidSurface, half: float, start: Array, end: Array, gap: Ar
 
 
 def _along(surface: RigidSurface, start: Array, end: Array, half: float) -> tuple[Array, Array]:
-    """Least gap along straight paths (m), shape (n,), and the normal where they get into the body.
+    """Least gap along straight paths (m), shape (n,), and the normal at their entry.
 
     Args:
         surface: The surface.
@@ -173,16 +174,16 @@ def _along(surface: RigidSurface, start: Array, end: Array, half: float) -> tupl
     """
     gap, normal, _ = surface.probe(start)
     least, first = gap.copy(), normal.copy()
-    way = np.linalg.norm(end - start, axis=1)
-    done = np.zeros(len(way))
-    rows = np.arange(len(way))
+    path = np.linalg.norm(end - start, axis=1)
+    done = np.zeros(len(path))
+    rows = np.arange(len(path))
     for _ in range(_MOST):
-        # what is outside comes no nearer than it goes
+        # outside, the gap decreases by no more than the step
         done[rows] += np.maximum(gap, _STRIDE * half)
-        rows = rows[done[rows] < way[rows]]
+        rows = rows[done[rows] < path[rows]]
         if not rows.size:
             break
-        at = start[rows] + (done[rows] / way[rows])[:, None] * (end[rows] - start[rows])
+        at = start[rows] + (done[rows] / path[rows])[:, None] * (end[rows] - start[rows])
         gap, normal, _ = surface.probe(at)
         enters = (least[rows] >= 0.0) & (gap < 0.0)
         first[rows[enters]] = normal[enters]

@@ -28,7 +28,7 @@ from dolfinmpm.forms.declarations import Declaration
 from dolfinmpm.forms.splitting import BoundaryTerms
 from dolfinmpm.grid.lattice import lattice_of, smallest_height
 from dolfinmpm.kinematics.nitsche import TRACE
-from dolfinmpm.terms.referencemarkers import refer
+from dolfinmpm.terms.referencemarkers import reference_wall
 
 __all__ = ["ActiveBoundaryTerm", "BoundaryTerm"]
 
@@ -83,7 +83,7 @@ class BoundaryTerm(Term):
         if self._of.stateful:
             take_state(self.boundary, self._of.tags)
         if markers.configuration == "total" and not self.boundary.follows:
-            refer(self.boundary)
+            reference_wall(self.boundary)
 
     def on(self, here: Activation) -> ActiveBoundaryTerm:
         """See `Term`."""
@@ -135,7 +135,7 @@ class BoundaryTerm(Term):
         return f"boundary of {self.markers.total} markers"
 
     def state(self) -> dict[str, Any]:
-        """The markers' state in the order of their numbers, and this rank's markers. Collective."""
+        """State of the markers in the order of their numbers, and local numbers. Collective."""
         markers, names = self.markers, self._kept
         found = markers.comm.bcast(markers.gather(*names))
         placed = markers.partition is self.boundary.points.partition
@@ -154,10 +154,10 @@ class BoundaryTerm(Term):
         if order is not None:
             placed, number = order.values[0], order.values[1:].copy()
             if not placed:
-                # the next step finds their ranks, as it would have done
+                # the next step finds the ranks of the markers
                 markers.partition = None
             for name, old in markers.fields.items():
-                # the state of the nearest points is taken anew
+                # the state of the nearest points is copied below
                 markers.fields[name] = np.zeros((len(number), *old.shape[1:]), old.dtype)
             markers.fields["id"] = number
         for name in names:
@@ -172,7 +172,7 @@ class BoundaryTerm(Term):
 
     @property
     def _kept(self) -> list[str]:
-        """Names of the markers' fields that are not of the nearest point."""
+        """Names of the markers' fields that are not copies of the nearest point's fields."""
         state = {*self.boundary.points.fields, "body_x", "body_l", "body_x0"}
         state = (state - {"x", "V", "x0", "V0"}) | {"cell"}
         return sorted(name for name in self.markers.fields if name not in state)
@@ -248,6 +248,6 @@ def _outside(boundary: Boundary, x: Array, to: Destinations, step: int):
         return None
     return PointsOutsideGridError(
         f"{lost.size} markers of {boundary} would leave the grid in step {step}, one from "
-        f"{boundary.markers['x'][lost[0]]} m to {x[lost[0]]} m. The state is that before it: "
-        "enlarge the grid, or let the boundary stay in space with follows=False"
+        f"{boundary.markers['x'][lost[0]]} m to {x[lost[0]]} m. The state is that before the step: "
+        "enlarge the grid, or keep the boundary in space with follows=False"
     )

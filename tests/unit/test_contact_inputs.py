@@ -56,7 +56,7 @@ def test_broken_meshes_are_refused(tmp_path):
     turned[3] = turned[3, ::-1]
     flat = np.vstack([FACES, [[0, 1, 0]]])
     for facets, words in (
-        (FACES[1:], "is open: 3 edges have one facet only"),
+        (FACES[1:], "is open: 3 edges at the rim of a hole have one facet only"),
         (FACES[:, ::-1], "inside out"),
         (turned, "normals disagree"),
         (np.vstack([FACES, FACES[:1]]), "meets itself"),
@@ -90,7 +90,7 @@ def test_bodies_that_cannot_be():
         (lambda: mpm.RigidBody(disc, displacement=(0, 1)), "function of time or a dolfinx"),
         (lambda: mpm.RigidBody(disc, displacement=constant), "must have 2"),
         (lambda: mpm.RigidBody(disc, velocity=(0, 0), displacement=lambda t: (0, t)), "leave one"),
-        (lambda: mpm.RigidBody(disc, velocity=(0, 0), increment=(0, 0)), "given at once; leave"),
+        (lambda: mpm.RigidBody(disc, velocity=(0, 0), increment=(0, 0)), "given at once; give"),
         (lambda: mpm.RigidBody(disc, rotation_increment=(0, 1)), "1 finite numbers"),
         (lambda: mpm.RigidBody(disc, fillet=-1.0), "fillet"),
         (lambda: mpm.RigidBody(disc, name="a disc"), "identifier"),
