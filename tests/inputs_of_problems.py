@@ -83,7 +83,7 @@ INPUTS = {
     'mpm.Stabilisation("none", factor=1.0)': "factor = 1.0 would do nothing: it belongs to",
     'mpm.Stabilisation("aggregation", factor=2.0)': 'stabilisation "ghost" and "weak-aggregation"',
     'mpm.Stabilisation("soft", threshold=0.5)': "threshold = 0.5 would do nothing",
-    'mpm.Stabilisation("ghost", eta=1e-3)': 'of the stabilisation "soft", and this is "ghost"',
+    'mpm.Stabilisation("ghost", eta=1e-3)': 'to the stabilisation "soft", and this is "ghost"',
     'mpm.Stabilisation("extended", scaling="scaled")': "scaling = 'scaled' would do nothing",
     'mpm.Stabilisation.takes("glue")': "stabilisation = 'glue' must be one of",
     "s.ghost(points=None)": "points = None must be a MaterialPoints: give one",

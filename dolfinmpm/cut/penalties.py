@@ -69,7 +69,7 @@ def _scalar(what: str, value: Any, points: MaterialPoints) -> Any:
         raise ParameterError(f"{what} = {shown(value)} must be a number or a scalar of UFL")
     if extract_unique_domain(value) not in (None, points.grid.ufl_domain()):
         raise ParameterError(
-            f"{what} is defined on another grid than the points; make it on points.grid"
+            f"{what} lives on another grid than the points; make it on points.grid"
         )
     return value
 

@@ -391,7 +391,7 @@ def _bad():
                 )
             ), (FormError, ParameterError), "grid|points",
         ),
-        "late": (late, ParameterError, "not known where"),
+        "late": (late, ParameterError, "is unknown: the body had moved"),
         "total in space": (of_space, ParameterError, "stays in space and makes cells active"),
         "an empty cell": (empty_cell, StateError, "has no stiffness"),
     }  # fmt: skip
