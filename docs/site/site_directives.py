@@ -1,0 +1,57 @@
+"""Directives and hooks of the site: the errors' index, the plain program of a lecture."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+SITE = Path(__file__).resolve().parent
+ROOT = SITE.parents[1]
+
+
+def plain(program: str) -> str:
+    """The program without its texts, as one would type it."""
+    body = re.sub(r'^"""(.|\n)*?"""\n', "", program, count=1)
+    kept, text = [], False
+    for line in body.split("\n"):
+        text = line.startswith("# %%") or (text and line.startswith("#"))
+        if not text:
+            kept.append(line)
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(kept)).strip() + "\n"
+
+
+def add_program(app: Any, name: str, source: list[str]) -> None:
+    """Gives each step of the course its plain program at the end."""
+    program = ROOT / "docs" / f"{name}.py"
+    if not name.startswith("course/") or not program.exists():
+        return
+    lines = "\n".join(f"    {line}" for line in plain(program.read_text()).split("\n"))
+    whole = f"The plain program\n-----------------\n\n.. code-block:: python\n    :class: plain-program\n\n{lines}\n"
+    mark = ".. _sphx_glr_download"
+    before, found, after = source[0].partition(mark)
+    source[0] = f"{before}\n{whole}\n{found}{after}"
+
+
+def offer_files(app: Any, name: str, source: list[str]) -> None:
+    """Links to files of the repository outside docs/ become downloads."""
+
+    def download(link: re.Match[str]) -> str:
+        file = (ROOT / "docs" / name).parent.joinpath(link[2]).resolve()
+        if not file.is_file() or file.is_relative_to(ROOT / "docs"):
+            return link[0]
+        target = Path(app.srcdir) / "files" / file.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if not target.exists() or target.read_bytes() != file.read_bytes():
+            shutil.copy(file, target)
+        text = link[1].replace("`", "")
+        return f"{{download}}`{text} </files/{file.relative_to(ROOT)}>`"
+
+    source[0] = re.sub(r"\[([^\[\]]+)\]\((\.\./[^)\s#]+)\)", download, source[0])
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.connect("source-read", add_program)
+    app.connect("source-read", offer_files)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
