@@ -32,7 +32,13 @@ extensions = [
 ]
 suppress_warnings = ["config.cache"]  # the scraper is an object
 nitpicky = False
-exclude_patterns = ["**/README.rst", "**/GALLERY_HEADER.rst", "course/*.ipynb", "demos/*.ipynb"]
+exclude_patterns = [
+    "**/GALLERY_HEADER.rst",
+    "**/sg_execution_times.rst",
+    "sg_execution_times.rst",
+    "course/*.ipynb",
+    "demos/*.ipynb",
+]
 root_doc = "index"
 
 # text
@@ -87,9 +93,11 @@ html_theme = "pydata_sphinx_theme"
 html_title = "dolfinmpm"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = ["gallery.js"]
 templates_path = ["templates"]
 html_show_sourcelink = False
 html_copy_source = False
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "logo": {"text": "dolfinmpm"},
     "navbar_align": "left",
