@@ -9,12 +9,14 @@ a comment of several lines that stands at the margin after an empty line is take
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
-SOURCE = DOCS / "_build" / "source"
+BUILD = DOCS / "_build"
+SOURCE = BUILD / "source"
 PAGES = ("*.md", "*.bib", "*.png", "theory/*", "howto/*", "reference/*", "notebooks/*.ipynb")
 
 
@@ -66,11 +68,11 @@ def copy_programs() -> set[Path]:
     written = set()
     for folder, target in ((DOCS / "course", "course"), (ROOT / "demos", "demos")):
         for file in sorted(folder.glob("*.py")):
-            place = DOCS / "_build" / "programs" / target / file.name
+            place = BUILD / "programs" / target / file.name
             write(place, lecture(file.read_text()))
             written.add(place)
         header = DOCS / "site" / f"{target}_header.rst"
-        write(DOCS / "_build" / "programs" / target / "GALLERY_HEADER.rst", header.read_text())
+        write(BUILD / "programs" / target / "GALLERY_HEADER.rst", header.read_text())
     return written
 
 
@@ -87,7 +89,7 @@ def renew_results() -> None:
     digest = hashlib.sha256()
     for file in sorted((ROOT / "dolfinmpm").rglob("*.py")):
         digest.update(file.read_bytes())
-    stamp = DOCS / "_build" / "package"
+    stamp = BUILD / "package"
     if stamp.exists() and stamp.read_text() != digest.hexdigest():
         for sums in SOURCE.rglob("*.md5"):
             sums.unlink()
@@ -97,8 +99,11 @@ def renew_results() -> None:
 def main() -> None:
     SOURCE.mkdir(parents=True, exist_ok=True)
     forget(SOURCE, copy_pages(), PAGES)
-    forget(DOCS / "_build" / "programs", copy_programs(), ("*/*.py",))
+    forget(BUILD / "programs", copy_programs(), ("*/*.py",))
     renew_results()
+    import studies
+
+    studies.run_studies(os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import cards
+
 SITE = Path(__file__).resolve().parent
 ROOT = SITE.parents[1]
 
@@ -52,6 +54,7 @@ def offer_files(app: Any, name: str, source: list[str]) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
+    app.add_directive("gallery", cards.Gallery)
     app.connect("source-read", add_program)
     app.connect("source-read", offer_files)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
