@@ -101,8 +101,10 @@ def main() -> None:
     forget(SOURCE, copy_pages(), PAGES)
     forget(BUILD / "programs", copy_programs(), ("*/*.py",))
     renew_results()
+    import api
     import studies
 
+    api.write_pages(write, SOURCE)
     studies.run_studies(os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none")
 
 

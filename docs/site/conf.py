@@ -53,12 +53,14 @@ copybutton_exclude = ".linenos, .gp, .go"
 mathjax3_config = {"chtml": {"displayAlign": "left", "displayIndent": "2em"}}
 
 # API
+default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_format = "short"
 autoclass_content = "class"
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
+napoleon_use_ivar = True
 napoleon_preprocess_types = True
 intersphinx_mapping = {}
 codeautolink_autodoc_inject = False
@@ -92,6 +94,8 @@ sphinx_gallery_conf = {
 html_theme = "pydata_sphinx_theme"
 html_title = "dolfinmpm"
 html_static_path = ["static"]
+html_favicon = "static/logo.svg"
+html_domain_indices = False
 html_css_files = ["site.css"]
 html_js_files = ["gallery.js"]
 templates_path = ["templates"]
@@ -99,7 +103,7 @@ html_show_sourcelink = False
 html_copy_source = False
 html_context = {"default_mode": "auto"}
 html_theme_options = {
-    "logo": {"text": "dolfinmpm"},
+    "logo": {"text": "dolfinmpm", "image_light": "_static/logo.svg", "image_dark": "_static/logo.svg"},
     "navbar_align": "left",
     "header_links_before_dropdown": 8,
     "show_prev_next": True,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shutil
 from pathlib import Path
 from typing import Any
 
+import api
 import cards
+from sphinx.util.inspect import stringify_signature
 
 SITE = Path(__file__).resolve().parent
 ROOT = SITE.parents[1]
@@ -53,8 +56,31 @@ def offer_files(app: Any, name: str, source: list[str]) -> None:
     source[0] = re.sub(r"\[([^\[\]]+)\]\((\.\./[^)\s#]+)\)", download, source[0])
 
 
+def read_plainly(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings in plain text: bars are absolute values, what is indented after a colon is code."""
+    lines[:] = [re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
+    for i, line in enumerate(lines[:-2]):
+        after = lines[i + 2]
+        deeper = len(after) - len(after.lstrip()) > len(line) - len(line.lstrip())
+        if re.search(r"[^:]:$", line) and not lines[i + 1].strip() and after.strip() and deeper:
+            lines[i] = f"{line}:"
+
+
+def show_arguments(app: Any, what: str, name: str, thing: Any, *_: Any) -> tuple[str, str] | None:
+    """The arguments of a class are those of its __init__, whatever __new__ takes."""
+    if what != "class":
+        return None
+    try:
+        return stringify_signature(inspect.signature(thing), show_annotation=False), ""
+    except (TypeError, ValueError):
+        return None
+
+
 def setup(app: Any) -> dict[str, bool]:
     app.add_directive("gallery", cards.Gallery)
+    app.connect("autodoc-process-docstring", read_plainly)
+    app.connect("autodoc-process-signature", show_arguments)
+    app.connect("missing-reference", api.resolve)
     app.connect("source-read", add_program)
     app.connect("source-read", offer_files)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
