@@ -17,7 +17,7 @@ DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
 BUILD = DOCS / "_build"
 SOURCE = BUILD / "source"
-PAGES = ("*.md", "*.bib", "*.png", "theory/*", "howto/*", "reference/*", "notebooks/*.ipynb")
+PAGES = ("*.md", "*.bib", "*.png", "theory/*.*", "howto/*.*", "reference/*.md", "notebooks/*.ipynb")
 
 
 def lecture(program: str) -> str:
@@ -102,9 +102,11 @@ def main() -> None:
     forget(BUILD / "programs", copy_programs(), ("*/*.py",))
     renew_results()
     import api
+    import errorindex
     import studies
 
     api.write_pages(write, SOURCE)
+    errorindex.write_page(write, SOURCE)
     studies.run_studies(os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none")
 
 
