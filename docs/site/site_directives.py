@@ -10,6 +10,7 @@ from typing import Any
 
 import api
 import cards
+import measured
 import runtimes
 from sphinx.util.inspect import stringify_signature
 
@@ -79,6 +80,7 @@ def show_arguments(app: Any, what: str, name: str, thing: Any, *_: Any) -> tuple
 
 def setup(app: Any) -> dict[str, bool]:
     app.add_directive("gallery", cards.Gallery)
+    app.add_directive("measured", measured.Measured)
     app.add_directive("runtimes", runtimes.RunTimes)
     app.connect("autodoc-process-docstring", read_plainly)
     app.connect("autodoc-process-signature", show_arguments)
