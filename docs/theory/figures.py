@@ -253,7 +253,38 @@ def newton() -> None:
         gravity.value[1] = 0.0
 
 
-PICTURES = {f.__name__: f for f in (active, bases, cuts, shear, locking, mappings, newton)}
+def tangents() -> None:
+    """Tangents of the laws against central differences of their stresses (printed)."""
+    laws = {
+        "von Mises": mpm.materials.VonMises(1e6, 0.3, yield_stress=20e3, hardening=1e5),
+        "Tresca": mpm.materials.Tresca(1e6, 0.3, 10e3, ultimate_cohesion=15e3),
+        "Mohr–Coulomb": mpm.materials.MohrCoulomb(1e6, 0.3, 10e3, 30.0, dilation_angle=10.0),
+        "Drucker–Prager": mpm.materials.DruckerPrager(1e6, 0.3, 10e3, 30.0, dilation_angle=10.0),
+        "Cam-Clay": mpm.materials.CamClay(
+            swelling=0.018, compression=0.13, M=1.05, mu0=5.4e6, alpha=0.0,
+            reference_pressure=20e3, preconsolidation=20e3,
+        ),
+    }  # fmt: skip
+    rng = np.random.default_rng(1)
+    strain = rng.uniform(-0.03, 0.03, (2000, 3))
+    for name, law in laws.items():
+        found = law.respond(strain)
+        errors = []
+        for j in range(3):
+            step = np.zeros(3)
+            step[j] = 1e-6
+            two = law.respond(strain + step).stress - law.respond(strain - step).stress
+            errors.append(abs(two / 2e-6 - found.tangent[:, :, j]).max(axis=1))
+        error = np.max(errors, axis=0) / abs(found.tangent).max()
+        changed = abs(found.internal - law.respond(0 * strain[:1]).internal).max(axis=1) > 0
+        print(
+            f"{name}: {changed.mean():.0%} of the strains yield, median error of the tangent "
+            f"{np.median(error):.0e}, {np.mean(error < 1e-6):.1%} below 1e-6"
+        )
+
+
+PARTS = (active, bases, cuts, shear, locking, mappings, newton, tangents)
+PICTURES = {f.__name__: f for f in PARTS}
 
 if __name__ == "__main__":
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
