@@ -1,7 +1,7 @@
 """Puts the sources of the site together in docs/_build/source.
 
-Sphinx writes beside its sources. Here that is a folder of its own, so the repository keeps only what
-people write. A program becomes a page by sphinx-gallery: its docstring gives the title and the
+Sphinx writes beside its sources. Here that is a folder of its own, so the repository keeps only
+what people write. A program becomes a page by sphinx-gallery: its docstring gives the title and the
 reasons, its comments before a block of code become text. The programs of demos/ are plain programs:
 a comment of several lines that stands at the margin after an empty line is taken for such a text.
 """

@@ -1,4 +1,4 @@
-"""Every page in a browser: no errors, no network, no sideways scrolling, equations, films, links."""
+"""Every page in a browser: no errors, no network, no sideways scrolling, films, links."""
 
 from __future__ import annotations
 
@@ -106,7 +106,9 @@ def test_light_and_dark(site, browser):
     for mode in ("light", "dark"):
         browser.execute_script(f"document.documentElement.dataset.theme = '{mode}'")
         style = "return getComputedStyle(document.body).{}"
-        colours[mode] = [browser.execute_script(style.format(x)) for x in ("backgroundColor", "color")]
+        colours[mode] = [
+            browser.execute_script(style.format(x)) for x in ("backgroundColor", "color")
+        ]
 
     def brightness(colour):
         return sum(float(x) for x in colour.split("(")[1].rstrip(")").split(",")[:3])
