@@ -37,7 +37,7 @@ with _idle_collector():
     from dolfinmpm.forms.termqueries import stiffness_per_area
     from dolfinmpm.grid.graded import create_lattice, zoned_line
     from dolfinmpm.grid.lattice import cell_size
-    from dolfinmpm.io import ParaView, figure, plot
+    from dolfinmpm.io import Film, ParaView, animate, figure, plot
     from dolfinmpm.io.history import History
     from dolfinmpm.io.progress import steps
     from dolfinmpm.kinematics import (
@@ -65,6 +65,7 @@ __all__ = [
     "Deposit",
     "Disc",
     "Explicit",
+    "Film",
     "Fluid",
     "GeneralisedAlpha",
     "History",
@@ -89,6 +90,7 @@ __all__ = [
     "Where",
     "absorbing",
     "acceleration",
+    "animate",
     "carried",
     "cell_size",
     "contact",

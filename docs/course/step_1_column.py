@@ -1,10 +1,10 @@
 """Step 1. A column under its own weight
 
-A column of soft soil, 50 m high, is compressed by its own weight to half of its height. You meet the
-five parts of each program: a grid, a body of material points, a basis, a weak form, a problem.
+A column of soft soil, 50 m high, is compressed by its own weight to half of its height. You meet
+the five parts of each program: a grid, a body of material points, a basis, a weak form, a problem.
 
-The answer is known. A point of first height Y carries the weight above it, so the vertical stress at
-the end is σ(Y) = −ρ₀ g (50 m − Y).
+The answer is known. A point of first height Y carries the weight above it, so the vertical stress
+at the end is σ(Y) = −ρ₀ g (50 m − Y).
 """
 
 # %%
@@ -23,12 +23,12 @@ grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (1, 60)], (1, 60), cells)
 soil = mpm.materials.Hencky(E=10e3, nu=0.0)  # Pa
 
 # %%
-# The problem is a function of the basis, because we want to compare two. ``mpm.fill`` puts 2² points
-# into each cell of the body. ``V.increment`` is the unknown: the displacement of one step.
+# The problem is a function of the basis, because we want to compare two. ``mpm.fill`` puts 2²
+# points into each cell of the body. ``V.increment`` is the unknown: the displacement of one step.
 # ``points.dX`` is a sum over the material points, and the rest is UFL as in each FEniCS program.
 #
-# The last term is the ghost penalty. It stabilises the cells that the top of the column cuts.
-# Step 2 tells more about it.
+# The last term is the ghost penalty. It stabilises the cells that the top of the column cuts. Step
+# 2 tells more about it.
 
 
 def column(basis):
@@ -62,13 +62,15 @@ assert errors["gimp"] < 1e-3
 # %%
 # What it shows
 # -------------
-# With linear functions the standard material point method errs by 8 %. A point acts on one cell only,
-# and its force jumps when it crosses a cell boundary. More cells do not help. GIMP spreads each point
-# over a domain. The domain is in two cells while it crosses, and the force changes smoothly.
+# With linear functions the standard material point method errs by 8 %. A point acts on one cell
+# only, and its force jumps when it crosses a cell boundary. More cells do not help. GIMP spreads
+# each point over a domain. The domain is in two cells while it crosses, and the force changes
+# smoothly.
 #
 # Try next
 # --------
 # - ``basis="bspline2"``: quadratic B-splines have the smallest error here.
 # - ``per_cell=1`` or ``3``.
 # - 10 load steps in place of 40: the result is the same, because the law is elastic.
-# - Run it on two ranks: ``docker/run mpirun -n 2 python3 step_1_column.py``. The figures are the same.
+# - Run it on two ranks: ``docker/run mpirun -n 2 python3 step_1_column.py``. The figures are the
+#   same.

@@ -1,9 +1,9 @@
 """Step 2. Cells that the body cuts, and what saves them
 
 The grid does not fit the body. Some cells are cut, and a cut can be a sliver. The functions of a
-sliver carry almost no stiffness and no mass. Then the matrices are badly conditioned, and an explicit
-step must be very small. Here a bar is put at several places of the grid, and you see what a ghost
-penalty changes.
+sliver carry almost no stiffness and no mass. Then the matrices are badly conditioned, and an
+explicit step must be very small. Here a bar is put at several places of the grid, and you see what
+a ghost penalty changes.
 """
 
 # %%
@@ -32,8 +32,9 @@ def bar(offset, stabilisation):
 
 
 # %%
-# ``mpm.study.conditioning`` assembles stiffness K and consistent mass M. It returns their condition
-# numbers, and the critical step 2/√λ of explicit steps. ``mpm.study.sweep`` does this at all places.
+# ``mpm.study.conditioning`` assembles stiffness K and consistent mass M. It returns their
+# condition numbers, and the critical step 2/√λ of explicit steps. ``mpm.study.sweep`` does this at
+# all places.
 
 kinds = ("none", "ghost", "aggregation")
 sweeps = {
@@ -59,7 +60,8 @@ assert worst["ghost"]["kappa_K"] < 1000 < worst["none"]["kappa_K"]
 # Without a stabilisation the condition number grows without bound as the sliver shrinks. The ghost
 # penalty adds a small force for each jump of the gradient across facets next to cut cells. Now the
 # nodes of a sliver follow their neighbours, and the condition number does not depend on the cut.
-# Aggregation takes another way: it makes the values of badly supported nodes follow from good ones.
+# Aggregation takes another way: it makes the values of badly supported nodes follow from good
+# ones.
 #
 # Try next
 # --------

@@ -3,8 +3,8 @@
 A slope of clay, 4 m high at 45°, is loaded by its own weight until it slides. You meet plasticity,
 F-bar against locking, and a run that goes on after failure.
 
-Taylor (1937) found that a slope of 45° on deep clay stands as long as the stability number
-N = ρ g H/c is below 5.53. A firm base at half the height below the toe, as here, helps a little.
+Taylor (1937) found that a slope of 45° on deep clay stands as long as the stability number N = ρ g
+H/c is below 5.53. A firm base at half the height below the toe, as here, helps a little.
 """
 
 # %%
@@ -26,9 +26,9 @@ V = mpm.Space(grid, basis="gimp")
 u, v = V.increment, V.test
 
 # %%
-# Clay that cannot drain keeps its volume while it flows. Tresca's law says so, and ``fbar=True`` lets
-# the elements follow. The stabilisation is chosen by name. ``"ghost"`` takes its size from the tangent
-# of the law at each facet.
+# Clay that cannot drain keeps its volume while it flows. Tresca's law says so, and ``fbar=True``
+# lets the elements follow. The stabilisation is chosen by name. ``"ghost"`` takes its size from
+# the tangent of the law at each facet.
 
 clay = mpm.materials.Tresca(E=1000 * c, nu=0.3, cohesion=c)
 gravity = fem.Constant(grid, (0.0, 0.0))
@@ -38,16 +38,20 @@ bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
 
 # %%
-# The weight grows in 40 steps. A probe follows the crest. A step that does not converge is halved by
-# the solver, and nothing is written before it has converged.
+# The weight grows in 40 steps. ``mpm.animate`` makes a film: each ``film.write`` adds a picture.
+# A probe follows the crest. A step that does not converge is halved
+# by the solver, and nothing is written before it has converged.
 
 crest = mpm.probe(points, (6.8, 5.8))
 curve = mpm.History()
-for share in mpm.steps(40, label="weight"):
-    N = 7.5 * share
-    gravity.value[1] = -N * c / (density * H)
-    problem.step()
-    curve.record(N=N, crest=crest)
+look = {"limits": (0, 1), "title": "share of the weight {time:.2f}", "size": (6.5, 3.0)}
+with mpm.animate(points, "output/slope.gif", "plastic_strain", **look) as film:
+    for share in mpm.steps(40, label="weight"):
+        N = 7.5 * share
+        gravity.value[1] = -N * c / (density * H)
+        problem.step()
+        curve.record(N=N, crest=crest)
+        film.write(share)
 
 # %%
 # Failure is where the crest begins to run away.
@@ -56,7 +60,6 @@ moved = -curve["crest_y"]
 limit = curve["N"][np.diff(moved, prepend=0.0) > 0.005 * H][0]
 if grid.comm.rank == 0:
     print(f"fails at N = {limit:.2f}; the crest has sunk by {moved[-1]:.2f} m in the end")
-mpm.plot(points, "output/slope.png", "plastic_strain", limits=(0, 1), size=(6.5, 3.0))
 assert 5.2 < limit < 6.0
 
 # %%
@@ -67,9 +70,9 @@ assert 5.2 < limit < 6.0
 #
 # Try next
 # --------
-# - ``stabilisation="none"``: the run may fail, and it fails at another load for each position of the
-#   grid.
+# - ``stabilisation="none"``: the run may fail, and it fails at another load for each position of
+#   the grid.
 # - ``fbar=False``: the slope stands up to a larger N. This is locking.
 # - ``mpm.materials.MohrCoulomb(E, nu, cohesion=..., friction_angle=...)``: angles are in degrees.
-# - :doc:`A factor of safety </studies/factor_of_safety>` reduces the strength in place of raising the
-#   weight.
+# - :doc:`A factor of safety </studies/factor_of_safety>` reduces the strength in place of raising
+#   the weight.

@@ -1,13 +1,13 @@
 """Step 4. Time: implicit and explicit steps
 
 The same weak form runs in time. An elastic bar is fixed at one end and swings in its first mode.
-Its period is 4 L/c with the wave speed c = √(E/ρ), here 4 s. You compare an implicit and an explicit
-integrator, and look at the energy.
+Its period is 4 L/c with the wave speed c = √(E/ρ), here 4 s. You compare an implicit and an
+explicit integrator, and look at the energy.
 """
 
 # %%
-# A bar of 10 m. Each point carries its velocity (m/s), a field of the points. Set the velocity before
-# the first step.
+# A bar of 10 m. Each point carries its velocity (m/s), a field of the points. Set the velocity
+# before the first step.
 
 import numpy as np
 from dolfinx import mesh
@@ -70,8 +70,8 @@ with mpm.figure("output/time.png", 4.5, 2.6) as (_, axes):
 # %%
 # What it shows
 # -------------
-# Both find the period. ``problem.energies()`` lists where energy goes: kinetic, strain, and what the
-# mapping and the integrator make or lose.
+# Both find the period. ``problem.energies()`` lists where energy goes: kinetic, strain, and what
+# the mapping and the integrator make or lose.
 #
 # Try next
 # --------

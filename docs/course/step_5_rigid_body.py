@@ -2,13 +2,13 @@
 
 A smooth wall is pushed into sand. You meet rigid bodies, contact, and initial stress.
 
-Rankine (1857) gives the thrust on the wall when all of the sand yields: P = ½ K γ H² + 2 c √K H with
-K = tan²(45° + φ/2).
+Rankine (1857) gives the thrust on the wall when all of the sand yields: P = ½ K γ H² + 2 c √K H
+with K = tan²(45° + φ/2).
 """
 
 # %%
-# The sand lies between the wall at its left and the side of the grid at its right. The grid has two
-# columns of cells more at the left.
+# The sand lies between the wall at its left and the side of the grid at its right. The grid has
+# two columns of cells more at the left.
 
 import math
 
@@ -45,7 +45,8 @@ bcs = mpm.rollers(V, "right", "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs)
 
 # %%
-# A first step without motion lets the wall take the thrust at rest. Then the wall is pushed by 6 mm.
+# A first step without motion lets the wall take the thrust at rest. Then the wall is pushed by 6
+# mm.
 
 curve = mpm.History()
 problem.step()

@@ -7,7 +7,8 @@ For small strains Terzaghi (1925) gives the degree of consolidation U over T = c
 """
 
 # %%
-# The column is one cell wide. Displacement and pore pressure are two fields. Each field has a space.
+# The column is one cell wide. Displacement and pore pressure are two fields. Each field has a
+# space.
 
 import numpy as np
 from dolfinx import fem, mesh
@@ -25,9 +26,9 @@ V, Q = mpm.Space(grid, basis="gimp"), mpm.Space(grid, basis="gimp", shape=())
 u, v, p, q = V.increment, V.test, Q.increment, Q.test
 
 # %%
-# The top of the layer is a surface of the body. It moves with the body. Load and drainage act on it.
-# ``mpm.poromechanics`` returns plain UFL: balance of momentum with effective stress, and balance of
-# water with Darcy's law.
+# The top of the layer is a surface of the body. It moves with the body. Load and drainage act on
+# it. ``mpm.poromechanics`` returns plain UFL: balance of momentum with effective stress, and
+# balance of water with Darcy's law.
 
 top = mpm.Surface(points, lambda x: np.isclose(x[1], 1.0), normal=(0, 1))
 clay = mpm.materials.Hencky(E=M, nu=0.0)

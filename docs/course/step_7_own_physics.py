@@ -1,8 +1,8 @@
 """Step 7. Physics of your own in UFL
 
-A layer of swelling clay takes up water and heaves between smooth walls. The library knows nothing of
-swelling. You write an energy in UFL with a field of your own, and the library derives forces and
-tangent from it.
+A layer of swelling clay takes up water and heaves between smooth walls. The library knows nothing
+of swelling. You write an energy in UFL with a field of your own, and the library derives forces
+and tangent from it.
 """
 
 # %%
@@ -31,9 +31,9 @@ points["swelling"] = 0.1
 wet = fem.Constant(grid, 0.0)
 
 # %%
-# ``points.F`` is the deformation gradient at the start of the step. ``(I + ∇u) F`` is the one at the end.
-# Only the elastic part stores energy: the whole deformation without the swelling. The energy is
-# neo-Hookean. ``ufl.derivative`` gives the weak form.
+# ``points.F`` is the deformation gradient at the start of the step. ``(I + ∇u) F`` is the one at
+# the end. Only the elastic part stores energy: the whole deformation without the swelling. The
+# energy is neo-Hookean. ``ufl.derivative`` gives the weak form.
 
 E, nu = 1e6, 0.3  # Pa
 mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
@@ -69,8 +69,8 @@ assert abs(height / exact - 1) < 1e-6
 # %%
 # What it shows
 # -------------
-# The form is split into what is done at points and at nodes, differentiated, and compiled. No line of
-# the library was changed.
+# The form is split into what is done at points and at nodes, differentiated, and compiled. No line
+# of the library was changed.
 #
 # Try next
 # --------

@@ -1,12 +1,13 @@
 """Step 8. Many ranks, checkpoints, clusters
 
-A run that takes days must go on after an interruption, and on another number of ranks. Here a footing
-is pressed into clay by half of its way. The state is saved, loaded by a second problem, and taken to
-the end. The result has the same digits as a run without a stop.
+A run that takes days must go on after an interruption, and on another number of ranks. Here a
+footing is pressed into clay by half of its way. The state is saved, loaded by a second problem,
+and taken to the end. The result has the same digits as a run without a stop.
 """
 
 # %%
-# A function builds the problem. A restart builds the problem in the same way, and then loads the state.
+# A function builds the problem. A restart builds the problem in the same way, and then loads the
+# state.
 
 import numpy as np
 from dolfinx import fem, mesh
@@ -49,8 +50,8 @@ press(problem, settlement, 0, 10)
 whole = footing.load()
 
 # %%
-# With a stop after five steps. ``save`` writes one file from all ranks. ``load`` reads it on any number
-# of ranks. The number of steps in ``problem.history`` tells where to go on.
+# With a stop after five steps. ``save`` writes one file from all ranks. ``load`` reads it on any
+# number of ranks. The number of steps in ``problem.history`` tells where to go on.
 
 problem, settlement, footing = build()
 press(problem, settlement, 0, 5)
@@ -67,13 +68,13 @@ assert abs(again / whole - 1) < 1e-6
 # %%
 # Ranks
 # -----
-# ``docker/run mpirun -n 2 python3 step_8_ranks.py`` prints the same digits. Points and unknowns are
-# distributed anew in each step, because the work follows the body and not the grid. Some thousand
-# unknowns per rank are the least that is worth a rank.
+# ``docker/run mpirun -n 2 python3 step_8_ranks.py`` prints the same digits. Points and unknowns
+# are distributed anew in each step, because the work follows the body and not the grid. Some
+# thousand unknowns per rank are the least that is worth a rank.
 #
-# On a cluster ``packaging/slurm.sh`` asks for 64 ranks, goes back to the queue ten minutes before the end
-# of its time, and goes on from the checkpoint. :doc:`Ways to install </install>` has the commands for
-# Apptainer and Slurm.
+# On a cluster ``packaging/slurm.sh`` asks for 64 ranks, goes back to the queue ten minutes before
+# the end of its time, and goes on from the checkpoint. :doc:`Ways to install </install>` has the
+# commands for Apptainer and Slurm.
 #
 # Try next
 # --------

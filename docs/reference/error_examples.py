@@ -1,7 +1,7 @@
 """One small program per named error and warning: what makes it.
 
-docs/build runs each function, checks that it makes the error of its name, and shows both on the page
-of errors. `block` and `problem` are what all of them start from.
+docs/build runs each function, checks that it makes the error of its name, and shows both on the
+page of errors. `block` and `problem` are what all of them start from.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ def UndeterminedFieldError():
     F = mpm.poromechanics(
         SOIL, points, (V.increment, Q.increment), (V.test, Q.test), porosity=0.4, permeability=1e-3
     )
-    closed = mpm.rollers(V, "left", "right", "bottom", "top")  # no water can leave, none is squeezed
+    closed = mpm.rollers(
+        V, "left", "right", "bottom", "top"
+    )  # no water can leave, none is squeezed
     mpm.Transient(F, [V.increment, Q.increment], points, closed).step(1.0)
 
 
@@ -136,7 +138,6 @@ def FreeAxisWarning():
 
 
 def DegreesWarning():
-    points, V = block()
     mpm.materials.MohrCoulomb(1e6, 0.3, cohesion=0.0, friction_angle=0.6)  # radians
 
 

@@ -68,7 +68,9 @@ def write_inventory(file: Path) -> None:
     for module in ("dolfinx.mesh", "dolfinx.fem"):
         for name in importlib.import_module(module).__all__:
             lines.append(f"{module}.{name} py:function 1 {module}.html#{module}.{name} -")
-    head = "# Sphinx inventory version 2\n# Project: DOLFINx\n# Version: \n# The remainder is zlib.\n"
+    head = (
+        "# Sphinx inventory version 2\n# Project: DOLFINx\n# Version: \n# The remainder is zlib.\n"
+    )
     file.parent.mkdir(parents=True, exist_ok=True)
     body = zlib.compress("\n".join([*lines, ""]).encode())
     if not file.exists() or file.read_bytes() != head.encode() + body:

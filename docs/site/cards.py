@@ -54,7 +54,11 @@ class Gallery(Directive):
         shown: list[nodes.Node] = [raw(_choices(found))]
         for kind, cards in found.items():
             for name, card in cards.items():
-                if Path(env.srcdir, kind, name).with_suffix(".rst" if kind == "demos" else ".md").exists():
+                if (
+                    Path(env.srcdir, kind, name)
+                    .with_suffix(".rst" if kind == "demos" else ".md")
+                    .exists()
+                ):
                     shown += _card(env, kind, name, card)
         return [*shown, raw("</div>")]
 
@@ -77,7 +81,9 @@ def _card(env: Any, kind: str, name: str, card: dict[str, Any]) -> list[nodes.No
         parts.append(nodes.image(uri=f"/{picture}", alt=title))
     tags = "".join(f"<span>{html.escape(card[key])}</span>" for key in FILTERS)
     off = f"<br><b>{html.escape(off)}</b>" if off else ""
-    text = f'<p class="judged">{html.escape(card["judged"])}{off}</p><p class="tags">{tags}</p></div>'
+    text = (
+        f'<p class="judged">{html.escape(card["judged"])}{off}</p><p class="tags">{tags}</p></div>'
+    )
     return [*parts, link(f"/{kind}/{name}", title, env.docname), raw(text)]
 
 

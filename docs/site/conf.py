@@ -9,9 +9,10 @@ from pathlib import Path
 SITE = Path(__file__).resolve().parent
 sys.path.insert(0, str(SITE))
 
-import api  # noqa: E402
-import dolfinmpm  # noqa: E402
-from scraper import NewFiles  # noqa: E402
+import api
+from scraper import NewFiles
+
+import dolfinmpm
 
 project = "dolfinmpm"
 author = "The dolfinmpm developers"
@@ -96,7 +97,9 @@ sphinx_gallery_conf = {
 # pages
 html_theme = "pydata_sphinx_theme"
 html_title = "dolfinmpm"
-html_static_path = ["static"]
+made = SITE.parent / "_build" / "static"
+made.mkdir(parents=True, exist_ok=True)
+html_static_path = ["static", str(made)]
 html_favicon = "static/logo.svg"
 html_domain_indices = False
 html_css_files = ["site.css"]
@@ -106,7 +109,11 @@ html_show_sourcelink = False
 html_copy_source = False
 html_context = {"default_mode": "auto"}
 html_theme_options = {
-    "logo": {"text": "dolfinmpm", "image_light": "_static/logo.svg", "image_dark": "_static/logo.svg"},
+    "logo": {
+        "text": "dolfinmpm",
+        "image_light": "_static/logo.svg",
+        "image_dark": "_static/logo.svg",
+    },
     "navbar_align": "left",
     "header_links_before_dropdown": 8,
     "show_prev_next": True,

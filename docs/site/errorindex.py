@@ -30,7 +30,8 @@ def examples() -> Any:
     """The module of docs/reference/error_examples.py."""
     file = DOCS / "reference" / "error_examples.py"
     spec = importlib.util.spec_from_file_location("error_examples", file)
-    assert spec and spec.loader
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -63,15 +64,19 @@ def write_page(write: Any, source: Path) -> None:
     SystemExit
         An error of the package is missing in errors.toml, or one there is none of the package.
     """
-    advice, module, found = tomllib.loads((DOCS / "reference" / "errors.toml").read_text()), examples(), classes()
+    advice, module, found = (
+        tomllib.loads((DOCS / "reference" / "errors.toml").read_text()),
+        examples(),
+        classes(),
+    )
     if set(advice) != set(found):
         raise SystemExit(f"docs/reference/errors.toml: {sorted(set(advice) ^ set(found))}")
     lines = [
         "# Errors and warnings",
         "",
         "All errors derive from `dolfinmpm.errors.DolfinMPMError`, all warnings from",
-        "`dolfinmpm.errors.DolfinMPMWarning`. They are raised on all ranks together. The state is that of the",
-        "last converged step, so a program can catch an error, save, and go on.",
+        "`dolfinmpm.errors.DolfinMPMWarning`. They are raised on all ranks together.",
+        "The state is that of the last converged step: a program can catch an error and save.",
         "",
         "The examples use two helpers:",
         "",
@@ -94,7 +99,9 @@ def write_page(write: Any, source: Path) -> None:
     write(source / "reference" / "errors.md", "\n".join(lines))
 
 
-def _entry(name: str, kind: type[Exception], advice: dict[str, str], example: Any, folder: str) -> list[str]:
+def _entry(
+    name: str, kind: type[Exception], advice: dict[str, str], example: Any, folder: str
+) -> list[str]:
     meaning = inspect.getdoc(kind) or ""
     lines = [f"## {name}", "", meaning, "", f"**What to do.** {advice['do']}", ""]
     if example is None:

@@ -15,7 +15,7 @@ def _value(node: ast.expr, names: dict[str, Any]) -> float:
 
 
 def _parts(node: ast.expr) -> tuple[ast.expr, ast.expr] | None:
-    """The figure and the reference of `abs(figure - reference)` or `abs(figure / reference - 1)`."""
+    """Figure and reference of `abs(figure - reference)` or `abs(figure / reference - 1)`."""
     match node:
         case ast.Call(ast.Name("abs"), [ast.BinOp(figure, ast.Sub(), reference)]):
             match figure, reference:

@@ -35,7 +35,8 @@ def add_program(app: Any, name: str, source: list[str]) -> None:
     if not name.startswith("course/") or not program.exists():
         return
     lines = "\n".join(f"    {line}" for line in plain(program.read_text()).split("\n"))
-    whole = f"The plain program\n-----------------\n\n.. code-block:: python\n    :class: plain-program\n\n{lines}\n"
+    block = f".. code-block:: python\n    :class: plain-program\n\n{lines}\n"
+    whole = f"The plain program\n-----------------\n\n{block}"
     mark = ".. _sphx_glr_download"
     before, found, after = source[0].partition(mark)
     source[0] = f"{before}\n{whole}\n{found}{after}"
@@ -58,8 +59,10 @@ def offer_files(app: Any, name: str, source: list[str]) -> None:
     source[0] = re.sub(r"\[([^\[\]]+)\]\((\.\./[^)\s#]+)\)", download, source[0])
 
 
-def read_plainly(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings in plain text: bars are absolute values, what is indented after a colon is code."""
+def read_plainly(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Docstrings are plain text: bars are absolute values, code is indented after a colon."""
     lines[:] = [re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
     for i, line in enumerate(lines[:-2]):
         after = lines[i + 2]

@@ -109,8 +109,8 @@ This takes {seconds} s, and prints:
 ```
 
 {"".join(shown)}
-`--help` lists all options. {{download}}`The program </files/demos/studies/{name}.py>` needs the other
-files of `demos/studies/`.
+`--help` lists all options. {{download}}`The program </files/demos/studies/{name}.py>` needs the
+other files of `demos/studies/`.
 """
     write(SOURCE / "studies" / f"{name}.md", page)
     write(SOURCE / "files" / "demos" / "studies" / f"{name}.py", file.read_text())

@@ -18,6 +18,7 @@ from dolfinmpm._platform.errors import (
     UnknownNameError,
     call_together,
 )
+from dolfinmpm._platform.html import listing
 from dolfinmpm._platform.together import meet, together
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
@@ -303,3 +304,30 @@ class PointTable:
         return tuple(
             np.concatenate([piece[k + 1] for piece in pieces])[order] for k in range(len(names))
         )
+
+    def _repr_html_(self) -> str:
+        """Number of points, dimension and fields with their units, for notebooks."""
+        units = {name: getattr(getattr(self, name, None), "unit", "") for name in self.fields}
+        fields = ", ".join(f"{name} ({unit})" if unit else name for name, unit in units.items())
+        here = {"points on this rank": len(self), "dimension": self.gdim, "fields": fields}
+        return listing(here, "material points")
+
+    def to_pyvista(self, *, deformed: bool = True) -> Any:
+        """The points as a mesh of PyVista, with their domains as cells. Collective.
+
+        All fields of the points and their displacement (m) are arrays of the cells; tensors have
+        nine components, or those that they have.
+
+        Args:
+            deformed: Whether cells are the first domains, deformed by F. Else they are boxes with
+                the half-lengths `l`.
+
+        Returns:
+            A `pyvista.UnstructuredGrid` of the points of all ranks on rank 0; None elsewhere.
+
+        Raises:
+            MissingPackageError: PyVista is not installed.
+        """
+        from dolfinmpm.body.pyvistamesh import of_points
+
+        return of_points(cast("MaterialPoints", self), deformed=deformed)

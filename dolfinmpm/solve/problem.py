@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any, ClassVar
 
 import ufl
@@ -201,6 +202,10 @@ class Problem(ReadOnce):
     def __str__(self) -> str:
         """Fields, bases, stabilisation, laws, terms, conditions, scheme and solver, in lines."""
         return summary(self)
+
+    def _repr_html_(self) -> str:
+        """The same lines, for notebooks."""
+        return f"<pre>{escape(summary(self))}</pre>"
 
     def scheme_lines(self) -> list[str]:
         """Lines of the summary on scheme and solver."""

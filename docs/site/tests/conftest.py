@@ -15,7 +15,9 @@ from selenium.webdriver.chrome.service import Service
 
 DOCS = Path(__file__).resolve().parents[2]
 HTML = DOCS / "_build" / "html"
-PAGES = sorted(str(page.relative_to(HTML)) for page in HTML.rglob("*.html") if "_static" not in page.parts)
+PAGES = sorted(
+    str(page.relative_to(HTML)) for page in HTML.rglob("*.html") if "_static" not in page.parts
+)
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):

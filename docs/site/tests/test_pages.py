@@ -1,4 +1,4 @@
-"""Every page in a browser: no errors, no network, no sideways scrolling, equations, films, links."""
+"""Every page in a browser: no errors, no network, no sideways scrolling, films, links."""
 
 from __future__ import annotations
 
@@ -24,13 +24,18 @@ WORDS = {
     "Newmark": "theory/",
     "permeability": "theory/",
 }
-# what the page is wider than, where it is: the least such elements
+# what reaches beyond the right edge of the page, and cannot be scrolled to by itself
 WIDER = """
 const limit = document.documentElement.clientWidth;
-if (document.documentElement.scrollWidth <= limit) return [];
-return [...document.querySelectorAll('main *')]
-    .filter(e => e.getBoundingClientRect().right > limit + 1)
-    .slice(0, 5).map(e => e.tagName + '.' + e.className);
+const scrolls = e => {
+    for (; e && e.tagName !== 'MAIN'; e = e.parentElement)
+        if (['auto', 'scroll'].includes(getComputedStyle(e).overflowX)) return true;
+    return false;
+};
+const wide = [...document.querySelectorAll('main *')]
+    .filter(e => e.getBoundingClientRect().right > limit + 1 && !scrolls(e));
+if (document.documentElement.scrollWidth > limit) wide.push(document.documentElement);
+return wide.slice(0, 5).map(e => e.tagName + '.' + e.className + ': ' + e.textContent.slice(0, 40));
 """
 UNDRAWN = """
 return [...document.querySelectorAll('.math')].filter(e => !e.querySelector('mjx-container')).length
@@ -106,7 +111,9 @@ def test_light_and_dark(site, browser):
     for mode in ("light", "dark"):
         browser.execute_script(f"document.documentElement.dataset.theme = '{mode}'")
         style = "return getComputedStyle(document.body).{}"
-        colours[mode] = [browser.execute_script(style.format(x)) for x in ("backgroundColor", "color")]
+        colours[mode] = [
+            browser.execute_script(style.format(x)) for x in ("backgroundColor", "color")
+        ]
 
     def brightness(colour):
         return sum(float(x) for x in colour.split("(")[1].rstrip(")").split(",")[:3])

@@ -23,7 +23,9 @@ def printed(page: str) -> str:
 def test_copied(page, site, browser, tmp_path):
     width(browser, 1280)
     browser.get(f"{site}course/{page}.html")
-    program = browser.find_element(By.CSS_SELECTOR, ".plain-program pre").get_property("textContent")
+    program = browser.find_element(By.CSS_SELECTOR, ".plain-program pre").get_property(
+        "textContent"
+    )
     assert len([line for line in program.splitlines() if line.strip()]) <= 60
     (tmp_path / "case.py").write_text(program)
     run = subprocess.run(
