@@ -203,6 +203,21 @@ def momentum(
         ParameterError: The strain formulation is not known or not possible for the law; a tag is
             no whole number; fbar is given with a law that is an energy; or law, points, u or v is
             of another kind.
+
+    Two soils by tags:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> lower = mpm.fill(grid, mpm.Box((0, 0), (4, 1)), 2, density=2000.0, tag=1)
+    >>> points = lower + mpm.fill(grid, mpm.Box((0, 1), (4, 2)), 2, density=1800.0, tag=2)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(5e6, 0.2), points, V.increment, V.test, tag=1)
+    >>> F += mpm.momentum(mpm.materials.NeoHookean(1e6, 0.4), points, V.increment, V.test, tag=2)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom"))
+    >>> print(*[line for line in str(problem).splitlines() if "law:" in line], sep="\n")
+    law: Hencky(E=5e+06, nu=0.2), large strain, tags 1
+    law: NeoHookean(E=1e+06, nu=0.4), large strain, tags 2
     """
     number = _declare(law, points, u, strain, fbar, tag)
     check_displacement(points, v=v)
