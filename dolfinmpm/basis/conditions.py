@@ -325,6 +325,17 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
 
     Raises:
         ParameterError: The space or a place is not valid; see `prescribed`.
+
+    Sides, or any place:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> V = mpm.Space(grid, "gimp")
+    >>> [(c.where, c.component) for c in mpm.fixed(V, "bottom")]
+    [('bottom', 0), ('bottom', 1)]
+    >>> len(mpm.fixed(V, lambda x: x[0] > 3.5))
+    2
     """
     _check_space(space)
     _check_places("fixed", where)
