@@ -24,6 +24,11 @@ class Plane(Shape):
 
     Raises:
         ParameterError: The normal is zero, or point and normal differ in dimension.
+
+    >>> import dolfinmpm as mpm
+    >>> floor = mpm.RigidBody(mpm.Plane(point=(0, 0), normal=(0, 1)), name="floor")
+    >>> floor.position.tolist()
+    [0.0, 0.0]
     """
 
     def __init__(self, point: Sequence[float], normal: Sequence[float]):
@@ -74,6 +79,12 @@ class Cone(Shape):
 
     Raises:
         ParameterError: A size is not positive, or the shaft ends within the cone.
+
+    >>> import dolfinmpm as mpm
+    >>> tip = mpm.Cone(tip=(0, 0, 1), radius=0.0178, semi_angle=30, length=0.5)
+    >>> cone = mpm.RigidBody(tip, velocity=(0.0, 0.0, -0.02), name="cone")
+    >>> cone.position.round(6).tolist()
+    [0.0, 0.0, 1.25]
     """
 
     def __init__(
