@@ -73,6 +73,11 @@ def sweep(scene: Callable[..., Any], places: Sequence[Any], *, label: str = "") 
 
     Raises:
         ParameterError: The list of places is empty, or the scene returns no figures.
+
+    >>> import dolfinmpm as mpm
+    >>> rows = mpm.study.sweep(lambda offset: {"fill": 1.0 - offset}, [0.25, 0.5])
+    >>> rows
+    [{'place': 0.25, 'fill': 0.75}, {'place': 0.5, 'fill': 0.5}]
     """
     listed = _several("places", places)
     return [{"place": place, **_figures(scene, place)} for place in progress(listed, label)]
