@@ -206,6 +206,11 @@ class Ball(Shape):
 
     Raises:
         ParameterError: The radius is not positive, or the centre not finite.
+
+    >>> import dolfinmpm as mpm
+    >>> ball, disc = mpm.Ball((0, 0, 0), radius=1.0), mpm.Disc((0, 0), radius=1.0)
+    >>> round(ball.volume, 4), round(disc.volume, 4)
+    (4.1888, 3.1416)
     """
 
     def __init__(self, centre: float | Sequence[float], radius: float):
