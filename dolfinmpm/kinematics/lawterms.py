@@ -262,6 +262,21 @@ def stress(
 
     Raises:
         ParameterError: See `momentum`; or fbar is given with strain="jaumann".
+
+    Internal forces of the linear theory, written out:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> import ufl
+    >>> sigma = mpm.stress(mpm.materials.Hencky(1e6, 0.0), points, V.increment, strain="small")
+    >>> F = ufl.inner(sigma, ufl.grad(V.test)) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.04)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> points["stress"][0, 1, 1].round(3).item()
+    -10000.0
     """
     number = _declare(law, points, u, strain, fbar, tag)
     declaration = points.declarations[number]
@@ -345,6 +360,17 @@ def set_stress(
             has the tag.
         StateError: A stress lies outside the yield surface, or no elastic strain gives it. The
             message has the point, its stress and its parameters. No point is changed.
+
+    Ground at rest; the vertical stress is 20 kN/m³ times the depth of a point:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> law = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> mpm.set_stress(law, points, mpm.geostatic_stress(surface=2.0, weight=2e4, K0=0.5))
+    >>> points["x"][0].tolist(), points["stress"][0].diagonal().round(6).tolist()
+    ([0.25, 0.25], [-17500.0, -35000.0, -17500.0])
     """
     one = framework(law, points, strain, tag)
     check_in_use("tag", points, one.tags)
