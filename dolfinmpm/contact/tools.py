@@ -54,6 +54,12 @@ class Wedge(Polygon):
 
     Raises:
         ParameterError: The angle is not between 0 and 90 degrees, or the height not positive.
+
+    >>> import dolfinmpm as mpm
+    >>> shape = mpm.Wedge(tip=(2, 2), semi_angle=30, height=1)
+    >>> wedge = mpm.RigidBody(shape, increment=(0.0, -0.01), name="wedge")
+    >>> wedge.position.round(6).tolist()
+    [2.0, 2.5]
     """
 
     def __init__(self, tip: Sequence[float], semi_angle: float, height: float):
