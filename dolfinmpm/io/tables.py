@@ -44,10 +44,11 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
         OSError: The file cannot be written; on all ranks.
 
     >>> import dolfinmpm as mpm
+    >>> from pathlib import Path
     >>> from tempfile import mkdtemp
-    >>> file = f"{mkdtemp()}/table.csv"
+    >>> file = Path(mkdtemp(), "table.csv")
     >>> mpm.study.write_table([{"h": 0.5, "error": 0.1}, {"h": 0.25, "error": None}], file)
-    >>> print(open(file).read().strip())
+    >>> print(file.read_text().strip())
     h,error
     0.5,0.1
     0.25,
