@@ -38,16 +38,20 @@ bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")
 problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost")
 
 # %%
-# The weight grows in 40 steps. A probe follows the crest. A step that does not converge is halved
+# The weight grows in 40 steps. ``mpm.animate`` makes a film: each ``film.write`` adds a picture.
+# A probe follows the crest. A step that does not converge is halved
 # by the solver, and nothing is written before it has converged.
 
 crest = mpm.probe(points, (6.8, 5.8))
 curve = mpm.History()
-for share in mpm.steps(40, label="weight"):
-    N = 7.5 * share
-    gravity.value[1] = -N * c / (density * H)
-    problem.step()
-    curve.record(N=N, crest=crest)
+look = {"limits": (0, 1), "title": "share of the weight {time:.2f}", "size": (6.5, 3.0)}
+with mpm.animate(points, "output/slope.gif", "plastic_strain", **look) as film:
+    for share in mpm.steps(40, label="weight"):
+        N = 7.5 * share
+        gravity.value[1] = -N * c / (density * H)
+        problem.step()
+        curve.record(N=N, crest=crest)
+        film.write(share)
 
 # %%
 # Failure is where the crest begins to run away.
@@ -56,7 +60,6 @@ moved = -curve["crest_y"]
 limit = curve["N"][np.diff(moved, prepend=0.0) > 0.005 * H][0]
 if grid.comm.rank == 0:
     print(f"fails at N = {limit:.2f}; the crest has sunk by {moved[-1]:.2f} m in the end")
-mpm.plot(points, "output/slope.png", "plastic_strain", limits=(0, 1), size=(6.5, 3.0))
 assert 5.2 < limit < 6.0
 
 # %%

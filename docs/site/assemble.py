@@ -96,6 +96,16 @@ def renew_results() -> None:
     write(stamp, digest.hexdigest())
 
 
+def check_cards() -> None:
+    """Ends the build where a demo has no card in the gallery, or a card no program."""
+    import cards
+
+    named = set(cards.entries()["demos"])
+    there = {file.stem for file in (ROOT / "demos").glob("*.py")}
+    if named != there:
+        raise SystemExit(f"docs/site/gallery.toml: cards and demos differ: {sorted(named ^ there)}")
+
+
 def main() -> None:
     SOURCE.mkdir(parents=True, exist_ok=True)
     forget(SOURCE, copy_pages(), PAGES)
@@ -105,6 +115,7 @@ def main() -> None:
     import errorindex
     import studies
 
+    check_cards()
     api.write_pages(write, SOURCE)
     errorindex.write_page(write, SOURCE)
     studies.run_studies(os.environ.get("DOLFINMPM_SITE_EXAMPLES") != "none")

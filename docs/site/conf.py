@@ -97,7 +97,9 @@ sphinx_gallery_conf = {
 # pages
 html_theme = "pydata_sphinx_theme"
 html_title = "dolfinmpm"
-html_static_path = ["static"]
+made = SITE.parent / "_build" / "static"
+made.mkdir(parents=True, exist_ok=True)
+html_static_path = ["static", str(made)]
 html_favicon = "static/logo.svg"
 html_domain_indices = False
 html_css_files = ["site.css"]

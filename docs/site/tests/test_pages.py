@@ -24,13 +24,18 @@ WORDS = {
     "Newmark": "theory/",
     "permeability": "theory/",
 }
-# what the page is wider than, where it is: the least such elements
+# what reaches beyond the right edge of the page, and cannot be scrolled to by itself
 WIDER = """
 const limit = document.documentElement.clientWidth;
-if (document.documentElement.scrollWidth <= limit) return [];
-return [...document.querySelectorAll('main *')]
-    .filter(e => e.getBoundingClientRect().right > limit + 1)
-    .slice(0, 5).map(e => e.tagName + '.' + e.className);
+const scrolls = e => {
+    for (; e && e.tagName !== 'MAIN'; e = e.parentElement)
+        if (['auto', 'scroll'].includes(getComputedStyle(e).overflowX)) return true;
+    return false;
+};
+const wide = [...document.querySelectorAll('main *')]
+    .filter(e => e.getBoundingClientRect().right > limit + 1 && !scrolls(e));
+if (document.documentElement.scrollWidth > limit) wide.push(document.documentElement);
+return wide.slice(0, 5).map(e => e.tagName + '.' + e.className + ': ' + e.textContent.slice(0, 40));
 """
 UNDRAWN = """
 return [...document.querySelectorAll('.math')].filter(e => !e.querySelector('mjx-container')).length
