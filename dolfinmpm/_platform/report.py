@@ -41,6 +41,12 @@ def info() -> str:
     Returns:
         One line an entry; a session that evaluates `dolfinmpm.info()` shows it as
         printed. Not collective: what is said holds for the rank that asks.
+
+    What a report of a fault begins with:
+
+    >>> import dolfinmpm as mpm
+    >>> print(mpm.info().splitlines()[0].split()[0])
+    dolfinmpm
     """
     import dolfinx
 

@@ -92,6 +92,17 @@ class Boundary:
         ParameterError: A value is not finite, an area is zero, or the normals point into the body.
         EmptyShapeError: There is no marker.
         PointsOutsideGridError: A marker is outside the grid.
+
+    A boundary through the cells, cut at the grid's lines:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> corners = [(0.3, 0.3), (3.3, 0.3), (3.3, 2.3), (0.3, 2.3)]
+    >>> points = mpm.fill(grid, mpm.Polygon(corners), per_cell=2, density=2000.0, exact=True)
+    >>> edge = mpm.Boundary.from_polygon(points, corners)
+    >>> round(edge.total_area, 12)
+    10.0
     """
 
     @together(own=("x", "area"))

@@ -57,6 +57,22 @@ class RigidFooting(ReadOnce):
         ParameterError: The surface has no axis for its normal, the settlement is not a
             scalar constant, or neither E nor the stiffness is positive and finite; or an
             argument is assigned to later.
+
+    A footing of 2 m, 1 cm down:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> from dolfinx import fem
+    >>> top = mpm.Surface(points, lambda x: (x[1] > 1.9) & (x[0] < 2.0), normal=(0, 1))
+    >>> footing = mpm.RigidFooting(top, fem.Constant(grid, 0.01), E=1e6)
+    >>> F += footing.contact(V.increment, V.test)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> round(footing.load(), -2)
+    16000.0
     """
 
     _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})

@@ -39,6 +39,15 @@ class PointChange:
     Attributes:
         count: Number of points, on all ranks.
         mass: Their mass (kg), on all ranks.
+
+    What an excavation took away:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> points.remove(points["x"][:, 1] > 1.0)
+    PointChange(count=16, mass=8000.0)
     """
 
     count: int

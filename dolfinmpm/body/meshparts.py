@@ -67,6 +67,15 @@ def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., A
 
     Raises:
         ParameterError: The shape is none.
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinx.mesh import create_unit_square
+    >>> from mpi4py import MPI
+    >>> first = create_unit_square(MPI.COMM_WORLD, 4, 4)
+    >>> share = mpm.partitioner(mpm.Box((0, 0), (1, 0.5)), first)
+    >>> grid = create_unit_square(MPI.COMM_WORLD, 4, 4, partitioner=share)
+    >>> grid.topology.index_map(2).size_global
+    32
     """
     if not isinstance(shape, Shape):
         raise ParameterError(f"shape = {shape!r} must be a shape, such as mpm.Box or mpm.Polygon")

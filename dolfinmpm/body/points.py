@@ -128,6 +128,21 @@ class MaterialPoints(PointTable):
         PointsOutsideGridError: A point is not in its cell.
         UnsupportedGridError: The cells are curved, or coordinates of single precision; the grid of
             axisymmetric points is not two-dimensional, or reaches beyond the axis.
+
+    Fields are arrays, and names of fields are symbols for UFL:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> points.total, points["x"].shape, points.x.ufl_shape
+    (32, (32, 2), (2,))
+    >>> points["density"][points["x"][:, 1] > 1.0] = 1800.0
+    >>> float(points["V"] @ points["density"])
+    15200.0
+    >>> water = points.add_field("saturation", unit="-", value=1.0)
+    >>> points["saturation"].sum().item()
+    32.0
     """
 
     @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))

@@ -57,6 +57,20 @@ def probe(points: MaterialPoints, place: npt.ArrayLike) -> Probe:
     Raises:
         ParameterError: The points are none, the place is no position, no point is near, or the
             ranks give different places.
+
+    A place between the points:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> crest = mpm.probe(points, (2.0, 2.0))
+    >>> down = mpm.fixed(V, "bottom") + mpm.prescribed(V, lambda x: x[1] > 1.5, 1, increment=-0.01)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, down).step()
+    >>> crest.displacement.round(4).tolist(), round(crest.settlement, 4)
+    ([0.0, -0.01], 0.01)
     """
     return Probe(points, place)
 

@@ -82,6 +82,21 @@ class Surface:
             on the axis of an axisymmetric one.
         EmptyShapeError: No face lies there.
         UnsupportedGridError: The grid is not rectangular.
+
+    A pressure of 10 kPa on the top of a block:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> top = mpm.Surface(points, lambda x: x[1] > 1.9, normal=(0, 1))
+    >>> F += top.pressure(10e3, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, bcs).step()
+    >>> top.total_area, top.mean_displacement().round(4).tolist()
+    (4.0, [0.0, -0.0147])
     """
 
     @together

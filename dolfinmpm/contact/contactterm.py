@@ -238,6 +238,20 @@ def contact(
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A plate presses a block by 1 cm:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> plate = mpm.RigidBody(mpm.Plane((0, 2), (0, -1)), increment=(0.0, -0.01), name="plate")
+    >>> F += mpm.contact(plate, points, V.increment, V.test, penalty=100.0)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, mpm.fixed(V, "bottom")).step()
+    >>> plate.force[1].round(-2).item()
+    23400.0
     """
     check_kind("body", body, RigidBody, "make it with mpm.RigidBody(shape)")
     check_points(points)

@@ -85,6 +85,11 @@ class Stabilisation:
     Raises:
         ParameterError: A parameter has the wrong type or a value outside its range, or the kind
             has no such parameter. The message names the parameter.
+
+    >>> import dolfinmpm as mpm
+    >>> weak = mpm.Stabilisation("ghost", factor=0.1)
+    >>> weak.kind, weak.factor, mpm.Stabilisation.takes("aggregation")
+    ('ghost', 0.1, ('threshold',))
     """
 
     kind: str = "none"

@@ -95,6 +95,10 @@ def times(
     Raises:
         ParameterError: The times do not increase, or are too many. Or dt is given together with
             several times, at_once is not positive, or a pass of an automatic loop took no step.
+
+    >>> import dolfinmpm as mpm
+    >>> [round(float(t), 3) for t in mpm.times(0.3, dt=0.1)]
+    [0.1, 0.2, 0.3]
     """
     start = number("start", start, unit="s")
     if np.ndim(end) == 1:

@@ -207,6 +207,12 @@ def cell_size(grid: Mesh) -> fem.Constant | fem.Function:
     Returns:
         A Constant (m) where all cells have the same size; otherwise a piecewise
         constant function, which needs `ufl.avg` in a facet term.
+
+    >>> import dolfinmpm as mpm
+    >>> from dolfinx.mesh import create_unit_square
+    >>> from mpi4py import MPI
+    >>> float(mpm.cell_size(create_unit_square(MPI.COMM_WORLD, 4, 4)).value)
+    0.25
     """
     gdim = grid.topology.dim
     simplex = grid.topology.cell_type in (CellType.triangle, CellType.tetrahedron)

@@ -67,6 +67,19 @@ class Film:
 
     Attributes:
         path: The film that `close` writes.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> film = mpm.animate(points, Path(mkdtemp(), "block.gif"), "density", size=(2, 2), dpi=50)
+    >>> for time in (0.0, 1.0):
+    ...     film.write(time)
+    >>> film.close()
+    >>> film.path.exists()
+    True
     """
 
     def __init__(

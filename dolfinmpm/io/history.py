@@ -36,6 +36,13 @@ class History:
 
     Attributes:
         names: Names of the numbers, in the order of the first record.
+
+    >>> import dolfinmpm as mpm
+    >>> curve = mpm.History()
+    >>> for share in mpm.steps(2):
+    ...     curve.record(share=share, load=-1e4 * share)
+    >>> curve["load"].tolist()
+    [-5000.0, -10000.0]
     """
 
     def __init__(self, comm: MPI.Comm = MPI.COMM_WORLD):

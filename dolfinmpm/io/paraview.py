@@ -22,6 +22,7 @@ from dolfinmpm.body.location import bounds
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies
 from dolfinmpm.io.ownership import refuse_other, take_paths
+from dolfinmpm.io.paraviewrecipe import recipe_text
 from dolfinmpm.io.vtkfiles import (
     Arrays,
     index_text,
@@ -43,6 +44,11 @@ class ParaView:
     the folder `output/column/`. Both series are complete after every write, so that ParaView opens
     the files of an interrupted run. Parent folders are created. Files of an earlier run are
     replaced. Collective: all ranks must create the writer.
+
+    `output/column_paraview.py` is a program for ParaView. It shows the last time: the points as
+    boxes 2 l wide with the colours of the first field, the grid as lines, the bodies.
+    `pvpython column_paraview.py last.png` draws it, and `paraview --script=column_paraview.py`
+    opens it.
 
     The points carry the following fields, where d is the dimension of space. Two components are
     padded to three, and 2 × 2 tensors to nine (with F_zz = 1 and the rest 0).
@@ -110,6 +116,7 @@ class ParaView:
         call_together(self.comm, self._check_arguments)
         self._mesh = call_together(self.comm, lambda: _GridMesh(points.grid, self._increments))
         self._on_root(self._write_series)
+        self._on_root(self._write_recipe)
         take_paths(self, self._paths)
 
     def __enter__(self) -> ParaView:
@@ -255,6 +262,24 @@ class ParaView:
         for path, (times, stem, kind) in zip(self._paths, series):
             files = (f"{folder}/{stem}_{number:06d}.{kind}" for number in range(len(times)))
             replace_file(path, series_text(times, files))
+
+    def _write_recipe(self) -> None:
+        """Write the program that opens the series in ParaView, if the points have a field."""
+        arrays, units = self._point_data()
+        names = [name for name in arrays if name != "id"] or list(arrays)
+        if not names:
+            return
+        size, d = arrays[names[0]].shape[1], self.points.gdim
+        text = recipe_text(
+            self._folder.name,
+            names[0],
+            units[names[0]],
+            {1: "", 9: 2 * "xyz"[d - 1]}.get(size, "Magnitude"),
+            bool(self._bodies),
+            boxes="l" in arrays,
+            flat=d < 3,
+        )
+        replace_file(self.path.with_name(f"{self._folder.name}_paraview.py"), text)
 
     def _on_root(self, action, *arguments) -> None:
         def act() -> None:

@@ -92,6 +92,17 @@ def plot(
     Raises:
         ParameterError: An argument has the wrong type or value, or no point is in view.
         OSError: The file cannot be written.
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> file = Path(mkdtemp(), "points.png")
+    >>> mpm.plot(points, file, "displacement", size=(2, 2), dpi=50)
+    >>> file.stat().st_size > 1000
+    True
     """
     check_kind("points", points, MaterialPoints, "plot(points, path)")
     if draw is None:

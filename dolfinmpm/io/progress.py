@@ -33,6 +33,10 @@ def steps(number: int, *, label: str = "") -> Iterator[float]:
 
     Raises:
         ParameterError: The number is not a whole number of at least 1.
+
+    >>> import dolfinmpm as mpm
+    >>> list(mpm.steps(4))
+    [0.25, 0.5, 0.75, 1.0]
     """
     count = whole("number of steps", number, 1)
     # checked here, because a generator would check only at the first step

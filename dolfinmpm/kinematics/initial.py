@@ -208,6 +208,12 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
     Raises:
         ParameterError: A number is not finite; weight or K0 is negative; K0 is above 100; or
             surface and weight look swapped. The returned function raises it for values at points.
+
+    >>> import dolfinmpm as mpm
+    >>> import numpy as np
+    >>> stress = mpm.geostatic_stress(surface=10.0, weight=2e4, K0=0.5)
+    >>> stress(np.array([[0.0], [8.0]]))[0].diagonal().tolist()
+    [-20000.0, -40000.0, -20000.0]
     """
 
     def checked(name: str, value: npt.ArrayLike, low: float) -> Array:

@@ -177,6 +177,20 @@ def dirichlet(
     Raises:
         ParameterError: An argument is not valid; beta and stiffness are both given; or the law is
             missing.
+
+    The left face lies within cells, and moves by one centimetre:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0.3, 0), (3.3, 2)), per_cell=2, density=2000.0)
+    >>> V, law = mpm.Space(grid, "gimp"), mpm.materials.Hencky(1e6, 0.3)
+    >>> F = mpm.momentum(law, points, V.increment, V.test)
+    >>> left = mpm.Boundary.from_polygon(points, [(0.3, 2), (0.3, 0)], closed=False)
+    >>> F += mpm.dirichlet(left, V.increment, V.test, (0.01, 0.0), law=law)
+    >>> record = mpm.QuasiStatic(F, V.increment, points, stabilisation="ghost").step()
+    >>> (points["x"] - points["x0"])[-1, 0].round(6).item()
+    0.01
     """
     check_kind("boundary", boundary, Boundary, "make it with mpm.Boundary.from_polygon(...)")
     markers, d = boundary.markers, boundary.points.gdim

@@ -174,6 +174,21 @@ def signorini(
     Raises:
         ParameterError: An argument is not valid; the boundary moves with a body; or law and
             stiffness are both missing.
+
+    A body is pushed to the right, against a wall:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> wall = mpm.Boundary.from_side(points, "right")
+    >>> F += mpm.signorini(wall, V.increment, V.test, law=mpm.materials.Hencky(1e6, 0.3))
+    >>> push = mpm.prescribed(V, "left", 0, increment=0.01) + mpm.rollers(V, "bottom")
+    >>> record = mpm.QuasiStatic(F, V.increment, points, push).step()
+    >>> round(float(wall.force()[0]), -2)
+    -5500.0
     """
     check_kind(
         "boundary", boundary, Boundary, 'make it with mpm.Boundary.from_side(points, "left")'

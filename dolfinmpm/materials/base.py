@@ -57,6 +57,11 @@ class Law(Parametrised):
 
     An elastic law has no strengths and no friction angles: both are empty. None means that the
     strength of the law is unknown. See `Parametrised` for the values of parameters.
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> isinstance(law, mpm.materials.Law), list(law.parameters), law.strengths
+    (True, ['E', 'nu'], ())
     """
 
     symmetric: bool = False

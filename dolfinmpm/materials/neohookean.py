@@ -27,6 +27,13 @@ class NeoHookean(Parametrised):
 
     Raises:
         ParameterError: A parameter is outside its range.
+
+    The modulus grows with the height:
+
+    >>> import dolfinmpm as mpm
+    >>> law = mpm.materials.NeoHookean(E=lambda x: 1e6 + 1e5 * x[1], nu=0.3)
+    >>> law.varies
+    True
     """
 
     parameters = ELASTIC

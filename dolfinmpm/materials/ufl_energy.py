@@ -72,6 +72,16 @@ class EnergyWithYield(Law):
         FormError: The result of a function is not a UFL scalar, or FFCx cannot compile it.
 
     Collective over all ranks: the functions are compiled.
+
+    Hencky's energy with the yield function of von Mises:
+
+    >>> import dolfinmpm as mpm
+    >>> import ufl
+    >>> def energy(e, K, G):
+    ...     return (K / 2 - G / 3) * sum(e) ** 2 + G * ufl.inner(e, e)
+    >>> law = mpm.materials.EnergyWithYield(energy, yield_stress=1e3, K=4e6 / 3, G=8e5)
+    >>> law.respond([[2e-3, -1e-3, -1e-3]]).stress[0].round(6).tolist()
+    [666.666667, -333.333333, -333.333333]
     """
 
     def __init__(

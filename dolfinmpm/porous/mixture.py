@@ -151,6 +151,22 @@ def poromechanics(
     Warns:
         UnstablePairWarning: u and p have the same cells and projection is "none"; or u has coarser
             cells than p, or a lower degree; see `dolfinmpm.porous.projection`.
+
+    A load of 10 kPa goes to the water at first:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(2), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (1, 4)), per_cell=2, density=1800.0)
+    >>> V, Q = mpm.Space(grid, "gimp"), mpm.Space(grid, "gimp", shape=())
+    >>> u, v, p, q = V.increment, V.test, Q.increment, Q.test
+    >>> clay = mpm.materials.Hencky(E=1e6, nu=0.3)
+    >>> F = mpm.poromechanics(clay, points, (u, p), (v, q), permeability=1e-9, porosity=0.4)
+    >>> F += mpm.Surface(points, lambda x: x[1] > 3.9, (0, 1)).pressure(1e4, u, v)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.rollers(V, "left", "right") + mpm.fixed(Q, "top")
+    >>> record = mpm.Transient(F, [u, p], points, bcs).step(1.0)
+    >>> points["pressure"][:4].round(-2).tolist()
+    [10000.0, 10000.0, 10000.0, 10000.0]
     """
     check_points(points)
     u, p, v, q = _fields(points, fields, tests)

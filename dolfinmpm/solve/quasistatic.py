@@ -103,6 +103,20 @@ class QuasiStatic(Problem):
         ParameterError: An argument has the wrong type or a value outside its range.
         FormError: A term of the form cannot be evaluated in its integral.
         ConflictingConditionsError: Two conditions contradict each other.
+
+    A block in an oedometer, 1 % shorter:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 4)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(E=1e6, nu=0.0), points, V.increment, V.test)
+    >>> bcs = mpm.fixed(V, "bottom") + mpm.prescribed(V, "top", 1, increment=-0.04)
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs)
+    >>> record = problem.step()
+    >>> points["stress"][0, 1, 1].round(2).item()
+    -10151.85
     """
 
     _live = frozenset({"tolerance", "max_iterations", "max_halvings"})

@@ -40,6 +40,11 @@ def reduced_strength(cohesion: float, friction_angle: float, factor: float) -> t
 
     Warns:
         DegreesWarning: The angle looks like an angle in radians.
+
+    >>> import dolfinmpm as mpm
+    >>> c, phi = mpm.study.reduced_strength(cohesion=10e3, friction_angle=20.0, factor=1.4)
+    >>> round(c, 1), round(phi, 2)
+    (7142.9, 14.57)
     """
     number("factor", factor, 0.0)
     number("cohesion", cohesion, 0.0, unit="Pa", closed=True)
@@ -111,6 +116,23 @@ def factor_of_safety(
         ParameterError: A number is out of range; the loading is no generator of problems or has
             fewer than two steps; no law has a strength, or a law does not tell its strength; the
             body fails already at `low`, or still stands at `high`.
+
+    An undrained block under its own weight, in coarse steps:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> import ufl
+    >>> F = mpm.momentum(mpm.materials.Tresca(1e6, 0.3, 15e3), points, V.increment, V.test)
+    >>> F -= ufl.inner(points.density * ufl.as_vector((0.0, -9.81)), V.test) * points.dX
+    >>> bcs = mpm.fixed(V, "bottom")
+    >>> problem = mpm.QuasiStatic(F, V.increment, points, bcs, stabilisation="ghost")
+    >>> record = problem.step()
+    >>> found = mpm.study.factor_of_safety(problem, 1.0, 4.0, tolerance=0.5, steps=2)
+    >>> found.bracket, [(t.factor, t.stands) for t in found.trials]
+    ((2.125, 2.5), [(1.0, True), (1.75, True), (2.125, True), (2.5, False), (4.0, False)])
     """
     if not 0 < number("low", low) < number("high", high):
         raise ParameterError(f"low = {low} and high = {high} must be positive and increase")
