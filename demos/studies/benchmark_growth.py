@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from options import Options, option
 from petsc4py import PETSc
-from scene import finish, numbers, parser, say, stage_seconds
+from scene import finish, say, stage_seconds
 
 import dolfinmpm as mpm
 
@@ -267,13 +269,16 @@ def growth(args: Any) -> dict[str, Any]:
     return found
 
 
+@dataclass
+class Input(Options):
+    """One case of the growth of time with points, cells and ranks."""
+
+    case: str = option("explicit", choices=KINDS)
+    points: int = option(10_000, "about so many")
+    room: list[int] = option([1], "times the grid that the body needs; in turn")
+    calls: int = option(5, "that are timed, see STEPS_A_CALL")
+
+
 if __name__ == "__main__":
-    options = parser("One case of the growth of time with points, cells and ranks.")
-    options.add_argument("--case", choices=KINDS, default="explicit")
-    options.add_argument("--points", type=int, default=10_000, help="about so many")
-    options.add_argument(
-        "--room", type=numbers(int), default=[1], help="times the grid that the body needs; in turn"
-    )
-    options.add_argument("--calls", type=int, default=5, help="that are timed, see STEPS_A_CALL")
-    args = options.parse_args()
+    args = Input.parse()
     finish(args, one_case(args))

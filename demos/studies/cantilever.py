@@ -26,6 +26,7 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
@@ -33,7 +34,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -71,28 +73,24 @@ def elastica_tip(alpha):
     return 1 - x[-1], y[-1]
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A cantilever under a dead load at its tip.")
-    options.add_argument("--h", type=float, default=0.25, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=6, help="in each direction")
-    options.add_argument("--steps", type=int, default=50)
-    options.add_argument("--modulus", type=float, default=12e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.2)
-    options.add_argument("--load", type=float, default=100e3, help="downwards (N/m)")
-    options.add_argument("--length", type=float, default=10.0, help="m")
-    options.add_argument("--depth", type=float, default=1.0, help="m")
-    options.add_argument("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    options.add_argument("--ghost", choices=("none", "literal", "scaled"), default="none")
-    options.add_argument("--factor", type=float, default=1.0, help="ghost penalty in units of E/30")
-    options.add_argument(
-        "--stages",
-        type=float,
-        nargs="+",
-        default=[1.0, 2.0, 4.0, 6.0, 8.0, 10.0],
-        help="values of PL²/EI to report and draw",
+@dataclass
+class Input(Options):
+    """A cantilever under a dead load at its tip."""
+
+    h: float = positive(0.25, "size of the cells (m)")
+    points_per_cell: int = natural(6, "in each direction")
+    steps: int = natural(50)
+    modulus: float = positive(12e6, "Young's modulus (Pa)")
+    poisson: float = 0.2
+    load: float = option(100e3, "downwards (N/m)")
+    length: float = option(10.0, "m")
+    depth: float = option(1.0, "m")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    ghost: str = option("none", choices=("none", "literal", "scaled"))
+    factor: float = option(1.0, "ghost penalty in units of E/30")
+    stages: float = option(
+        [1.0, 2.0, 4.0, 6.0, 8.0, 10.0], "values of PL²/EI to report and draw", nargs="+"
     )
-    return options.parse_args(words)
 
 
 # %% [markdown]
@@ -245,7 +243,7 @@ def picture(path, shapes, curve, stages, length, depth, downwards):
 
 # %%
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     length, depth = args.length, args.depth
     scene = Beam(args)
     problem, points, comm, full = scene.problem, scene.points, scene.grid.comm, scene.full

@@ -18,33 +18,36 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from motion import add_options, parse, problem_of, times_of
+from motion import Moving, problem_of, times_of
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import option, other_default, positive
+from scene import draw_points, finish, say, solver_figures
 from scipy.optimize import brentq
 from scipy.sparse.linalg import spsolve
 
 import dolfinmpm as mpm
 
 
-def arguments():
-    """The command line."""
-    options = parser("A cantilever swings under gravity that acts in one go.")
-    options.add_argument("--length", type=float, default=4.0, help="m")
-    options.add_argument("--depth", type=float, default=1.0, help="m")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--density", type=float, default=1050.0, help="kg/m^2")
-    options.add_argument("--gravity", type=float, default=5.0, help="downwards (m/s^2)")
-    add_options(options, h=0.25)
-    options.add_argument("--duration", type=float, default=2.5, help="s")
-    return parse(options, courant=2.0)
+@dataclass
+class Input(Moving):
+    """A cantilever swings under gravity that acts in one go."""
+
+    length: float = option(4.0, "m")
+    depth: float = option(1.0, "m")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    density: float = positive(1050.0, "kg/m^2")
+    gravity: float = option(5.0, "downwards (m/s^2)")
+    h: float = other_default(Moving, "h", 0.25)
+    duration: float = option(2.5, "s")
 
 
-args = arguments()
+args = Input.parse()
 comm = MPI.COMM_WORLD
 L, d, h, E, nu = args.length, args.depth, args.h, args.modulus, args.poisson
 speed = np.sqrt(E * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / args.density)

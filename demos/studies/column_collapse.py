@@ -26,12 +26,14 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from options import BASES, Options, natural, option, positive, switch
+from scene import draw_points, finish, say
 
 import dolfinmpm as mpm
 
@@ -46,8 +48,8 @@ LINE = np.array(
     [(0.021, 0.0989), (0.080, 0.0652), (0.120, 0.0368), (0.160, 0.0104), (0.179, 0.0005)]
 )
 COLUMN = 0.01
+STRAINS = "large", "small", "jaumann"
 TIMES = [0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5]
-BASES = ("linear", "gimp", "bspline2", "bspline3")
 
 
 # %%
@@ -64,66 +66,47 @@ def words(*allowed):
     return read
 
 
-def arguments(words_given=None):
-    """The command line."""
-    options = parser("A column of sand collapses under its weight.")
-    options.add_argument("--width", type=float, default=0.2, help="(m)")
-    options.add_argument("--height", type=float, default=0.1, help="(m)")
-    options.add_argument("--modulus", type=float, default=0.84e6, help="Young's (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--friction-angle", type=float, default=21.9, help="(degrees)")
-    options.add_argument("--density", type=float, default=2040.0, help="(kg/m³)")
-    options.add_argument("--gravity", type=float, default=10.0, help="(m/s²)")
-    options.add_argument("--h", type=float, default=0.005, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--basis", choices=BASES, default="gimp")
-    options.add_argument(
-        "--domains", choices=("stretch", "volume", "fixed"), default="fixed", help="how they grow"
-    )
-    options.add_argument("--fbar", choices=("on", "off"), default="on")
-    options.add_argument(
-        "--means", choices=("auto", "centres", "domains"), default="auto", help="F-bar's; see below"
-    )  # fmt: skip
-    options.add_argument("--strain", choices=("large", "small", "jaumann"), default="large")
-    options.add_argument("--integrator", choices=("implicit", "explicit"), default="explicit")
-    options.add_argument(
-        "--law", choices=("mohr-coulomb", "drucker-prager"), default="mohr-coulomb"
-    )
-    options.add_argument("--duration", type=float, default=0.607, help="(s)")
-    options.add_argument(
-        "--times", type=numbers(float), default=TIMES, help="at which to measure (s), by commas"
-    )
-    options.add_argument(
-        "--scheme", choices=("musl", "usl", "usf"), default="musl", help="explicit"
-    )
-    options.add_argument("--courant", type=float, default=0.8, help="explicit: of the stable step")
-    options.add_argument("--dt", type=float, default=5e-4, help="implicit: step (s)")
-    options.add_argument("--mass", choices=("lumped", "consistent"), default="lumped")
-    options.add_argument("--mapping", help="of velocities; see below")
-    options.add_argument("--stabilisation", default="none", help="besides that of the mass")
-    options.add_argument(
-        "--full", action="store_true", help="115 200 points: E = 5.84 MPa, h = 2.5 mm, 6² a cell"
-    )
-    options.add_argument("--variants", action="store_true", help="all of the lists below")
-    options.add_argument(
-        "--integrators", type=words("implicit", "explicit"), default=["implicit", "explicit"]
-    )
-    options.add_argument("--bases", type=words(*BASES), default=["linear", "gimp", "bspline2"])
-    options.add_argument("--fbars", type=words("on", "off"), default=["on", "off"])
-    options.add_argument(
-        "--strains", type=words("large", "small", "jaumann"), default=["large", "small", "jaumann"]
-    )
-    given = options.parse_args(words_given)
-    if given.full:
-        given.modulus, given.h, given.points_per_cell = 5.84e6, 0.0025, 6
-    if min(given.width, given.height, given.h, given.duration, given.dt) <= 0:
-        options.error("lengths and times must be positive")
-    if given.points_per_cell < 1:
-        options.error("points-per-cell must be at least 1")
-    if given.times != sorted(given.times) or given.times[:1] <= [0.0]:
-        options.error("times must be positive and rise")
-    given.times = [t for t in given.times if t < given.duration] + [given.duration]
-    return given
+@dataclass
+class Input(Options):
+    """A column of sand collapses under its weight."""
+
+    width: float = positive(0.2, "(m)")
+    height: float = positive(0.1, "(m)")
+    modulus: float = positive(0.84e6, "Young's (Pa)")
+    poisson: float = 0.3
+    friction_angle: float = option(21.9, "(degrees)")
+    density: float = positive(2040.0, "(kg/m³)")
+    gravity: float = option(10.0, "(m/s²)")
+    h: float = positive(0.005, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=BASES)
+    domains: str = option("fixed", "how they grow", choices=("stretch", "volume", "fixed"))
+    fbar: str = switch("on")
+    means: str = option("auto", "F-bar's; see below", choices=("auto", "centres", "domains"))
+    strain: str = option("large", choices=STRAINS)
+    integrator: str = option("explicit", choices=("implicit", "explicit"))
+    law: str = option("mohr-coulomb", choices=("mohr-coulomb", "drucker-prager"))
+    duration: float = positive(0.607, "(s)")
+    times: list[float] = option(TIMES, "at which to measure (s), by commas", above=0)
+    scheme: str = option("musl", "explicit", choices=("musl", "usl", "usf"))
+    courant: float = option(0.8, "explicit: of the stable step")
+    dt: float = positive(5e-4, "implicit: step (s)")
+    mass: str = option("lumped", choices=("lumped", "consistent"))
+    mapping: str | None = option(None, "of velocities; see below")
+    stabilisation: str = option("none", "besides that of the mass")
+    full: bool = option(False, "115 200 points: E = 5.84 MPa, h = 2.5 mm, 6² a cell")
+    variants: bool = option(False, "all of the lists below")
+    integrators: list[str] = option(["implicit", "explicit"], choices=("implicit", "explicit"))
+    bases: list[str] = option(["linear", "gimp", "bspline2"], choices=BASES)
+    fbars: list[str] = option(["on", "off"], choices=("on", "off"))
+    strains: list[str] = option(list(STRAINS), choices=STRAINS)
+
+    def _check(self):
+        if self.full:
+            self.modulus, self.h, self.points_per_cell = 5.84e6, 0.0025, 6
+        if self.times != sorted(self.times):
+            raise ValueError("times must rise")
+        self.times = [t for t in self.times if t < self.duration] + [self.duration]
 
 
 # %% [markdown]
@@ -453,7 +436,7 @@ def trends(results):
 
 # %%
 if __name__ == "__main__":
-    args = arguments()
+    args = Input.parse()
     if args.variants:
         results = []
         for integrator, basis, strain, fbar in itertools.product(

@@ -46,12 +46,14 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say, solver_figures
+from options import Options, natural, option, positive, switch
+from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -67,46 +69,43 @@ TAYLOR = {0.0: {60: 0.191, 75: 0.219}, FRICTION: {45: 0.044, 60: 0.079, 75: 0.11
 FAILS = 0.05  # displacement by H, per unit of N
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A saturated slope is brought to failure, fast and slowly.")
-    add = options.add_argument
-    add("--law", choices=("cam-clay", "mohr-coulomb"), default="mohr-coulomb")
-    add("--rate", type=numbers(str), default=["fast", "slow"], help="fast, slow, by commas")
-    add("--duration", type=float, help="c_v t/H² of the rise, in place of --rate")
-    add("--hold", type=float, default=0.0, help="c_v t/H² for which the last load stays")
-    add("--hold-steps", type=int, default=30)
-    add("--no-limits", action="store_true", help="without the problems of one field")
-    add("--load", type=float, default=6.4, help="N = γ'H/c_u at the end")
-    add("--steps", type=int, default=32, help="of the load")
-    add("--ratio", type=float, default=1.0, help="Cam-Clay: overconsolidation ratio R")
-    add("--dilation", type=float, default=0.0, help="Mohr-Coulomb: angle (degrees)")
-    add("--surface-suction", type=float, help="kPa; 50 with Cam-Clay, 0 with Mohr-Coulomb")
-    add("--rigidity-index", type=float, default=100.0, help="G/c_u")
-    add("--slope", type=float, default=60.0, help="its angle (degrees)")
-    add("--h", type=float, default=0.5, help="size of the cells (m), divides 1")
-    add("--points-per-cell", type=int, default=2, help="in each direction")
-    add("--basis", choices=("linear", "gimp", "bspline2"), default="gimp")
-    add("--fbar", choices=("on", "off"), help="of the soil; on where friction drains")
-    add("--pair", choices=("equal", "nested", "linear"), default="equal", help="of the pressure")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="ghost")
-    given = options.parse_args(words)
-    if given.surface_suction is None:
-        given.surface_suction = SUCTION / 1e3 if given.law == "cam-clay" else 0.0
-    if given.duration is not None:
-        given.rate = ["timed"]
-    if given.duration is None and not set(given.rate) <= set(TIMES):
-        options.error(f"rate = {','.join(given.rate)} must be of {', '.join(TIMES)}")
-    if abs(1 / given.h - round(1 / given.h)) > 1e-9 or (given.pair == "nested" and given.h > 0.5):
-        options.error(f"h = {given.h:g} m must divide 1 m, and be 0.5 m at the most if nested")
-    if not 20 <= given.slope <= 90 or min(given.steps, given.hold_steps) < 2:
-        options.error("the slope may be of 20 to 90 degrees, steps 2 at the least")
-    least = 1.0 if given.law == "cam-clay" else 0.0
-    if given.surface_suction < least or given.ratio < 1 or given.load <= 0 or given.hold < 0:
-        options.error(
-            f"the surface may have {least:g} kPa at the least, ratio 1; load and hold > 0"
-        )
-    return given
+@dataclass
+class Input(Options):
+    """A saturated slope is brought to failure, fast and slowly."""
+
+    law: str = option("mohr-coulomb", choices=("cam-clay", "mohr-coulomb"))
+    rate: list[str] = option(["fast", "slow"], "fast, slow, by commas")
+    duration: float | None = option(None, "c_v t/H² of the rise, in place of --rate")
+    hold: float = option(0.0, "c_v t/H² for which the last load stays", least=0)
+    hold_steps: int = option(30, least=2)
+    no_limits: bool = option(False, "without the problems of one field")
+    load: float = positive(6.4, "N = γ'H/c_u at the end")
+    steps: int = natural(32, "of the load", least=2)
+    ratio: float = option(1.0, "Cam-Clay: overconsolidation ratio R", least=1)
+    dilation: float = option(0.0, "Mohr-Coulomb: angle (degrees)")
+    surface_suction: float | None = option(None, "kPa; 50 with Cam-Clay, 0 with Mohr-Coulomb")
+    rigidity_index: float = option(100.0, "G/c_u")
+    slope: float = option(60.0, "its angle (degrees)", least=20, most=90)
+    h: float = positive(0.5, "size of the cells (m), divides 1")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp", "bspline2"))
+    fbar: str | None = switch(None, "of the soil; on where friction drains")
+    pair: str = option("equal", "of the pressure", choices=("equal", "nested", "linear"))
+    stabilisation: str = option("ghost", choices=("none", "ghost", "aggregation"))
+
+    def _check(self):
+        self.fill(surface_suction=SUCTION / 1e3 if self.law == "cam-clay" else 0.0)
+        if self.duration is not None:
+            self.rate = ["timed"]
+        elif not set(self.rate) <= set(TIMES):
+            raise ValueError(f"rate = {','.join(self.rate)} must be of {', '.join(TIMES)}")
+        if abs(1 / self.h - round(1 / self.h)) > 1e-9 or (self.pair == "nested" and self.h > 0.5):
+            raise ValueError(
+                f"h = {self.h:g} m must divide 1 m, and be 0.5 m at the most if nested"
+            )
+        least = 1.0 if self.law == "cam-clay" else 0.0
+        if self.surface_suction < least:
+            raise ValueError(f"the surface may have {least:g} kPa at the least")
 
 
 # %% [markdown]
@@ -428,7 +427,7 @@ def picture(path, args, runs, states):
 # %%
 def main(words=None):
     """Run, print, and return the figures."""
-    args = arguments(words)
+    args = Input.parse(words)
     started = time.perf_counter()
     ways = list(args.rate)
     if not args.no_limits:

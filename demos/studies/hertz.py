@@ -21,48 +21,43 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A rigid cylinder or sphere is pressed into an elastic body.")
-    options.add_argument("--shape", choices=("cylinder", "sphere"), default="cylinder")
-    options.add_argument("--radius", type=float, default=1.0, help="R (m)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    load = options.add_mutually_exclusive_group()
-    load.add_argument("--force", type=float, help="P (N/m) or F (N)")
-    load.add_argument("--depth", type=float, help="of the indenter (m)")
-    options.add_argument("--resolution", type=float, default=8.0, help="a/h")
-    options.add_argument("--h", type=float, help="smallest size of cells (m), instead")
-    options.add_argument(
-        "--size", type=float, help="of the body, in half-widths; 25 or, of a sphere, 50"
+@dataclass
+class Input(Options):
+    """A rigid cylinder or sphere is pressed into an elastic body."""
+
+    shape: str = option("cylinder", choices=("cylinder", "sphere"))
+    radius: float = positive(1.0, "R (m)")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    poisson: float = option(0.3, least=0, below=0.5)
+    force: float | None = positive(None, "P (N/m) or F (N)", either="load")
+    depth: float | None = positive(None, "of the indenter (m)", either="load")
+    resolution: float = positive(8.0, "a/h")
+    h: float | None = positive(None, "smallest size of cells (m), instead")
+    size: float | None = option(
+        None, "of the body, in half-widths; 25 or, of a sphere, 50", least=6
     )
-    options.add_argument("--growth", type=float, default=1.4, help="of cells away from it")
-    options.add_argument("--softness", type=float, default=0.01, help="of the penalty")
-    options.add_argument("--friction", type=float, default=0.0)
-    options.add_argument("--points-per-cell", type=int, default=2)
-    options.add_argument("--steps", type=int, default=5)
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    given = options.parse_args(words)
-    if given.force is None and given.depth is None:
-        given.depth = 0.01 * given.radius
-    if not min(given.radius, given.modulus, given.force or 1.0, given.depth or 1.0) > 0:
-        options.error("radius, modulus, force and depth must be positive")
-    if not (0 <= given.poisson < 0.5 and min(given.softness, given.resolution) > 0):
-        options.error("poisson must be in [0, 0.5), softness and resolution positive")
-    if given.size is None:
-        given.size = 25.0 if given.shape == "cylinder" else 50.0
-    if given.size < 6 or given.growth < 1 or min(given.steps, given.points_per_cell) < 1:
-        options.error("size must be at least 6, growth, steps and points-per-cell at least 1")
-    return given
+    growth: float = option(1.4, "of cells away from it", least=1)
+    softness: float = positive(0.01, "of the penalty")
+    friction: float = 0.0
+    points_per_cell: int = natural(2)
+    steps: int = natural(5)
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+
+    def _check(self):
+        if self.force is None:
+            self.fill(depth=0.01 * self.radius)
+        self.fill(size=25.0 if self.shape == "cylinder" else 50.0)
 
 
 def closed_form(args, force):
@@ -220,7 +215,7 @@ def draw(args, scene, figures):
 
 def main(words=None):
     """Run, print, and return the figures."""
-    args = arguments(words)
+    args = Input.parse(words)
     scene = Scene(args)
     scene.run()
     half_width, peak = measured(scene)

@@ -13,6 +13,7 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
@@ -21,7 +22,8 @@ import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
 from numpy.polynomial import Chebyshev
-from scene import finish, parser, say
+from options import Options, natural, option, positive
+from scene import finish, say
 from scipy import sparse
 from scipy.optimize import least_squares
 
@@ -29,25 +31,25 @@ import dolfinmpm as mpm
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Growing tissue: energy, growth and stabilisation in UFL.")
-    options.add_argument("--law", choices=("neo-hookean", "gent"), default="neo-hookean")
-    options.add_argument("--stabilisation", choices=("none", "own", "ghost"), default="own")
-    options.add_argument("--factor", type=float, default=1.0, help="penalty in units of E/90")
-    options.add_argument("--cells", type=int, default=16, help="over the radius")
-    options.add_argument("--points-per-cell", type=int, default=4, help="in each direction")
-    options.add_argument("--basis", choices=("linear", "gimp"), default="gimp")
-    options.add_argument("--steps", type=int, default=10)
-    options.add_argument("--radius", type=float, default=1e-3, help="m, at first")
-    options.add_argument("--modulus", type=float, default=1e3, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.4)
-    options.add_argument("--stretch-limit", type=float, default=1.0, help="Gent's J_m")
-    options.add_argument("--growth", type=float, default=0.8, help="of lengths, at the core")
-    return options.parse_args()
+@dataclass
+class Input(Options):
+    """Growing tissue: energy, growth and stabilisation in UFL."""
+
+    law: str = option("neo-hookean", choices=("neo-hookean", "gent"))
+    stabilisation: str = option("own", choices=("none", "own", "ghost"))
+    factor: float = option(1.0, "penalty in units of E/90")
+    cells: int = option(16, "over the radius")
+    points_per_cell: int = natural(4, "in each direction")
+    basis: str = option("gimp", choices=("linear", "gimp"))
+    steps: int = natural(10)
+    radius: float = positive(1e-3, "m, at first")
+    modulus: float = positive(1e3, "Young's modulus (Pa)")
+    poisson: float = 0.4
+    stretch_limit: float = option(1.0, "Gent's J_m")
+    growth: float = option(0.8, "of lengths, at the core")
 
 
-args = arguments()
+args = Input.parse()
 radius, h = args.radius, args.radius / args.cells
 mu = args.modulus / (2 * (1 + args.poisson))
 lmbda = args.modulus * args.poisson / ((1 + args.poisson) * (1 - 2 * args.poisson))

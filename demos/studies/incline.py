@@ -18,12 +18,14 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, option, positive
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -35,25 +37,22 @@ INTEGRATORS = {
 }  # fmt: skip
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A block, disc, cylinder or sphere on a slope.")
-    options.add_argument("--shape", choices=tuple(INERTIA), default="block")
-    options.add_argument("--angle", type=float, default=45.0, help="of the slope (degrees)")
-    options.add_argument("--friction", type=float, default=0.3, help="coefficient μ")
-    options.add_argument("--duration", type=float, default=1.0, help="(s)")
-    options.add_argument("--integrator", choices=tuple(INTEGRATORS), default="newmark")
-    options.add_argument("--dt", type=float, help="step (s); by the shape")
-    options.add_argument("--h", type=float, help="size of the cells (m); by the shape")
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="gimp")
-    given = options.parse_args(words)
-    if not 0 < given.angle < 90 or given.friction < 0 or not given.duration > 0:
-        options.error("angle must be in (0, 90) degrees, friction not negative, duration positive")
-    if given.h is None:
-        given.h = 0.05 if given.shape == "cylinder" else 0.25
-    if given.dt is None:
-        given.dt = 0.002 if given.shape == "cylinder" else 0.01
-    return given
+@dataclass
+class Input(Options):
+    """A block, disc, cylinder or sphere on a slope."""
+
+    shape: str = option("block", choices=tuple(INERTIA))
+    angle: float = option(45.0, "of the slope (degrees)", above=0, below=90)
+    friction: float = option(0.3, "coefficient μ", least=0)
+    duration: float = positive(1.0, "(s)")
+    integrator: str = option("newmark", choices=tuple(INTEGRATORS))
+    dt: float | None = option(None, "step (s); by the shape")
+    h: float | None = positive(None, "size of the cells (m); by the shape")
+    basis: str = option("gimp", choices=("gimp", "linear", "bspline2"))
+
+    def _check(self):
+        cylinder = self.shape == "cylinder"
+        self.fill(h=0.05 if cylinder else 0.25, dt=0.002 if cylinder else 0.01)
 
 
 def exact(args, radius=1.0):
@@ -277,7 +276,7 @@ def draw(args, history, rotates):
 
 def main(words=None):
     """Run, print, and return the figures."""
-    args = arguments(words)
+    args = Input.parse(words)
     elastic = args.shape in ("block", "cylinder")
     scene = Elastic(args) if elastic else Rigid(args)
     history = mpm.History()

@@ -13,21 +13,23 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
+from options import natural, option, other_default
 from poroelastic import (
     PERMEABILITY,
     SMALL,
     WATER,
-    add_times,
+    InTime,
     consolidation_coefficient,
     instants,
     node_value,
     report,
 )
-from scene import numbers, parser
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -36,22 +38,20 @@ TIMES = (0.01, 0.05, 0.1, 0.3, 0.5, 1.0, 2.0)
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("Mandel's problem.")
-    add = options.add_argument
-    add("--poisson", type=float, default=0.2)
-    add("--width", type=float, default=1.0, help="a, half of the slab's (m)")
-    add("--height", type=float, default=0.25, help="b, half of the slab's (m)")
-    add("--cells", type=int, default=32, help="over the half width")
-    add("--points-per-cell", type=int, default=2)
-    add_times(add, numbers, TIMES, 150)
-    given = options.parse_args()
-    given.times.sort()
-    return given
+@dataclass
+class Input(InTime):
+    """Mandel's problem."""
+
+    poisson: float = 0.2
+    width: float = option(1.0, "a, half of the slab's (m)")
+    height: float = option(0.25, "b, half of the slab's (m)")
+    cells: int = option(32, "over the half width")
+    points_per_cell: int = natural(2)
+    times: list[float] = other_default(InTime, "times", list(TIMES))
+    steps: int = other_default(InTime, "steps", 150)
 
 
-args = arguments()
+args = Input.parse()
 comm, nu, a = MPI.COMM_WORLD, args.poisson, args.width
 E = 1e6
 G, c_v = E / (2 * (1 + nu)), consolidation_coefficient(E, nu)

@@ -12,11 +12,14 @@
 # %%
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import BASES, Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -72,30 +75,27 @@ OWN = {
 
 
 # %%
-def arguments():
-    """The command line."""
-    options = parser("New penalties in UFL against the built-in stabilisations.")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument("--stabilisations", default=",".join((*BUILT_IN, *OWN)), help="by commas")
-    options.add_argument("--offsets", type=int, default=20, help="number of places")
-    options.add_argument("--factor", type=float, default=1.0, help="factor of the new jumps")
-    options.add_argument("--eta", type=float, default=1e-3, help="share in whole cells")
-    options.add_argument(
-        "--cells", default="8,16,32", help="a unit of length, for the errors; by commas"
-    )
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction")
-    given = options.parse_args()
-    for stabilisation in given.stabilisations.split(","):
-        if stabilisation not in BUILT_IN and stabilisation not in OWN:
-            options.error(
-                f"stabilisation {stabilisation!r} must be one of {', '.join((*BUILT_IN, *OWN))}"
-            )
-    return given
+@dataclass
+class Input(Options):
+    """New penalties in UFL against the built-in stabilisations."""
+
+    basis: str = option("gimp", choices=BASES)
+    stabilisations: str = option(",".join((*BUILT_IN, *OWN)), "by commas")
+    offsets: int = option(20, "number of places")
+    factor: float = option(1.0, "factor of the new jumps")
+    eta: float = option(1e-3, "share in whole cells")
+    cells: str = option("8,16,32", "a unit of length, for the errors; by commas")
+    points_per_cell: int = natural(3, "in each direction")
+
+    def _check(self):
+        for stabilisation in self.stabilisations.split(","):
+            if stabilisation not in BUILT_IN and stabilisation not in OWN:
+                raise ValueError(
+                    f"stabilisation {stabilisation!r} must be one of {', '.join((*BUILT_IN, *OWN))}"
+                )
 
 
-args = arguments()
+args = Input.parse()
 stabilisations = args.stabilisations.split(",")
 
 

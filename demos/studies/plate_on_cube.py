@@ -18,37 +18,37 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures
+from options import Options, natural, option, positive
+from scene import finish, say, solver_figures
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A rigid plate presses on an elastic cube.")
-    options.add_argument("--stiffness-per-area", type=float, default=1e8, help="κ (Pa/m)")
-    options.add_argument("--height", type=float, default=0.8, help="of the cube (m)")
-    options.add_argument("--modulus", type=float, default=1e6, help="Young's modulus (Pa)")
-    options.add_argument("--h", type=float, default=0.4, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument("--steps", type=int, default=20)
-    options.add_argument("--displacement", type=float, default=0.2, help="of the plate (m)")
-    options.add_argument("--dimension", type=int, choices=(2, 3), default=3)
-    options.add_argument("--basis", choices=("gimp", "bspline2", "bspline3"), default="gimp")
-    options.add_argument("--contact", choices=("surface", "corners"), default="surface")
-    options.add_argument("--penetration", type=float, help="bound of the overlap (m)")
-    given = options.parse_args(words)
-    sizes = given.stiffness_per_area, given.height, given.modulus, given.h, given.displacement
-    if not min(sizes) > 0 or given.displacement >= given.height:
-        options.error("sizes must be positive, and the displacement less than the height")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+@dataclass
+class Input(Options):
+    """A rigid plate presses on an elastic cube."""
+
+    stiffness_per_area: float = positive(1e8, "κ (Pa/m)")
+    height: float = positive(0.8, "of the cube (m)")
+    modulus: float = positive(1e6, "Young's modulus (Pa)")
+    h: float = positive(0.4, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    steps: int = natural(20)
+    displacement: float = positive(0.2, "of the plate (m)")
+    dimension: int = option(3, choices=(2, 3))
+    basis: str = option("gimp", choices=("gimp", "bspline2", "bspline3"))
+    contact: str = option("surface", choices=("surface", "corners"))
+    penetration: float | None = option(None, "bound of the overlap (m)")
+
+    def _check(self):
+        if self.displacement >= self.height:
+            raise ValueError("the displacement must be less than the height")
 
 
 def exact(E, kappa, H, z):
@@ -133,7 +133,7 @@ def draw(args, points, history, figures, plate):
 
 def main(words=None):
     """Run, print, and return the figures."""
-    args = arguments(words)
+    args = Input.parse(words)
     figures, points, history, plate = solve(args)
     say(
         f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "

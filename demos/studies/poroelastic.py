@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from options import Options, natural, option, other_default
 from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
@@ -22,12 +24,17 @@ def consolidation_coefficient(E: float, nu: float) -> float:
     return PERMEABILITY * M / WATER.unit_weight
 
 
-def add_times(add: Callable[..., Any], numbers: Callable, times: Sequence[float], steps: int):
-    """Arguments of when to measure, and in how many steps."""
-    add("--times", type=numbers(float), default=list(times), help="at which to measure")
-    add("--steps", type=int, default=steps, help="up to the last time, in geometric progression")
-    add("--theta", type=float, default=0.5, help="1: backward Euler; 0.5: Crank–Nicolson")
-    add("--stabilisation", choices=("none", "ghost", "aggregation"), default="none")
+@dataclass
+class InTime(Options):
+    """Options of when to measure, and in how many steps."""
+
+    times: list[float] = option([], "at which to measure")
+    steps: int = natural(100, "up to the last time, in geometric progression")
+    theta: float = option(0.5, "1: backward Euler; 0.5: Crank–Nicolson")
+    stabilisation: str = option("none", choices=("none", "ghost", "aggregation"))
+
+    def _check(self) -> None:
+        self.times.sort()
 
 
 def instants(times: Sequence[float], steps: int) -> np.ndarray:
@@ -132,23 +139,22 @@ def round_series(nu: float, sphere: bool, times: Sequence[float]) -> tuple[np.nd
     return decay @ (centre - rim_strain), last - decay @ shortening
 
 
-def run_round(title: str, axisymmetric: bool) -> None:
+@dataclass
+class Round(InTime):
+    """The options of a cylinder or a sphere."""
+
+    poisson: float = 0.2
+    cells: int = natural(32, "over the radius")
+    points_per_cell: int = natural(3)
+    stabilisation: str = other_default(InTime, "stabilisation", "aggregation")
+
+
+def run_round(args: Round, axisymmetric: bool) -> None:
     """A cylinder or a sphere that is squeezed and drains at its edge: study of both."""
     import ufl
     from dolfinx import fem, mesh
     from mpi4py import MPI
-    from scene import numbers, parser
 
-    options = parser(title)
-    add = options.add_argument
-    add("--poisson", type=float, default=1 / 3 if axisymmetric else 0.2)
-    add("--cells", type=int, default=32, help="over the radius")
-    add("--points-per-cell", type=int, default=3)
-    usual = (0.01, 0.02, 0.04, 0.06, 0.1, 0.2, 0.5) if axisymmetric else (0.01, 0.05, 0.1, 0.2, 0.5)
-    add_times(add, numbers, usual, 100)
-    options.set_defaults(stabilisation="aggregation")
-    args = options.parse_args()
-    args.times.sort()
     comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
     c_v, p0 = consolidation_coefficient(E, nu), SMALL * E
     M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))

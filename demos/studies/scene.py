@@ -1,4 +1,4 @@
-"""What all studies share: their command line, and how they hand over their figures."""
+"""What all studies share: how they print, draw and hand over their figures."""
 
 from __future__ import annotations
 
@@ -9,29 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
+from options import Options, command_line, values
 
 import dolfinmpm as mpm
 
-OUTPUT = Path(__file__).resolve().parents[2] / "output"
-
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """A command line with the options that every study takes; stages of steps are measured."""
-    mpm.measure_stages()
-    result = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    result.add_argument(
-        "--json", metavar="PATH", help="write inputs and figures there; - for the last line printed"
-    )
-    result.add_argument("--no-plot", action="store_true", help="no picture, no ParaView file")
-    result.add_argument("--output", type=Path, default=OUTPUT, help="folder for pictures and files")
-    return result
+    """A command line with the options that every study takes."""
+    return command_line(Options, description)
 
 
 def numbers(kind: type) -> Any:
     """A list of numbers on the command line, by commas."""
-    return lambda text: [kind(item) for item in text.split(",")]
+    return values(kind)
 
 
 def stabilisation(kind: str, **options: Any) -> mpm.Stabilisation:
@@ -40,7 +30,7 @@ def stabilisation(kind: str, **options: Any) -> mpm.Stabilisation:
     return mpm.Stabilisation(kind, **{k: v for k, v in options.items() if k in taken})
 
 
-def finish(arguments: argparse.Namespace, figures: dict[str, Any]) -> None:
+def finish(arguments: Any, figures: dict[str, Any]) -> None:
     """Write the inputs and the figures where `--json` asks for them; on rank 0."""
     if arguments.json is None or MPI.COMM_WORLD.rank != 0:
         return

@@ -35,7 +35,8 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say
+from options import Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import stages
@@ -44,11 +45,15 @@ from dolfinmpm.cut import activation
 
 PACKAGE = Path(mpm.__file__).parent
 
-options = parser("What optional features cost, off and on.")
-options.add_argument("--cells", type=int, default=8, help="of the block, in each direction")
-options.add_argument("--steps", type=int, default=3, help="counted pairs of steps")
-options.add_argument("--only", help="features, by commas; all by default")
-options.add_argument("--calls", action="store_true", help="count Python calls in any case")
+
+@dataclass
+class Input(Options):
+    """What optional features cost, off and on."""
+
+    cells: int = option(8, "of the block, in each direction")
+    steps: int = natural(3, "counted pairs of steps")
+    only: str | None = option(None, "features, by commas; all by default")
+    calls: bool = option(False, "count Python calls in any case")
 
 
 # %% [markdown]
@@ -391,7 +396,7 @@ def share(value, spread=None):
 
 
 if __name__ == "__main__":
-    args = options.parse_args()
+    args = Input.parse()
     if os.environ.get(CHILD):
         print(json.dumps(counted(args)), flush=True)
         sys.exit()

@@ -26,12 +26,14 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say
+from options import BASES, Options, natural, option, switch
+from scene import draw_points, finish, say
 
 import dolfinmpm as mpm
 
@@ -42,48 +44,47 @@ ZONE = (4.0, 12.0), (2.0, 3.0)
 STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
 
 
-def arguments():
-    """The command line."""
-    options = parser("A slope with a weak zone fails under its weight.")
-    options.add_argument(
-        "--table", action="store_true", help="run all of the lists below, and draw a table"
+@dataclass
+class Input(Options):
+    """A slope with a weak zone fails under its weight."""
+
+    table: bool = option(False, "run all of the lists below, and draw a table")
+    h: str | None = option(None, "size of the cells (m), divides 1; with --table 1,0.5,0.25")
+    points_per_cell: str | None = option(None, "in each direction; with --table 2,3,4")
+    stabilisation: str | None = option(
+        None, f"of {', '.join(STABILISATIONS)}; with --table none,ghost,aggregation"
     )
-    options.add_argument("--h", help="size of the cells (m), divides 1; with --table 1,0.5,0.25")
-    options.add_argument("--points-per-cell", help="in each direction; with --table 2,3,4")
-    options.add_argument(
-        "--stabilisation",
-        help=f"of {', '.join(STABILISATIONS)}; with --table none,ghost,aggregation",
-    )
-    options.add_argument("--ghost", choices=("on", "off"), help="ghost stabilisation or none")
-    bases = "linear", "gimp", "bspline2", "bspline3"
-    options.add_argument("--basis", choices=bases, default="gimp")
-    options.add_argument("--law", choices=("von-mises", "tresca"), default="von-mises")
-    options.add_argument("--steps", type=int, help="of gravity; 40/h by default")
-    given = options.parse_args()
-    if given.ghost is not None and given.stabilisation is not None:
-        options.error("--ghost and --stabilisation exclude each other")
-    if given.ghost is not None:
-        given.stabilisation = "ghost" if given.ghost == "on" else "none"
-    defaults = ("1,0.5,0.25", "2,3,4", "none,ghost,aggregation")
-    defaults = defaults if given.table else ("1", "2", "ghost")
-    kinds = {"h": float, "points_per_cell": int, "stabilisation": str}
-    for (name, kind), default in zip(kinds.items(), defaults):
-        try:
-            values = [kind(word) for word in (getattr(given, name) or default).split(",")]
-        except ValueError as error:
-            options.error(f"{name}: {error}")
-        if len(values) > 1 and not given.table:
-            options.error(f"{name}: more than one value needs --table")
-        setattr(given, name, values)
-    for h in given.h:
-        if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
-            options.error(f"h = {h:g} m must divide 1 m")
-    for name in given.stabilisation:
-        if name not in STABILISATIONS:
-            options.error(f"stabilisation = {name} must be one of {', '.join(STABILISATIONS)}")
-    if min(given.points_per_cell) < 1 or (given.steps is not None and given.steps < 1):
-        options.error("points-per-cell and steps must be at least 1")
-    return given
+    ghost: str | None = switch(None, "ghost stabilisation or none")
+    basis: str = option("gimp", choices=BASES)
+    law: str = option("von-mises", choices=("von-mises", "tresca"))
+    steps: int | None = natural(None, "of gravity; 40/h by default")
+
+    def _check(self):
+        if self.ghost is not None and self.stabilisation is not None:
+            raise ValueError("--ghost and --stabilisation exclude each other")
+        if self.ghost is not None:
+            self.stabilisation = "ghost" if self.ghost == "on" else "none"
+        defaults = ("1,0.5,0.25", "2,3,4", "none,ghost,aggregation")
+        defaults = defaults if self.table else ("1", "2", "ghost")
+        kinds = {"h": float, "points_per_cell": int, "stabilisation": str}
+        for (name, kind), default in zip(kinds.items(), defaults):
+            try:
+                values = [kind(word) for word in (getattr(self, name) or default).split(",")]
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            if len(values) > 1 and not self.table:
+                raise ValueError(f"{name}: more than one value needs --table")
+            setattr(self, name, values)
+        for h in self.h:
+            if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
+                raise ValueError(f"h = {h:g} m must divide 1 m")
+        for name in self.stabilisation:
+            if name not in STABILISATIONS:
+                raise ValueError(
+                    f"stabilisation = {name} must be one of {', '.join(STABILISATIONS)}"
+                )
+        if min(self.points_per_cell) < 1 or (self.steps is not None and self.steps < 1):
+            raise ValueError("points-per-cell and steps must be at least 1")
 
 
 # %% [markdown]
@@ -271,7 +272,7 @@ def _rectangle(corner, width, height, colour):
 # ## Runs
 
 # %%
-args = arguments()
+args = Input.parse()
 results, states = [], {}
 for h in args.h:
     for per_cell in args.points_per_cell:

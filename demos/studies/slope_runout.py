@@ -15,12 +15,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import draw_points, finish, numbers, parser, say
+from options import BASES, Options, natural, option, positive
+from scene import draw_points, finish, say
 
 import dolfinmpm as mpm
 from dolfinmpm import study
@@ -31,27 +33,22 @@ WIDTH, BASE, TOP, TOE, GRID_TOP = 36.0, 2.0, 8.0, 12.0, 9.0
 ZONE = (4.0, 12.0), (2.0, 3.0)
 
 
-def arguments():
-    """The command line."""
-    options = parser("A slope with a weak zone runs out to rest.")
-    options.add_argument("--integrator", choices=("implicit", "explicit", "both"), default="both")
-    options.add_argument(
-        "--h", type=numbers(float), default=[1.0, 0.5, 0.25], help="(m), divide 1, by commas"
-    )
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="gimp"
-    )
-    options.add_argument("--duration", type=float, default=10.0, help="(s)")
-    options.add_argument("--dt", type=float, default=0.02, help="implicit: step (s)")
-    options.add_argument("--samples", type=int, default=100, help="times at which to measure")
-    given = options.parse_args()
-    for h in given.h:
-        if not 0 < h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
-            options.error(f"h = {h:g} m must divide 1 m")
-    if min(given.points_per_cell, given.samples) < 1 or min(given.duration, given.dt) <= 0:
-        options.error("points, samples and times must be positive")
-    return given
+@dataclass
+class Input(Options):
+    """A slope with a weak zone runs out to rest."""
+
+    integrator: str = option("both", choices=("implicit", "explicit", "both"))
+    h: list[float] = option([1.0, 0.5, 0.25], "(m), divide 1, by commas", above=0)
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("gimp", choices=BASES)
+    duration: float = positive(10.0, "(s)")
+    dt: float = positive(0.02, "implicit: step (s)")
+    samples: int = natural(100, "times at which to measure")
+
+    def _check(self):
+        for h in self.h:
+            if not h <= 1 or abs(1 / h - round(1 / h)) > 1e-9:
+                raise ValueError(f"h = {h:g} m must divide 1 m")
 
 
 def in_zone(x):
@@ -204,7 +201,7 @@ def picture(path, runs, states):
         bar.set_label(r"plastic strain $\alpha$")
 
 
-args = arguments()
+args = Input.parse()
 integrators = ("explicit", "implicit") if args.integrator == "both" else (args.integrator,)
 runs, states = [], []
 for integrator in integrators:

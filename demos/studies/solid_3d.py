@@ -17,32 +17,36 @@ from __future__ import annotations
 
 import resource
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, numbers, parser, say
+from options import BASES, Options, natural, option
+from scene import finish, say
 
 import dolfinmpm as mpm
 
 GRAVITY = 10.0
 
-options = parser("A block or a slope in three dimensions: iterations, seconds and memory.")
-options.add_argument("--scene", choices=("block", "slope"), default="block")
-options.add_argument("--cells", type=numbers(int), default=[8, 12], help="along the body's edge")
-options.add_argument("--cuts", type=numbers(float), default=[0.3], help="shares of a cell")
-options.add_argument(
-    "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="linear"
-)
-options.add_argument("--stabilisation", default="ghost", help="a stabilisation against small cuts")
-options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-options.add_argument("--steps", type=int, help="2 of the block, 10 of the slope by default")
-options.add_argument(
-    "--solver", choices=("own", "direct"), default="own", help="factors of every tangent, or not"
-)
-options.add_argument("--rtol", type=float, help="of linear systems; what Newton can use by default")
-args = options.parse_args()
+
+@dataclass
+class Input(Options):
+    """A block or a slope in three dimensions: iterations, seconds and memory."""
+
+    scene: str = option("block", choices=("block", "slope"))
+    cells: list[int] = option([8, 12], "along the body's edge")
+    cuts: list[float] = option([0.3], "shares of a cell")
+    basis: str = option("linear", choices=BASES)
+    stabilisation: str = option("ghost", "a stabilisation against small cuts")
+    points_per_cell: int = natural(2, "in each direction")
+    steps: int | None = natural(None, "2 of the block, 10 of the slope by default")
+    solver: str = option("own", "factors of every tangent, or not", choices=("own", "direct"))
+    rtol: float | None = option(None, "of linear systems; what Newton can use by default")
+
+
+args = Input.parse()
 
 
 # %%

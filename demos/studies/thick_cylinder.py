@@ -24,13 +24,15 @@
 # %%
 import itertools
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from scene import finish, parser, say, solver_figures, stabilisation
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say, solver_figures, stabilisation
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -138,41 +140,32 @@ def fill_rings(grid, a, b, size):
     return points, inner, outer
 
 
-def arguments():
-    """The command line."""
-    options = parser("A thick cylinder under internal pressure, beyond its limit load.")
-    options.add_argument("--h", type=float, default=0.0125, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=3, help="in each direction, about")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="bspline2"
+@dataclass
+class Input(Options):
+    """A thick cylinder under internal pressure, beyond its limit load."""
+
+    h: float = positive(0.0125, "size of the cells (m)")
+    points_per_cell: int = natural(3, "in each direction, about")
+    basis: str = option("bspline2", choices=BASES)
+    stabilisation: str = option(
+        "aggregation", choices=("none", "ghost", "aggregation", "weak-aggregation", "extended")
     )
-    options.add_argument(
-        "--stabilisation",
-        choices=("none", "ghost", "aggregation", "weak-aggregation", "extended"),
-        default="aggregation",
-    )
-    options.add_argument(
-        "--factor", type=float, default=1.0, help="of a penalty; see Stabilisation"
-    )
-    options.add_argument("--threshold", type=float, default=0.5, help="of aggregation")
-    options.add_argument("--steps", type=int, default=24)
-    options.add_argument("--fbar", choices=("on", "off"), default="off", help="against locking")
-    options.add_argument(
-        "--reach", type=float, default=1.3, help="last outer displacement, over that at the limit"
-    )
-    options.add_argument("--inner", type=float, default=0.1, help="inner radius (m)")
-    options.add_argument("--outer", type=float, default=0.2, help="outer radius (m)")
-    options.add_argument("--modulus", type=float, default=210e9, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--strength", type=float, default=0.24e9, help="uniaxial yield stress, Pa")
-    given = options.parse_args()
-    if not 0 < given.inner < given.outer < np.inf:
-        options.error(f"radii {given.inner} and {given.outer} m must be positive and increase")
-    if not 0 < given.h <= 0.5 * (given.outer - given.inner):
-        options.error(f"h = {given.h} m must be positive and at most half the wall")
-    if given.steps < 2 or given.points_per_cell < 1 or not given.reach > 1:
-        options.error("there must be two steps, one point per cell and a reach above 1 at least")
-    return given
+    factor: float = option(1.0, "of a penalty; see Stabilisation")
+    threshold: float = option(0.5, "of aggregation")
+    steps: int = natural(24, least=2)
+    fbar: str = switch("off", "against locking")
+    reach: float = option(1.3, "last outer displacement, over that at the limit", above=1)
+    inner: float = positive(0.1, "inner radius (m)")
+    outer: float = positive(0.2, "outer radius (m)")
+    modulus: float = positive(210e9, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    strength: float = option(0.24e9, "uniaxial yield stress, Pa")
+
+    def _check(self):
+        if not self.inner < self.outer < np.inf:
+            raise ValueError(f"radii {self.inner} and {self.outer} m must increase")
+        if not self.h <= 0.5 * (self.outer - self.inner):
+            raise ValueError(f"h = {self.h} m must be at most half the wall")
 
 
 # %% [markdown]
@@ -182,7 +175,7 @@ def arguments():
 # $f = \sqrt{2 J_2} - \rho_y$.
 
 # %%
-args = arguments()
+args = Input.parse()
 a, b, h = args.inner, args.outer, args.h
 exact = Hill(a, b, args.modulus, args.poisson, args.strength)
 n = int(np.ceil(b / h)) + 2

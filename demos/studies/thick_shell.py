@@ -17,12 +17,14 @@
 
 # %%
 import time
+from dataclasses import dataclass
 
 started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem
-from scene import finish, parser, say, solver_figures
+from options import BASES, Options, natural, option, positive, switch
+from scene import finish, say, solver_figures
 from scipy.optimize import brentq
 from shells import ACROSS, shell
 
@@ -69,35 +71,30 @@ class Yielding:
         return radial, np.where(r < c, flow + Y, share * (1 + (self.b / r) ** n / self.k))
 
 
-def arguments():
-    """The command line."""
-    options = parser("A thick sphere, or tube, under internal pressure, beyond its limit load.")
-    options.add_argument("--shape", choices=tuple(ACROSS), default="sphere")
-    options.add_argument("--h", type=float, default=0.00625, help="size of the cells (m)")
-    options.add_argument("--points-per-cell", type=int, default=2, help="in each direction")
-    options.add_argument(
-        "--basis", choices=("linear", "gimp", "bspline2", "bspline3"), default="bspline2"
-    )
-    options.add_argument("--strain", choices=("small", "large"), default="small")
-    options.add_argument("--fbar", choices=("on", "off"), default="on", help="against locking")
-    options.add_argument("--stabilisation", choices=("ghost", "aggregation"), default="ghost")
-    options.add_argument("--steps", type=int, default=24)
-    options.add_argument(
-        "--reach", type=float, default=1.2, help="last outer displacement, over that at the limit"
-    )
-    options.add_argument("--inner", type=float, default=0.1, help="inner radius (m)")
-    options.add_argument("--outer", type=float, default=0.2, help="outer radius (m)")
-    options.add_argument("--modulus", type=float, default=210e9, help="Young's modulus (Pa)")
-    options.add_argument("--poisson", type=float, default=0.3)
-    options.add_argument("--strength", type=float, default=0.24e9, help="uniaxial yield stress, Pa")
-    given = options.parse_args()
-    if not 0 < given.inner < given.outer < np.inf:
-        options.error(f"radii {given.inner} and {given.outer} m must be positive and increase")
-    if not 0 < given.h <= 0.5 * (given.outer - given.inner):
-        options.error(f"h = {given.h} m must be positive and at most half the wall")
-    if given.steps < 2 or given.points_per_cell < 1 or not given.reach > 1:
-        options.error("there must be two steps, one point per cell and a reach above 1 at least")
-    return given
+@dataclass
+class Input(Options):
+    """A thick sphere, or tube, under internal pressure, beyond its limit load."""
+
+    shape: str = option("sphere", choices=tuple(ACROSS))
+    h: float = positive(0.00625, "size of the cells (m)")
+    points_per_cell: int = natural(2, "in each direction")
+    basis: str = option("bspline2", choices=BASES)
+    strain: str = option("small", choices=("small", "large"))
+    fbar: str = switch("on", "against locking")
+    stabilisation: str = option("ghost", choices=("ghost", "aggregation"))
+    steps: int = natural(24, least=2)
+    reach: float = option(1.2, "last outer displacement, over that at the limit", above=1)
+    inner: float = positive(0.1, "inner radius (m)")
+    outer: float = positive(0.2, "outer radius (m)")
+    modulus: float = positive(210e9, "Young's modulus (Pa)")
+    poisson: float = 0.3
+    strength: float = option(0.24e9, "uniaxial yield stress, Pa")
+
+    def _check(self):
+        if not self.inner < self.outer < np.inf:
+            raise ValueError(f"radii {self.inner} and {self.outer} m must increase")
+        if not self.h <= 0.5 * (self.outer - self.inner):
+            raise ValueError(f"h = {self.h} m must be at most half the wall")
 
 
 # %% [markdown]
@@ -108,7 +105,7 @@ def arguments():
 # solver is given the outer displacement and finds the pressure, also where it no longer rises.
 
 # %%
-args = arguments()
+args = Input.parse()
 a, b, h = args.inner, args.outer, args.h
 exact = Yielding(args.shape, a, b, args.modulus, args.poisson, args.strength)
 body = shell(args.shape, a, b, h, args.points_per_cell)

@@ -32,11 +32,13 @@
 
 # %%
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
-from scene import draw_points, finish, parser, say, solver_figures
+from options import Options, natural, option, positive, switch
+from scene import draw_points, finish, say, solver_figures
 from scipy.optimize import brentq
 
 import dolfinmpm as mpm
@@ -44,37 +46,29 @@ import dolfinmpm as mpm
 COHESION = 10e3  # Pa
 
 
-def arguments(words=None):
-    """The command line."""
-    options = parser("A smooth wedge is pressed into clay.")
-    options.add_argument("--semi-angle", type=float, default=30.0, help="θ (degrees)")
-    options.add_argument("--E-over-cu", type=float, default=500.0, help="E/c_u")
-    options.add_argument("--depth", type=float, default=1.0, help="last one (m)")
-    options.add_argument("--h", type=float, help="size of the cells (m); by default for the angle")
-    options.add_argument("--points-per-cell", type=int, default=3)
-    options.add_argument("--steps", type=int, help="by default of an eighth of a cell")
-    options.add_argument("--width", type=float, default=8.0, help="of the clay's half, in depths")
-    options.add_argument("--growth", type=float, default=1.3, help="of cells where nothing flows")
-    options.add_argument("--basis", choices=("gimp", "linear", "bspline2"), default="bspline2")
-    options.add_argument("--fbar", choices=("on", "off"), default="off")
-    options.add_argument("--penalty", type=float, help="κ h/E; 50 h/m by default")
-    options.add_argument("--domains", choices=("stretch", "volume"), default="stretch")
-    options.add_argument("--corners", choices=("domains", "material"), default="material")
-    given = options.parse_args(words)
-    if not 5 <= given.semi_angle < 85:
-        options.error("semi-angle must be between 5 and 85 degrees")
-    if given.h is None:
+@dataclass
+class Input(Options):
+    """A smooth wedge is pressed into clay."""
+
+    semi_angle: float = option(30.0, "θ (degrees)", least=5, below=85)
+    E_over_cu: float = positive(500.0, "E/c_u")
+    depth: float = positive(1.0, "last one (m)")
+    h: float | None = positive(None, "size of the cells (m); by default for the angle")
+    points_per_cell: int = natural(3)
+    steps: int | None = natural(None, "by default of an eighth of a cell")
+    width: float = option(8.0, "of the clay's half, in depths")
+    growth: float = option(1.3, "of cells where nothing flows")
+    basis: str = option("bspline2", choices=("gimp", "linear", "bspline2"))
+    fbar: str = switch("off")
+    penalty: float | None = positive(None, "κ h/E; 50 h/m by default")
+    domains: str = option("stretch", choices=("stretch", "volume"))
+    corners: str = option("material", choices=("domains", "material"))
+
+    def _check(self):
         # a wedge that is narrower needs more cells across
-        narrow = math.tan(math.radians(given.semi_angle)) / math.tan(math.radians(30.0))
-        given.h = 0.1 * given.depth * min(1.0, narrow**1.5)
-    given.penalty = 50.0 * given.h if given.penalty is None else given.penalty
-    if given.steps is None:
-        given.steps = math.ceil(8 * given.depth / given.h - 1e-9)
-    if not min(given.E_over_cu, given.depth, given.h, given.penalty) > 0:
-        options.error("sizes must be positive")
-    if min(given.steps, given.points_per_cell) < 1:
-        options.error("steps and points-per-cell must be at least 1")
-    return given
+        narrow = math.tan(math.radians(self.semi_angle)) / math.tan(math.radians(30.0))
+        self.fill(h=0.1 * self.depth * min(1.0, narrow**1.5))
+        self.fill(penalty=50.0 * self.h, steps=math.ceil(8 * self.depth / self.h - 1e-9))
 
 
 def exact(degrees):
@@ -203,7 +197,7 @@ def draw(args, scene, figures):
 
 def main(words=None):
     """Run, print, and return the figures."""
-    args = arguments(words)
+    args = Input.parse(words)
     scene = Scene(args)
     scene.run()
     depth, force = scene.history["depth"], scene.history["force"]
