@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, option
 from petsc4py import PETSc
@@ -48,7 +49,6 @@ def block(kind: str, count: int, room: int):
     It is a square, or of kinds "solid" and "solid-gimp" a cube, whose steps are implicit too. Of
     kind "aggregated" its upper faces cut the cells.
     """
-    comm = MPI.COMM_WORLD
     d = 3 if kind in SOLIDS else 2
     cells = max(2, round(count ** (1 / d) / 2))
     h = 1.0 / cells
@@ -56,10 +56,7 @@ def block(kind: str, count: int, room: int):
     needed = cells + 4
     side = round(needed * room ** (1 / d))
     low, high = [-2 * h] * d, [(side - 2) * h] * d
-    if d == 2:
-        grid = mesh.create_rectangle(comm, [low, high], [side] * d, mesh.CellType.quadrilateral)
-    else:
-        grid = mesh.create_box(comm, [low, high], [side] * d, mesh.CellType.hexahedron)
+    grid = box_grid([low, high], [side] * d)
     aggregated = kind == "aggregated"
     points = mpm.fill(grid, mpm.Box((0,) * d, (1 + 0.3 * h * aggregated,) * d), 2, 1000.0)
     basis = {"explicit": "bspline2", "solid": "linear"}.get(kind, "gimp")

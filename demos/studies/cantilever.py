@@ -32,7 +32,8 @@ started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
@@ -138,11 +139,8 @@ class Beam:
         along = int(np.ceil(self.length / h)) + 2
         # quadratic splines have their centres in the middle of cells
         shift = 0.5 * h if args.basis == "bspline2" else 0.0
-        self.grid = grid = mesh.create_rectangle(
-            MPI.COMM_WORLD,
-            [(0, -below * h + shift), (along * h, above * h + shift)],
-            (along, below + above),
-            mesh.CellType.quadrilateral,
+        self.grid = grid = box_grid(
+            [(0, -below * h + shift), (along * h, above * h + shift)], (along, below + above)
         )
         beam = mpm.Box((0, -0.5 * depth), (self.length, 0.5 * depth))
         self.points = points = mpm.fill(grid, beam, per_cell=args.points_per_cell, density=1.0)

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
+from grids import box_grid
 from motion import Moving, problem_of, times_of
 from mpi4py import MPI
 from options import option, other_default, positive
@@ -82,7 +83,7 @@ def conforming(times):
     """Mean deflection (m) of the end face of conforming quadratic elements at equal times (s)."""
     cells = max(4, round(4 * L / d)), 4
     corners = [(0, -d / 2), (L, d / 2)]
-    grid = mesh.create_rectangle(MPI.COMM_SELF, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells, MPI.COMM_SELF)
     space = fem.functionspace(grid, ("Lagrange", 2, (2,)))
     u, u0, v0 = (fem.Function(space) for _ in range(3))
     w, du = ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -125,12 +126,7 @@ def conforming(times):
 
 # %%
 below, above, along = (int(np.ceil(size / h)) + 1 for size in (1.05 * L + d, d, L))
-grid = mesh.create_rectangle(
-    comm,
-    [(0, -below * h), (along * h, above * h)],
-    (along, below + above),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(0, -below * h), (along * h, above * h)], (along, below + above))
 beam = mpm.Box((0, -d / 2), (L, d / 2))
 points = mpm.fill(grid, beam, args.points_per_cell, args.density, aligned="body")
 V = mpm.Space(grid, args.basis)

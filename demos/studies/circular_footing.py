@@ -19,7 +19,7 @@ started = time.perf_counter()
 
 import numpy as np
 from dolfinx import fem
-from footing import lines, rectangle
+from grids import grid_of_lines, lines
 from options import Options, natural, option, positive, switch
 from scene import draw_points, finish, say, solver_figures
 
@@ -60,7 +60,7 @@ class Input(Options):
 # %%
 args = Input.parse()
 width, depth, rough = args.width, args.depth, args.rough == "on"
-grid = rectangle(
+grid = grid_of_lines(
     lines(width, RADIUS, args.h, args.coarsest),
     lines(depth + 0.5, depth, args.h, args.coarsest),
 )

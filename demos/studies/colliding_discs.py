@@ -20,8 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
 from energybalance import EnergyBalance
+from grids import box_grid
 from motion import Moving, problem_of, times_of
 from mpi4py import MPI
 from options import option, other_default, positive, values
@@ -78,12 +78,7 @@ touch = (0.5 * args.distance - R) / args.speed
 # %%
 half = 0.5 * args.distance / np.sqrt(2) + R
 n = 2 * (int(np.ceil(half / h - 1e-9)) + 2)
-grid = mesh.create_rectangle(
-    comm,
-    [(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)],
-    (n, n),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(-0.5 * n * h, -0.5 * n * h), (0.5 * n * h, 0.5 * n * h)], (n, n))
 centres = -0.5 * args.distance * along, 0.5 * args.distance * along
 own = args.contact == "bodies"
 fields = [mpm.Space(grid, args.basis, tag=1 + k if own else None) for k in range(1 + own)]

@@ -30,7 +30,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive, switch
 from scene import draw_points, finish, say
@@ -163,7 +164,7 @@ def problem_of(args, integrator, basis, fbar, strain):
     extent = 3.5 * args.width - first, 1.6 * args.height - first
     cells = [round(np.ceil(side / h - 1e-9)) for side in extent]
     corners = [first] * 2, [first + n * h for n in cells]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells)
     sand = mpm.Box((0, 0), (args.width, args.height))
     points = mpm.fill(grid, sand, args.points_per_cell, args.density, aligned="body")
     V = mpm.Space(grid, basis, domains=args.domains)

@@ -29,7 +29,8 @@ started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive
 from scene import finish, say, solver_figures, stabilisation
@@ -52,17 +53,6 @@ def exact_position(Y, height, modulus, weight):
 
     s0, s = weight * height / modulus, weight * (height - Y) / modulus
     return modulus / weight * (phi(s0) - phi(s))
-
-
-def background(dimension, columns, elements, h):
-    """A grid of `columns` cells across and `elements` cells high."""
-    cells = [columns] * (dimension - 1) + [elements]
-    corner = [h * n for n in cells]
-    if dimension == 2:
-        kind = mesh.CellType.quadrilateral
-        return mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), tuple(corner)], cells, kind)
-    kind = mesh.CellType.hexahedron
-    return mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), tuple(corner)], cells, kind)
 
 
 def picture(path, x0, x, stress, height, weight, modulus):
@@ -137,7 +127,8 @@ if weight < 0:
     top = exact_position(np.array(height), height, modulus, weight)
     rise = int(np.ceil((1.05 * top - height) / h))
 
-grid = background(d, args.columns, args.elements + rise, h)
+cells = [args.columns] * up + [args.elements + rise]
+grid = box_grid([(0.0,) * d, tuple(h * n for n in cells)], cells)
 body = mpm.Box((0.0,) * d, (h * args.columns,) * up + (height,))
 points = mpm.fill(grid, body, per_cell=args.points_per_cell, density=args.density)
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option
 from scene import finish, say
@@ -31,9 +32,7 @@ def column(elements, basis, stabilisation, per_cell, steps):
     """Solve; returns the figures of the run."""
     E, rho, g, height = 10e3, 80.0, 10.0, 50.0
     h = height / elements
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (h, height)], (1, elements), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (h, height)], (1, elements))
     points = mpm.fill(grid, mpm.Box((0, 0), (h, height)), per_cell, rho)
     V = mpm.Space(grid, basis)
     gravity = fem.Constant(grid, (0.0, 0.0))

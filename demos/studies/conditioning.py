@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option
 from scene import finish, say, stabilisation
@@ -45,13 +45,11 @@ def block(args, dimension, offset, angle=0.0):
     h = args.spacing
     length, n = (4 * h, 8) if dimension == 1 else (8 * h, 14)
     if dimension == 1:
-        grid = mesh.create_interval(MPI.COMM_WORLD, n, [0.0, n * h])
+        grid = box_grid([(0.0,), (n * h,)], (n,))
         body = mpm.Box(2 * h + offset * h, 2 * h + offset * h + length)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     else:
-        grid = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (n * h, n * h)], (n, n), mesh.CellType.quadrilateral
-        )
+        grid = box_grid([(0, 0), (n * h, n * h)], (n, n))
         corner = np.array([3 * h + offset * h, 3 * h + 0.7 * offset * h])
         body = mpm.TurnedBox(corner, corner + length, angle)
         points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")

@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
@@ -172,9 +173,7 @@ def column(height=H):
     cells = int(np.ceil(height / h - 1e-9)) + 1
     nested = args.pair in NESTED
     parts = 2 if nested else 1
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (h, cells * h)], (parts, parts * cells), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (h, cells * h)], (parts, parts * cells))
     body = mpm.Box((0, 0), (h, height))
     points = mpm.fill(grid, body, args.points_per_cell, 1.0, exact=True)
     bases = [NESTED[args.pair]] * 2 if nested else args.pair.split("-")

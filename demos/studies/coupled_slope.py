@@ -50,7 +50,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
 from scene import draw_points, finish, say, solver_figures
@@ -174,10 +175,7 @@ class Slope:
         self.args, self.way, self.soil = args, way, Soil(args)
         self.coupled = way not in LIMITS.values()
         top = BASE + HEIGHT + ROOM
-        self.grid = mesh.create_rectangle(
-            MPI.COMM_WORLD, [(0, 0), (WIDTH, top)], (round(WIDTH / args.h), round(top / args.h)),
-            mesh.CellType.quadrilateral,
-        )  # fmt: skip
+        self.grid = box_grid([(0, 0), (WIDTH, top)], (round(WIDTH / args.h), round(top / args.h)))
         self.points = mpm.fill(self.grid, mpm.Where(self.inside), args.points_per_cell, 1.0)
         self.gravity = fem.Constant(self.grid, (0.0, 0.0))
         V = mpm.Space(self.grid, args.basis)

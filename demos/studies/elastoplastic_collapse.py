@@ -18,7 +18,8 @@ started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive
 from scene import draw_points, finish, say, solver_figures
@@ -46,12 +47,7 @@ class Input(Options):
 
 
 args = Input.parse()
-grid = mesh.create_rectangle(
-    MPI.COMM_WORLD,
-    [(0, 0), (WIDTH, SIDE)],
-    (round(WIDTH / args.h), round(SIDE / args.h)),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(0, 0), (WIDTH, SIDE)], (round(WIDTH / args.h), round(SIDE / args.h)))
 comm = grid.comm
 points = mpm.fill(grid, mpm.Box((0, 0), (SIDE, SIDE)), args.points_per_cell, DENSITY)
 V = mpm.Space(grid, args.basis)

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, option
 from scene import finish, say
@@ -38,7 +39,7 @@ KINDS = {
 def squares(low, high, h=0.1):
     """A grid of squares that covers a box."""
     n = [round((b - a) / h) for a, b in zip(low, high)]
-    return mesh.create_rectangle(COMM, [low, high], n, mesh.CellType.quadrilateral)
+    return box_grid([low, high], n)
 
 
 def problem_of(args, F, u, points, bcs=()):
@@ -67,9 +68,7 @@ def block(args):
     """Share of the peak energy that is lost in two periods (%)."""
     n, offset = args.cells, 0.3
     h = 1.0 / n
-    grid = mesh.create_rectangle(
-        COMM, [(0, 0), (2.0, 1.5)], (2 * n, 3 * n // 2), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (2.0, 1.5)], (2 * n, 3 * n // 2))
     body = mpm.Box((0.5 + offset * h, 0), (1.5 + offset * h, 1.0 - offset * h))
     points = mpm.fill(grid, body, 2, 1000.0, aligned="body")
     V = mpm.Space(grid, "gimp")

@@ -23,7 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from motion import Moving, give_affine_part, nodal_velocities, problem_of
 from mpi4py import MPI
 from options import natural, option, other_default
@@ -77,10 +77,7 @@ def block(offset):
     low = (before + offset) * h
     centre = low + 0.5 * L
     n = (np.ceil((ways.max(axis=0) + centre) / h) + 4).astype(int)
-    if d == 1:
-        grid = mesh.create_interval(comm, n[0], [0.0, n[0] * h])
-    else:
-        grid = mesh.create_rectangle(comm, [(0, 0), n * h], n, mesh.CellType.quadrilateral)
+    grid = box_grid([(0.0,) * d, n * h], n)
     points = mpm.fill(
         grid, mpm.Box(tuple(low), tuple(low + L)), args.points_per_cell, 1.0, aligned="body"
     )

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from explicit_peers import PEERS, neo_hookean
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say
@@ -100,9 +101,7 @@ class Ours:
     def __init__(self, law, basis, scheme, tool=None, fused=True):
         low, high = [-MARGIN * h] * d, [1 + MARGIN * h] * d
         n = [cells + 2 * MARGIN] * d
-        make = mesh.create_rectangle if d == 2 else mesh.create_box
-        kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-        grid = make(comm, [low, high], n, kind)
+        grid = box_grid([low, high], n)
         block = mpm.Box((0,) * d, (1,) * d)
         self.points = mpm.fill(grid, block, args.points_per_cell, DENSITY)
         averaged = basis.startswith("averaged-")

@@ -40,7 +40,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say
@@ -115,9 +115,7 @@ def block(args, method, law, offset, kind, travel=0.0):
     """Points and problem of a block; `kind` chooses the explicit problem or a static one."""
     basis, options, stabilisation = METHODS[method]
     n = ACROSS + 6 + int(np.ceil(travel))
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n, n)], (n, n))
     low = 2.0 + np.broadcast_to(offset, 2)
     points = mpm.fill(grid, mpm.Box(low, low + ACROSS), args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, basis)

@@ -28,7 +28,8 @@ import time
 from dataclasses import dataclass
 
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive, switch
 from scene import finish, say
@@ -76,7 +77,7 @@ def slope(factor, args):
     """Gravity on the slope with strength divided by the factor, step by step."""
     size = CREST + RUN + ROOM, HEIGHT + 2.0
     cells = [round(length / args.h) for length in size]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), size], cells, mesh.CellType.quadrilateral)
+    grid = box_grid([(0, 0), size], cells)
     outline = mpm.Polygon([(0, 0), (CREST + RUN, 0), (CREST, HEIGHT), (0, HEIGHT)])
     points = mpm.fill(grid, outline, args.points_per_cell, UNIT_WEIGHT / GRAVITY)
     V = mpm.Space(grid, args.basis)

@@ -49,9 +49,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from footing_curves import compared, describe, draw_compared, draw_run, stored
-from mpi4py import MPI
+from grids import grid_of_lines, lines
 from options import BASES, Options, natural, option, positive, switch
 from scene import finish, say, solver_figures
 
@@ -132,28 +132,6 @@ class Input(Options):
 
 
 # %%
-def lines(length, at, h, coarsest):
-    """Ends of cells in [0, length], a line at `at`, where their size is h (m)."""
-
-    def half(reach):
-        sizes = [h]
-        while sum(sizes) < reach - 1e-9:
-            sizes.append(min(1.2 * sizes[-1], coarsest))
-        return np.cumsum(sizes) * reach / sum(sizes) if reach > 0 else np.empty(0)
-
-    return np.r_[at - half(at)[::-1], at, at + half(length - at)]
-
-
-def rectangle(x, y):
-    """A grid of rectangles with the lines x and y (m)."""
-    n = len(x) - 1, len(y) - 1
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), n], n, mesh.CellType.quadrilateral)
-    at = grid.geometry.x
-    at[:, 0] = x[np.rint(at[:, 0]).astype(int)]
-    at[:, 1] = y[np.rint(at[:, 1]).astype(int)]
-    return grid
-
-
 def law_of(args):
     """The law; and the unit weight of the ground (N/m³) and the pressure on its top (Pa)."""
     if args.law == "cam-clay":
@@ -190,7 +168,7 @@ class Scene:
     """
 
     def __init__(self, args):
-        self.grid = grid = rectangle(
+        self.grid = grid = grid_of_lines(
             lines(WIDTH, HALF_WIDTH, args.h, args.coarsest),
             lines(DEPTH + ROOM, DEPTH, args.h, args.coarsest),
         )

@@ -21,7 +21,8 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say, solver_figures
@@ -53,9 +54,7 @@ comm, E, nu = MPI.COMM_WORLD, 1e7, 0.3
 def run(cells: int, permeability: float):
     """Take the steps; figures of the run, and the problem."""
     h = 1 / cells
-    grid = mesh.create_box(
-        comm, [(0, 0, 0), (1, 1, 1 + h)], (cells, cells, cells + 1), mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (1, 1, 1 + h)], (cells, cells, cells + 1))
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), args.points_per_cell, 2000.0)
     V, Q = mpm.Space(grid, args.basis), mpm.Space(grid, args.basis, shape=())
     top = mpm.Surface(points, lambda x: x[2] > 1 - 1e-9, (0, 0, 1), name="top")

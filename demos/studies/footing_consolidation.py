@@ -15,7 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import natural, option, other_default, positive
 from poroelastic import (
@@ -65,9 +66,7 @@ W, D, h = args.width, args.depth, args.h
 cells = round(W / h), round(D / h)
 
 # %%
-grid = mesh.create_rectangle(
-    comm, [(0, 0), (W, D + h)], (cells[0], cells[1] + 1), mesh.CellType.quadrilateral
-)
+grid = box_grid([(0, 0), (W, D + h)], (cells[0], cells[1] + 1))
 points = mpm.fill(grid, mpm.Box((0, 0), (W, D)), args.points_per_cell, 1.0)
 V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, option
 from scene import finish, say
@@ -69,12 +69,7 @@ class Input(Options):
 def two_cells(basis, dimension):
     """The pair of cells, with the library's own penalty for γ = 1 Pa."""
     cells = (7,) * dimension
-    if dimension == 2:
-        grid = mesh.create_rectangle(
-            MPI.COMM_SELF, [(0, 0), cells], cells, mesh.CellType.quadrilateral
-        )
-    else:
-        grid = mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), cells], cells, mesh.CellType.hexahedron)
+    grid = box_grid([(0,) * dimension, cells], cells, MPI.COMM_SELF)
     points = mpm.fill(grid, mpm.Box((0,) * dimension, (1,) * dimension), 1, 1.0)
     V = mpm.Space(grid, basis)
     form = mpm.ghost(points, V.increment, V.test, gamma=1.0)
@@ -212,7 +207,7 @@ def deflection(depth, g, cut, **options):
     low = (1 - cut) * h
     cells = (10 * depth + 2, depth + 3)
     size = (cells[0] * h, cells[1] * h)
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), size], cells, mesh.CellType.quadrilateral)
+    grid = box_grid([(0, 0), size], cells)
     # whole cells between the cut ones, and one less of them in all
     points = mpm.fill(grid, mpm.Box((0, low + h), (10, low + h + 1.0)), 4, 1.0)
     V = mpm.Space(grid, "linear")

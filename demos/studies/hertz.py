@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import grid_of_lines
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
@@ -100,13 +100,7 @@ class Scene:
         out = lines(self.a, h, args)
         up = np.r_[-out[::-1], h, 2 * h]
         axes = [out] * (d - 1) + [up]
-        n = [len(axis) - 1 for axis in axes]
-        make = mesh.create_rectangle if d == 2 else mesh.create_box
-        kind = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-        grid = make(MPI.COMM_WORLD, [(0.0,) * d, n], n, kind)
-        x = grid.geometry.x
-        for k, axis in enumerate(axes):
-            x[:, k] = axis[np.rint(x[:, k]).astype(int)]
+        grid = grid_of_lines(*axes)
         low, high = [axis[0] for axis in axes], [out[-1]] * (d - 1) + [0.0]
         self.points = points = mpm.fill(grid, mpm.Box(low, high), args.points_per_cell, 1000.0)
         V = mpm.Space(grid, args.basis)

@@ -19,7 +19,8 @@ started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from numpy.polynomial import Chebyshev
 from options import Options, natural, option, positive
@@ -90,12 +91,7 @@ energy = gent if args.law == "gent" else neo_hookean
 
 # %%
 across = int(np.ceil((1 + max(args.growth, 0.0)) * args.cells)) + 2
-grid = mesh.create_rectangle(
-    MPI.COMM_WORLD,
-    [(0, 0), (across * h, across * h)],
-    (across, across),
-    mesh.CellType.quadrilateral,
-)
+grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
 comm = grid.comm
 quarter = mpm.Disc((0, 0), radius) & mpm.Box((0, 0), (radius, radius))
 V = mpm.Space(grid, basis=args.basis)

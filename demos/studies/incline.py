@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, option, positive
 from scene import finish, say, solver_figures
@@ -72,9 +73,7 @@ def rectangle(low, high, h):
     """A grid of squares or cubes that covers a box."""
     n = [math.ceil((b - a) / h - 1e-9) for a, b in zip(low, high)]
     ends = [low, [a + k * h for a, k in zip(low, n)]]
-    if len(n) == 2:
-        return mesh.create_rectangle(COMM, ends, n, mesh.CellType.quadrilateral)
-    return mesh.create_box(COMM, ends, n, mesh.CellType.hexahedron)
+    return box_grid(ends, n)
 
 
 def turned(x, before):

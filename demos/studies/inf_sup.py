@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, option
 from scene import finish, say, stabilisation
@@ -117,7 +117,7 @@ def matrices(pair, kind, cells, ends, around):
     beyond = 0 if around else 1
     n, h = (cells + beyond) * parts, 1.0 / parts
     size = (0.0, 0.0), (n * h, n * h)
-    grid = mesh.create_rectangle(MPI.COMM_SELF, size, (n, n), mesh.CellType.quadrilateral)
+    grid = box_grid(size, (n, n), MPI.COMM_SELF)
     gimp = basis_u == "gimp"
     points = points_in(grid, ends, h, n, gimp)
     V = mpm.Space(grid, basis_u, averaged=gimp)

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import natural, option, other_default
 from poroelastic import (
@@ -86,9 +87,7 @@ def series(times, count=200):
 
 
 # %%
-grid = mesh.create_rectangle(
-    comm, [(0, 0), (a + h, b + h)], (args.cells + 1, rows + 1), mesh.CellType.quadrilateral
-)
+grid = box_grid([(0, 0), (a + h, b + h)], (args.cells + 1, rows + 1))
 points = mpm.fill(grid, mpm.Box((0, 0), (a, b)), args.points_per_cell, 1.0)
 V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test

@@ -38,7 +38,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, switch
 from scene import finish, say
@@ -138,12 +139,7 @@ def block(basis, cells, cut=None):
     side, nu = (1.0, args.nu) if full else (0.5, 0.0)
     h = side / (cells if full else cells // 2 + cut)
     across = cells if full else int(np.ceil((side + 1.5 * max(args.amplitude, 0.0)) / h)) + 1
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (across * h, across * h)],
-        (across, across),
-        mesh.CellType.quadrilateral,
-    )
+    grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
     body = mpm.Box((0, 0), (side, side))
     points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned=args.aligned)
     V = mpm.Space(grid, basis, averaged=args.averaged == "on" or basis == "gimp")

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option
 from scene import finish, say
@@ -116,9 +117,7 @@ def stabilised(form, stabilisation, points, u, v):
 def conditioning(stabilisation, offset, angle):
     """Condition numbers and critical step of the block at an offset (cells), turned (degrees)."""
     n = 10
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (n, n)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n, n)], (n, n))
     corner = np.array([3 + offset, 3 + 0.7 * offset])
     points = mpm.fill(grid, mpm.TurnedBox(corner, corner + 4, angle), 2, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)
@@ -146,12 +145,7 @@ def error(stabilisation, cells):
     """Relative error of the displacement, and what it took."""
     h = 0.5 / (cells // 2 + 1e-3)
     across = int(np.ceil((0.5 + 1.5 * AMPLITUDE) / h)) + 1
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD,
-        [(0, 0), (across * h, across * h)],
-        (across, across),
-        mesh.CellType.quadrilateral,
-    )
+    grid = box_grid([(0, 0), (across * h, across * h)], (across, across))
     body = mpm.Box((0, 0), (0.5, 0.5))
     points = mpm.fill(grid, body, args.points_per_cell, RHO, aligned="body")
     V = mpm.Space(grid, args.basis)

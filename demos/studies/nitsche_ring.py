@@ -30,7 +30,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, option
 from scene import finish, say
@@ -87,7 +87,7 @@ def ring(cells, offset):
     h = (b - a) / cells
     count = 2 * cells + 2
     ends = [(-count * h,) * 2, (count * h,) * 2]
-    grid = mesh.create_rectangle(comm, ends, (2 * count,) * 2, mesh.CellType.quadrilateral)
+    grid = box_grid(ends, (2 * count,) * 2)
     middle = h * offset * np.array([1.0, 0.7])
 
     def radius(x):

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
@@ -66,10 +66,7 @@ def solve(args):
     n = max(1, round(H / args.h))
     h = H / n
     corner = (H,) * (d - 1)
-    make = mesh.create_rectangle if d == 2 else mesh.create_box
-    cells = mesh.CellType.quadrilateral if d == 2 else mesh.CellType.hexahedron
-    ends = [(0.0,) * d, (*corner, H + h)]
-    grid = make(MPI.COMM_WORLD, ends, (n,) * (d - 1) + (n + 1,), cells)
+    grid = box_grid([(0.0,) * d, (*corner, H + h)], (n,) * (d - 1) + (n + 1,))
     points = mpm.fill(grid, mpm.Box((0.0,) * d, (*corner, H)), args.points_per_cell, 1000.0)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from grids import box_grid
 from options import Options, natural, option, other_default
 from scene import finish, say, solver_figures
 
@@ -152,17 +153,14 @@ class Round(InTime):
 def run_round(args: Round, axisymmetric: bool) -> None:
     """A cylinder or a sphere that is squeezed and drains at its edge: study of both."""
     import ufl
-    from dolfinx import fem, mesh
+    from dolfinx import fem
     from mpi4py import MPI
 
     comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
     c_v, p0 = consolidation_coefficient(E, nu), SMALL * E
     M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
     h = a / (args.cells - 0.37)
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (args.cells * h + h, args.cells * h + h)], [args.cells + 1] * 2,
-        mesh.CellType.quadrilateral,
-    )  # fmt: skip
+    grid = box_grid([(0, 0), (args.cells * h + h, args.cells * h + h)], [args.cells + 1] * 2)
     turned = {"axisymmetric": True} if axisymmetric else {}
     arc = np.linspace(0, 0.5 * np.pi, 400)
     shape = mpm.Polygon([(0.0, 0.0), *zip(a * np.cos(arc), a * np.sin(arc))])

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import benchmark_plastic
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say
@@ -58,9 +59,7 @@ while True:
 def solid(n):
     """An elastic block on rollers, and a function that takes its k-th step."""
     h, side = 1.0 / n, 1.0 + 4.0 / n
-    grid = mesh.create_box(
-        MPI.COMM_WORLD, [(0, 0, 0), (side,) * 3], (n + 4,) * 3, mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1 - 0.7 * h)), 2, 1000.0)
     V = mpm.Space(grid)
     u, v = V.increment, V.test

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import mesh
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
@@ -81,8 +81,7 @@ class Scene:
         self.h = h = H / n
         wide, room = round(args.length * n), 2
         ends = [(-room * h, 0.0), (wide * h, H + 2 * h)]
-        cells = mesh.CellType.quadrilateral
-        grid = mesh.create_rectangle(MPI.COMM_WORLD, ends, (wide + room, n + 2), cells)
+        grid = box_grid(ends, (wide + room, n + 2))
         density, sign = args.unit_weight / GRAVITY, 1 if args.direction == "passive" else -1
         ground = mpm.Box((0, 0), (wide * h, H))
         self.points = points = mpm.fill(grid, ground, args.points_per_cell, density)

@@ -15,7 +15,7 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import box_grid
 from motion import Moving, give_affine_part, problem_of, times_of, total_energy
 from mpi4py import MPI
 from options import option, other_default, positive
@@ -68,9 +68,7 @@ def turn(mass, mapping, order):
     """The figures of a disc, how they went, and its points in the end."""
     n = int(np.ceil(2.6 * args.radius_cells)) + 4
     centre = 0.5 * n * h + h * np.array([0.26, -0.14])
-    grid = mesh.create_rectangle(
-        comm, [(0, 0), (n * h, n * h)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(0, 0), (n * h, n * h)], (n, n))
     disc = mpm.Ball(centre, radius)
     points = mpm.fill(grid, disc, args.points_per_cell, args.density, exact=args.exact)
     V = mpm.Space(grid, args.basis)

@@ -22,7 +22,8 @@ started = time.perf_counter()
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
 from scene import draw_points, finish, say
@@ -72,7 +73,7 @@ cells = [int(np.ceil(reach / h)), int(np.ceil(1.15 * height / h)) + 2]
 # two rows below the ground: functions of points beside it are whole
 corners = [(0.0, -2 * h), (cells[0] * h, cells[1] * h)]
 cells[1] += 2
-grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+grid = box_grid(corners, cells)
 column = mpm.Box((0, 0), (RADIUS, height))
 points = mpm.fill(
     grid, column, args.points_per_cell, DENSITY, aligned="body", axisymmetric=not args.plane

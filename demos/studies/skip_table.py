@@ -33,7 +33,8 @@ from unittest import mock
 import instructions
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option
 from scene import finish, say
@@ -87,11 +88,9 @@ def block(cells, dimension=2, law=None, fbar=False, stabilisation="none", tags=F
     """A block with a feature, or with none."""
     if dimension == 3:
         cells = max(2, round(cells ** (2 / 3)))
-    kind = mesh.CellType.quadrilateral if dimension == 2 else mesh.CellType.hexahedron
-    make = mesh.create_rectangle if dimension == 2 else mesh.create_box
     high = (1.0,) * (dimension - 1) + (1.25,)
     n = [cells] * (dimension - 1) + [round(1.25 * cells)]
-    grid = make(MPI.COMM_WORLD, [(0.0,) * dimension, high], n, kind)
+    grid = box_grid([(0.0,) * dimension, high], n)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
     law = law or mpm.materials.Hencky(E=1e4, nu=0.3)

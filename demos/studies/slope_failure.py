@@ -30,7 +30,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, switch
 from scene import draw_points, finish, say
@@ -121,10 +122,7 @@ def law_of(name):
 def run(h, per_cell, stabilisation, args):
     """Bring the slope to failure; returns the figures of the run and its points. Collective."""
     started = time.perf_counter()
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)),
-        mesh.CellType.quadrilateral,
-    )  # fmt: skip
+    grid = box_grid([(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)))
     comm = grid.comm
     points = mpm.fill(grid, mpm.Where(in_body), per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive
 from scene import draw_points, finish, say
@@ -77,7 +78,7 @@ def run(args, integrator, h):
     # cells below the base and beside the walls, for domains that reach there
     cells = round(WIDTH / h) + 4, round(GRID_TOP / h) + 2
     corners = [(-2 * h, -2 * h), (WIDTH + 2 * h, GRID_TOP)]
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
+    grid = box_grid(corners, cells)
     comm = grid.comm
     points = mpm.fill(grid, mpm.Where(in_body), args.points_per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)

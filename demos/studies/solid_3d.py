@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option
 from scene import finish, say
@@ -54,9 +55,7 @@ def block(n, cut):
     """The elastic block; returns grid, points, law and weight (N/kg)."""
     h = 1.0 / n
     side = (n + 4) * h
-    grid = mesh.create_box(
-        MPI.COMM_WORLD, [(0, 0, 0), (side,) * 3], (n + 4,) * 3, mesh.CellType.hexahedron
-    )
+    grid = box_grid([(0, 0, 0), (side,) * 3], (n + 4,) * 3)
     body = mpm.Box((0, 0, 0), (1 + cut * h,) * 3)
     points = mpm.fill(grid, body, args.points_per_cell, 1000.0)
     return grid, points, mpm.materials.Hencky(E=1e6, nu=0.3)
@@ -66,12 +65,7 @@ def slope(n, cut):
     """A slope, weaker at one end of it, 10 m high."""
     h = 10.0 / n
     cells = 2 * n + 2, n, n + 1
-    grid = mesh.create_box(
-        MPI.COMM_WORLD,
-        [(0, 0, 0), tuple(h * k for k in cells)],
-        cells,
-        mesh.CellType.hexahedron,
-    )
+    grid = box_grid([(0, 0, 0), tuple(h * k for k in cells)], cells)
     high, foot = 10.0 + cut * h, 2.0
     points = mpm.fill(
         grid,

@@ -29,7 +29,8 @@ from dataclasses import dataclass
 started = time.perf_counter()
 
 import numpy as np
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive, switch
 from scene import finish, say, solver_figures, stabilisation
@@ -180,7 +181,7 @@ a, b, h = args.inner, args.outer, args.h
 exact = Hill(a, b, args.modulus, args.poisson, args.strength)
 n = int(np.ceil(b / h)) + 2
 corners = [(0, 0), (n * h, n * h)]
-grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, (n, n), mesh.CellType.quadrilateral)
+grid = box_grid(corners, (n, n))
 points, inner, outer = fill_rings(grid, a, b, h / args.points_per_cell)
 
 V = mpm.Space(grid, basis=args.basis)

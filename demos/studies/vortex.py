@@ -39,7 +39,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, values
 from scene import draw_points, finish, say, stage_seconds
@@ -161,9 +162,7 @@ def ring(args, integrator, basis, cells, steps=None):
     """One run: its errors and what it cost, and the points. Collective."""
     side = 1.5
     n = 2 * round(side * cells)
-    grid = mesh.create_rectangle(
-        MPI.COMM_WORLD, [(-side, -side), (side, side)], (n, n), mesh.CellType.quadrilateral
-    )
+    grid = box_grid([(-side, -side), (side, side)], (n, n))
     body = mpm.Ball((0, 0), OUTER) - mpm.Ball((0, 0), INNER)
     points = mpm.fill(grid, body, args.points_per_cell, RHO, exact=True)
     V = mpm.Space(grid, basis)

@@ -35,7 +35,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh
+from grids import grid_of_lines
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
 from scene import draw_points, finish, say, solver_figures
@@ -104,12 +104,7 @@ class Scene:
         across = lines(flows, h, args.width * c, args.growth)
         down = lines(c + 0.75 * side, h, args.width * c, args.growth)
         up = np.r_[-down[:0:-1], h * np.arange(math.ceil(1.5 * lip * c / h) + 3)]
-        n = len(across) - 1, len(up) - 1
-        kind = mesh.CellType.quadrilateral
-        grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), n], n, kind)
-        at = grid.geometry.x
-        at[:, 0] = across[np.rint(at[:, 0]).astype(int)]
-        at[:, 1] = up[np.rint(at[:, 1]).astype(int)]
+        grid = grid_of_lines(across, up)
         clay = mpm.materials.Tresca(args.E_over_cu * COHESION, 0.33, COHESION)
         ground = mpm.Box((0.0, up[0]), (across[-1], 0.0))
         self.points = points = mpm.fill(grid, ground, args.points_per_cell, 1000.0)

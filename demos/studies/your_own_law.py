@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
+from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, positive
 from scene import draw_points, finish, say, solver_figures
@@ -164,8 +165,7 @@ class Input(Options):
 def settle(law, weight, E):
     """Let half of a block settle under ρg = weight (Pa/m); returns figures and points."""
     n = round(1 / args.h)
-    cells = mesh.CellType.quadrilateral
-    grid = mesh.create_rectangle(MPI.COMM_WORLD, [(0, 0), (3, 2)], (3 * n, 2 * n), cells)
+    grid = box_grid([(0, 0), (3, 2)], (3 * n, 2 * n))
     points = mpm.fill(grid, mpm.Box((0, 0), (1, 2)), args.points_per_cell, density=1.0)
     V = mpm.Space(grid, "gimp")
     u, v = V.increment, V.test
