@@ -421,30 +421,24 @@ def once(args):
     return figures, scene
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    if args.curve:
-        runs = []
-        for velocity in args.velocities:
-            args.velocity = velocity
-            runs.append({"velocity": velocity, **once(args)[0]})
-        figures = {"runs": runs, **compared(runs)}
-        text = f"drained {figures['drained_ratio']:.2f} times undrained"
-        if "V50" in figures:
-            text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
-            text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
-            text += f"m = {figures['m_fitted']:.2f}"
-        say(text)
-        if not args.no_plot and MPI.COMM_WORLD.rank == 0:
-            draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
-    else:
-        figures, scene = once(args)
-        if not args.no_plot and "factor" in figures:
-            draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+if args.curve:
+    runs = []
+    for velocity in args.velocities:
+        args.velocity = velocity
+        runs.append({"velocity": velocity, **once(args)[0]})
+    figures = {"runs": runs, **compared(runs)}
+    text = f"drained {figures['drained_ratio']:.2f} times undrained"
+    if "V50" in figures:
+        text += f", half of it at v d/c_v = {figures['V50']:.2f}; {figures['apart']:.2f} from "
+        text += f"the backbone at most, fitted by V50 = {figures['V50_fitted']:.2f} and "
+        text += f"m = {figures['m_fitted']:.2f}"
+    say(text)
+    if not args.no_plot and MPI.COMM_WORLD.rank == 0:
+        draw_curve(args.output / "cone_penetration_curve.png", runs, figures)
+else:
+    figures, scene = once(args)
+    if not args.no_plot and "factor" in figures:
+        draw(args, scene, figures)
+finish(args, figures)

@@ -423,39 +423,32 @@ def picture(path, args, runs, states):
 
 
 # %%
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    started = time.perf_counter()
-    ways = list(args.rate)
-    if not args.no_limits:
-        ways += [LIMITS[way] for way in args.rate if way in LIMITS]
-    runs, states = {}, {}
-    for way in ways:
-        slope = Slope(args, way)
-        slope.run()
-        runs[way] = slope.results()
-        say(describe(way, runs[way]))
-        if slope.state is not None:
-            states[way] = slope.state
-    figures = {"runs": runs, "undrained_strength": Soil(args).strength}
-    for way, limit in LIMITS.items():
-        pair = [runs[name]["limit"] for name in (way, limit) if name in runs]
-        known = len(pair) == 2 and None not in pair
-        figures[f"{way}_error"] = pair[0] / pair[1] - 1 if known else None
-        if len(pair) == 2:
-            # displacements at the same loads
-            ours, theirs = (np.array(runs[name]["moved"]) for name in (way, limit))
-            n = min(len(ours), len(theirs))
-            apart = np.abs(ours[:n] - theirs[:n]).max(initial=0.0)
-            figures[f"{way}_apart"] = float(apart / theirs[:n].max(initial=1e-300))
-    figures["seconds"] = time.perf_counter() - started
-    if states:
-        name = "held" if args.hold else args.law.replace("-", "_")
-        picture(args.output / f"coupled_slope_{name}.png", args, runs, states)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+args = Input.parse()
+started = time.perf_counter()
+ways = list(args.rate)
+if not args.no_limits:
+    ways += [LIMITS[way] for way in args.rate if way in LIMITS]
+runs, states = {}, {}
+for way in ways:
+    slope = Slope(args, way)
+    slope.run()
+    runs[way] = slope.results()
+    say(describe(way, runs[way]))
+    if slope.state is not None:
+        states[way] = slope.state
+figures = {"runs": runs, "undrained_strength": Soil(args).strength}
+for way, limit in LIMITS.items():
+    pair = [runs[name]["limit"] for name in (way, limit) if name in runs]
+    known = len(pair) == 2 and None not in pair
+    figures[f"{way}_error"] = pair[0] / pair[1] - 1 if known else None
+    if len(pair) == 2:
+        # displacements at the same loads
+        ours, theirs = (np.array(runs[name]["moved"]) for name in (way, limit))
+        n = min(len(ours), len(theirs))
+        apart = np.abs(ours[:n] - theirs[:n]).max(initial=0.0)
+        figures[f"{way}_apart"] = float(apart / theirs[:n].max(initial=1e-300))
+figures["seconds"] = time.perf_counter() - started
+if states:
+    name = "held" if args.hold else args.law.replace("-", "_")
+    picture(args.output / f"coupled_slope_{name}.png", args, runs, states)
+finish(args, figures)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from grids import grid_of_lines
-from mpi4py import MPI
+from hertz_fit import draw_pressure, fitted_ellipse
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
 
@@ -174,70 +174,38 @@ class Scene:
         return np.linalg.norm(x, axis=1), p, p / area
 
 
-def measured(scene):
-    """Half-width (m), from the second moment, and peak pressure (Pa)."""
-    r, force, pressure = scene.pressures()
-    moment = force @ r**2 / force.sum()
-    a = math.sqrt((4 if scene.args.shape == "cylinder" else 2.5) * moment)
-    inner = r < 0.4 * a
-    shape = np.sqrt(1 - (r[inner] / a) ** 2)
-    # the ellipse that fits best
-    return a, float(pressure[inner] @ shape / (shape @ shape))
-
-
 def draw(args, scene, figures):
-    """Pressure against the distance from the middle; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    r, _, p = scene.pressures()
-    if MPI.COMM_WORLD.rank:
-        return
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    a, peak = figures["exact_half_width"], figures["exact_peak_pressure"]
-    s = np.linspace(0, a, 200)
-    axes.plot(s, peak * np.sqrt(1 - (s / a) ** 2) / 1e3, color="k", lw=1, label="Hertz")
-    axes.plot(r, p / 1e3, "o", ms=3, label="corners of points")
-    axes.set(xlabel="distance from the middle (m)", ylabel="pressure (kPa)", xlim=(0, 1.3 * a))
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"hertz_{args.shape}.png", dpi=200)
-    plt.close(figure)
+    """Pressure against the distance from the middle; rank 0 writes. Collective."""
+    r, _, pressure = scene.pressures()
+    with mpm.figure(args.output / f"hertz_{args.shape}.png", 4.0, 3.0) as (_, axes):
+        draw_pressure(axes, figures, r, pressure, "corners of points")
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    scene = Scene(args)
-    scene.run()
-    half_width, peak = measured(scene)
-    force = float(scene.force)
-    if args.shape == "sphere" and args.force is None:
-        # the depth was given: the force is a result
-        stiffness = args.modulus / (1 - args.poisson**2)
-        exact_force = 4 / 3 * stiffness * math.sqrt(args.radius) * args.depth**1.5
-    else:
-        exact_force = args.force if args.force is not None else force
-    a, p0, _ = closed_form(args, exact_force)
-    figures = {
-        "force": force, "depth": float(scene.depth), "half_width": half_width,
-        "peak_pressure": peak, "exact_force": exact_force, "exact_half_width": a,
-        "exact_peak_pressure": p0, "force_error": force / exact_force - 1,
-        "half_width_error": half_width / a - 1, "peak_error": peak / p0 - 1,
-        **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"force {force:.6g} N, half-width {half_width:.5g} m ({a:.5g}, "
-        f"{100 * figures['half_width_error']:+.2f} %), peak {peak:.5g} Pa ({p0:.5g}, "
-        f"{100 * figures['peak_error']:+.2f} %), force {100 * figures['force_error']:+.2f} %"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+half_width, peak = fitted_ellipse(*scene.pressures(), args.shape == "sphere")
+force = float(scene.force)
+if args.shape == "sphere" and args.force is None:
+    # the depth was given: the force is a result
+    stiffness = args.modulus / (1 - args.poisson**2)
+    exact_force = 4 / 3 * stiffness * math.sqrt(args.radius) * args.depth**1.5
+else:
+    exact_force = args.force if args.force is not None else force
+a, p0, _ = closed_form(args, exact_force)
+figures = {
+    "force": force, "depth": float(scene.depth), "half_width": half_width,
+    "peak_pressure": peak, "exact_force": exact_force, "exact_half_width": a,
+    "exact_peak_pressure": p0, "force_error": force / exact_force - 1,
+    "half_width_error": half_width / a - 1, "peak_error": peak / p0 - 1,
+    **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"force {force:.6g} N, half-width {half_width:.5g} m ({a:.5g}, "
+    f"{100 * figures['half_width_error']:+.2f} %), peak {peak:.5g} Pa ({p0:.5g}, "
+    f"{100 * figures['peak_error']:+.2f} %), force {100 * figures['force_error']:+.2f} %"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)

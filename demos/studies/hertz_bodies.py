@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
+from hertz_fit import draw_pressure, fitted_ellipse
 from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import draw_points, finish, say, solver_figures
@@ -190,15 +191,6 @@ class Scene:
         return x[some], force[some], pressure[some]
 
 
-def measured(scene):
-    """Half-width (m), from the second moment, and peak pressure (Pa). Collective."""
-    x, force, pressure = scene.pressures()
-    b = math.sqrt((4 if scene.parts == 2 else 2.5) * (force @ x**2) / force.sum())
-    inner = x < 0.4 * b
-    shape = np.sqrt(1 - (x[inner] / b) ** 2)
-    return b, float(pressure[inner] @ shape / (shape @ shape))
-
-
 def draw(args, scene, figures):
     """The bodies and their pressure, of spheres near the plane y = 0; rank 0 writes."""
     rows = scene.points.gather("x", "F", "l0", "stress")
@@ -225,39 +217,28 @@ def draw(args, scene, figures):
         drawn = draw_points(left, at, F, l0, value, clim=(0, peak / 1e3))
         left.set(xlim=(0, 3 * b), ylim=(-3 * b, 3 * b), ylabel=f"${'xyz'[up]}$ (m)")
         whole.colorbar(drawn, ax=left, label="pressure along the load (kPa)")
-        s = np.linspace(0, b, 200)
-        right.plot(s, peak * np.sqrt(1 - (s / b) ** 2) / 1e3, color="k", lw=1, label="Hertz")
-        right.plot(x, p / 1e3, "o", ms=3, label=label)
-        right.set(xlabel="distance from the middle (m)", ylabel="pressure (kPa)")
-        right.set(xlim=(0, 1.3 * b), ylim=(0, None))
-        right.legend(frameon=False)
+        draw_pressure(right, figures, x, p, label)
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    scene = Scene(args)
-    scene.run()
-    half_width, peak = measured(scene)
-    b, p0, approach = closed_form(args, scene.force)
-    figures = {
-        "force": float(scene.force), "approach": scene.approach, "half_width": half_width,
-        "peak_pressure": peak, "exact_half_width": b, "exact_peak_pressure": p0,
-        "exact_approach": approach, "half_width_error": half_width / b - 1,
-        "peak_error": peak / p0 - 1, "approach_error": scene.approach / approach - 1,
-        "cells_in_half_width": half_width / scene.h, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"P = {scene.force:.6g} N, b/h = {figures['cells_in_half_width']:.1f}: half-width "
-        f"{half_width:.5g} m ({b:.5g}, {100 * figures['half_width_error']:+.2f} %), peak "
-        f"{peak:.5g} Pa ({p0:.5g}, {100 * figures['peak_error']:+.2f} %), approach "
-        f"{scene.approach:.5g} m ({approach:.5g}, {100 * figures['approach_error']:+.2f} %)"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+half_width, peak = fitted_ellipse(*scene.pressures(), args.shape == "sphere")
+b, p0, approach = closed_form(args, scene.force)
+figures = {
+    "force": float(scene.force), "approach": scene.approach, "half_width": half_width,
+    "peak_pressure": peak, "exact_half_width": b, "exact_peak_pressure": p0,
+    "exact_approach": approach, "half_width_error": half_width / b - 1,
+    "peak_error": peak / p0 - 1, "approach_error": scene.approach / approach - 1,
+    "cells_in_half_width": half_width / scene.h, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"P = {scene.force:.6g} N, b/h = {figures['cells_in_half_width']:.1f}: half-width "
+    f"{half_width:.5g} m ({b:.5g}, {100 * figures['half_width_error']:+.2f} %), peak "
+    f"{peak:.5g} Pa ({p0:.5g}, {100 * figures['peak_error']:+.2f} %), approach "
+    f"{scene.approach:.5g} m ({approach:.5g}, {100 * figures['approach_error']:+.2f} %)"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)

@@ -249,62 +249,46 @@ def grid_end(grid):
 
 def draw(args, history, rotates):
     """Displacement and rotation against time, and the closed forms; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if COMM.rank:
-        return
     t = history["time"]
     last, turn, _ = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
-    figure, axes = plt.subplots(1, 1 + rotates, figsize=(3.4 * (1 + rotates), 2.8), squeeze=False,
-                                layout="constrained")  # fmt: skip
-    shown = [("displacement", last, "displacement (m)"), ("rotation", turn, "rotation (rad)")]
-    for ax, (name, end, label) in zip(axes[0], shown):
-        ax.plot(t, end * (t / args.duration) ** 2, color="k", lw=1, label="closed form")
-        values = np.abs(history[name]) if name == "rotation" else history[name]
-        every = max(1, len(t) // 20)
-        ax.plot(t[::every], values[::every], "o", ms=3, label="material points")
-        ax.set(xlabel="time (s)", ylabel=label)
-    axes[0, 0].legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"incline_{args.shape}.png", dpi=200)
-    plt.close(figure)
+    path, n = args.output / f"incline_{args.shape}.png", 1 + rotates
+    with mpm.figure(path, 3.4 * n, 2.8, ncols=n, squeeze=False) as (_, axes):
+        shown = [("displacement", last, "displacement (m)"), ("rotation", turn, "rotation (rad)")]
+        for ax, (name, end, label) in zip(axes[0], shown):
+            ax.plot(t, end * (t / args.duration) ** 2, color="k", lw=1, label="closed form")
+            values = np.abs(history[name]) if name == "rotation" else history[name]
+            every = max(1, len(t) // 20)
+            ax.plot(t[::every], values[::every], "o", ms=3, label="material points")
+            ax.set(xlabel="time (s)", ylabel=label)
+        axes[0, 0].legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    elastic = args.shape in ("block", "cylinder")
-    scene = Elastic(args) if elastic else Rigid(args)
-    history = mpm.History()
-    for t in mpm.times(args.duration, dt=args.dt):
-        scene.problem.step(t)
-        displacement, rotation = scene.look()
-        history.record(time=float(t), displacement=displacement, rotation=rotation)
-    last, turn, slips = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
-    work, expected = scene.work()
-    figures = {
-        "displacement": displacement, "rotation": rotation, "exact_displacement": last,
-        "exact_rotation": turn, "slips": slips, "dissipated": work,
-        "friction_times_slip": expected,
-        "displacement_error": displacement / last - 1 if last else None,
-        "rotation_error": abs(rotation) / turn - 1 if turn else None,
-        "creep": float(history["displacement"][-1] - history["displacement"][len(history) // 2]),
-        **solver_figures(scene.problem),
-    }  # fmt: skip
-    error = f" ({100 * figures['displacement_error']:+.2f} %)" if last else ""
-    say(
-        f"{args.shape} {'slips' if slips else 'holds'}: {displacement:.6g} m, closed form "
-        f"{last:.6g} m{error}, rotation {rotation:.5g} ({turn:.5g}), friction takes {work:.5g} J, "
-        f"mu N slip {expected:.5g} J, at most {figures['max_newton_iterations']} iterations"
-    )
-    if not args.no_plot:
-        draw(args, history, args.shape != "block")
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+elastic = args.shape in ("block", "cylinder")
+scene = Elastic(args) if elastic else Rigid(args)
+history = mpm.History()
+for t in mpm.times(args.duration, dt=args.dt):
+    scene.problem.step(t)
+    displacement, rotation = scene.look()
+    history.record(time=float(t), displacement=displacement, rotation=rotation)
+last, turn, slips = exact(args, 0.25 if args.shape == "cylinder" else 1.0)
+work, expected = scene.work()
+figures = {
+    "displacement": displacement, "rotation": rotation, "exact_displacement": last,
+    "exact_rotation": turn, "slips": slips, "dissipated": work,
+    "friction_times_slip": expected,
+    "displacement_error": displacement / last - 1 if last else None,
+    "rotation_error": abs(rotation) / turn - 1 if turn else None,
+    "creep": float(history["displacement"][-1] - history["displacement"][len(history) // 2]),
+    **solver_figures(scene.problem),
+}  # fmt: skip
+error = f" ({100 * figures['displacement_error']:+.2f} %)" if last else ""
+say(
+    f"{args.shape} {'slips' if slips else 'holds'}: {displacement:.6g} m, closed form "
+    f"{last:.6g} m{error}, rotation {rotation:.5g} ({turn:.5g}), friction takes {work:.5g} J, "
+    f"mu N slip {expected:.5g} J, at most {figures['max_newton_iterations']} iterations"
+)
+if not args.no_plot:
+    draw(args, history, args.shape != "block")
+finish(args, figures)

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from grids import box_grid
-from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
 from scipy.optimize import brentq
@@ -107,41 +106,25 @@ def solve(args):
 
 def draw(args, points, history, figures, plate):
     """Force against the plate's height, and the closed form; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if MPI.COMM_WORLD.rank:
-        return
     area = args.height ** (args.dimension - 1)
     z = np.linspace(args.height - args.displacement, args.height, 50)[:-1]
     curve = [-exact(args.modulus, args.stiffness_per_area, args.height, s)[1] for s in z]
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    axes.plot(args.height - z, np.array(curve) / 1e3, color="k", lw=1, label="closed form")
-    sunk = args.height - history["height"]
-    axes.plot(sunk, history["force"] / area / 1e3, "o", ms=4, label="material points")
-    axes.set(xlabel="displacement of the plate (m)", ylabel="pressure (kPa)")
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / "plate_on_cube.png", dpi=200)
-    plt.close(figure)
+    with mpm.figure(args.output / "plate_on_cube.png", 4.0, 3.0) as (_, axes):
+        axes.plot(args.height - z, np.array(curve) / 1e3, color="k", lw=1, label="closed form")
+        sunk = args.height - history["height"]
+        axes.plot(sunk, history["force"] / area / 1e3, "o", ms=4, label="material points")
+        axes.set(xlabel="displacement of the plate (m)", ylabel="pressure (kPa)")
+        axes.legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    figures, points, history, plate = solve(args)
-    say(
-        f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
-        f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
-        f"{figures['max_newton_iterations']} Newton iterations per step"
-    )
-    if not args.no_plot:
-        draw(args, points, history, figures, plate)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+figures, points, history, plate = solve(args)
+say(
+    f"height {figures['height']:.9f} m ({figures['exact_height']:.9f}), stress "
+    f"{figures['stress']:.6g} Pa ({figures['exact_stress']:.6g}), at most "
+    f"{figures['max_newton_iterations']} Newton iterations per step"
+)
+if not args.no_plot:
+    draw(args, points, history, figures, plate)
+finish(args, figures)

@@ -306,36 +306,30 @@ def draw(args, scene):
         figure.colorbar(drawn, ax=bottom, label="height of the surface (m)")
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    scene = Scene(args)
-    started = time.perf_counter()
-    scene.run()
-    history = scene.history
-    pull = history["pull"]
-    late = history["distance"] > 0.8 * history["distance"][-1]
-    linear = history["linear"]
-    figures = {
-        "pull": float(pull[late].mean()), "last_pull": float(pull[-1]), "peak": float(pull.max()),
-        "heap": float(history["heap"][-1]), "at_rest": float(pull[0]),
-        "lift": float(history["lift"][-1]), "distances": history["distance"].tolist(),
-        "pulls": pull.tolist(), "heaps": history["heap"].tolist(),
-        "linear_iterations": float(linear[linear > 0].mean()) if (linear > 0).any() else None,
-        "seconds_a_step": float(np.median(history["seconds"])),
-        "seconds": time.perf_counter() - started, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"pull {figures['pull'] / 1e3:.2f} kN over the last fifth of {args.distance:g} m (at most "
-        f"{figures['peak'] / 1e3:.2f}), heap {figures['heap']:.3f} m; {figures['unknowns']} "
-        f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
-        f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
-    )
-    if not args.no_plot:
-        draw(args, scene)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+started = time.perf_counter()
+scene.run()
+history = scene.history
+pull = history["pull"]
+late = history["distance"] > 0.8 * history["distance"][-1]
+linear = history["linear"]
+figures = {
+    "pull": float(pull[late].mean()), "last_pull": float(pull[-1]), "peak": float(pull.max()),
+    "heap": float(history["heap"][-1]), "at_rest": float(pull[0]),
+    "lift": float(history["lift"][-1]), "distances": history["distance"].tolist(),
+    "pulls": pull.tolist(), "heaps": history["heap"].tolist(),
+    "linear_iterations": float(linear[linear > 0].mean()) if (linear > 0).any() else None,
+    "seconds_a_step": float(np.median(history["seconds"])),
+    "seconds": time.perf_counter() - started, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"pull {figures['pull'] / 1e3:.2f} kN over the last fifth of {args.distance:g} m (at most "
+    f"{figures['peak'] / 1e3:.2f}), heap {figures['heap']:.3f} m; {figures['unknowns']} "
+    f"unknowns, {figures['points']} points, {figures['newton_iterations']} iterations in "
+    f"{len(history)} steps, {figures['halvings']} halvings, {figures['seconds']:.0f} s"
+)
+if not args.no_plot:
+    draw(args, scene)
+finish(args, figures)

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 import ufl
 from grids import box_grid
-from mpi4py import MPI
 from options import Options, natural, option, positive
 from scene import finish, say, solver_figures
 
@@ -140,48 +139,33 @@ def reached(history, sign):
 
 def draw(args, history, figures):
     """Thrust against displacement; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    if MPI.COMM_WORLD.rank:
-        return
-    figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-    axes.axhline(figures["exact_thrust"] / 1e3, color="k", lw=1, label="Rankine")
-    s, P = history["displacement"], history["thrust"]
-    axes.plot(1e3 * s, P / 1e3, "o-", ms=3, lw=1, label="material points")
-    axes.set(xlabel="displacement of the wall (mm)", ylabel="thrust (kN/m)", ylim=(0, None))
-    axes.legend(frameon=False)
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"retaining_wall_{args.direction}.png", dpi=200)
-    plt.close(figure)
+    path = args.output / f"retaining_wall_{args.direction}.png"
+    with mpm.figure(path, 4.0, 3.0) as (_, axes):
+        axes.axhline(figures["exact_thrust"] / 1e3, color="k", lw=1, label="Rankine")
+        s, P = history["displacement"], history["thrust"]
+        axes.plot(1e3 * s, P / 1e3, "o-", ms=3, lw=1, label="material points")
+        axes.set(xlabel="displacement of the wall (mm)", ylabel="thrust (kN/m)", ylim=(0, None))
+        axes.legend()
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    scene = Scene(args)
-    scene.run()
-    thrust, displacement, done = reached(scene.history, scene.sign)
-    exact = rankine(args)[0 if scene.sign > 0 else 1]
-    figures = {
-        "thrust": thrust, "displacement_reached": displacement, "reached": done,
-        "last_thrust": float(scene.history["thrust"][-1]), "exact_thrust": exact,
-        "thrust_error": thrust / exact - 1 if exact else None,
-        "at_rest": float(scene.history["thrust"][0]), **solver_figures(scene.problem),
-    }  # fmt: skip
-    error = f"{100 * figures['thrust_error']:+.2f} %" if exact else "which is none"
-    say(
-        f"{args.direction} thrust {thrust:.6g} N/m at {1e3 * displacement:.3g} mm, Rankine "
-        f"{exact:.6g} ({error}); last {figures['last_thrust']:.6g}; at most "
-        f"{figures['max_newton_iterations']} iterations"
-    )
-    if not args.no_plot:
-        draw(args, scene.history, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+thrust, displacement, done = reached(scene.history, scene.sign)
+exact = rankine(args)[0 if scene.sign > 0 else 1]
+figures = {
+    "thrust": thrust, "displacement_reached": displacement, "reached": done,
+    "last_thrust": float(scene.history["thrust"][-1]), "exact_thrust": exact,
+    "thrust_error": thrust / exact - 1 if exact else None,
+    "at_rest": float(scene.history["thrust"][0]), **solver_figures(scene.problem),
+}  # fmt: skip
+error = f"{100 * figures['thrust_error']:+.2f} %" if exact else "which is none"
+say(
+    f"{args.direction} thrust {thrust:.6g} N/m at {1e3 * displacement:.3g} mm, Rankine "
+    f"{exact:.6g} ({error}); last {figures['last_thrust']:.6g}; at most "
+    f"{figures['max_newton_iterations']} iterations"
+)
+if not args.no_plot:
+    draw(args, scene.history, figures)
+finish(args, figures)

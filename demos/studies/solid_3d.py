@@ -151,31 +151,25 @@ finish(args, {"runs": runs, "ranks": MPI.COMM_WORLD.size})
 # %%
 if not args.no_plot:
     fields = last.gather("x", "plastic_strain") if args.scene == "slope" else None
-    if MPI.COMM_WORLD.rank == 0:
-        import matplotlib.pyplot as plt
-
-        iterated = [r for r in runs if r["linear_iterations"]]
-        iterated = iterated if len(iterated) > 1 else []
-        count = bool(iterated) + (fields is not None) or 1
-        figure, axes = plt.subplots(1, count, figsize=(4.8 * count, 3.6), squeeze=False)
+    iterated = [r for r in runs if r["linear_iterations"]]
+    iterated = iterated if len(iterated) > 1 else []
+    count = bool(iterated) + (fields is not None) or 1
+    path = args.output / f"solid_3d_{args.scene}.png"
+    with mpm.figure(path, 4.8 * count, 3.6, ncols=count, squeeze=False) as (figure, axes):
+        first, other = axes[0, 0], axes[0, -1]
         if iterated or fields is None:
-            ax = axes[0, 0]
             for cut in args.cuts:
                 mine = [r for r in iterated if r["cut"] == cut]
                 unknowns = [r["unknowns"] for r in mine]
                 most = [max(r["linear_iterations"]) for r in mine]
-                ax.plot(unknowns, most, "o-", label=f"cut at {cut:g} of a cell")
-            ax.set(xlabel="unknowns", ylabel="most iterations of a solution")
-            ax.set(xscale="log", ylim=(0, None))
-            ax.legend(frameon=False)
+                first.plot(unknowns, most, "o-", label=f"cut at {cut:g} of a cell")
+            first.set(xlabel="unknowns", ylabel="most iterations of a solution")
+            first.set(xscale="log", ylim=(0, None))
+            first.legend()
         if fields is not None:
             x, strain = fields
-            section = x[:, 1] < 10.0 / args.cells[-1]
-            drawn = axes[0, -1].scatter(
-                x[section, 0], x[section, 2], c=100 * strain[section], s=6, cmap="viridis"
-            )
-            axes[0, -1].set(xlabel="$x$ (m)", ylabel="$z$ (m)", aspect="equal")
-            figure.colorbar(drawn, ax=axes[0, -1], label="plastic strain (%)")
-        figure.tight_layout()
-        args.output.mkdir(parents=True, exist_ok=True)
-        figure.savefig(args.output / f"solid_3d_{args.scene}.png", dpi=150)
+            at = x[:, 1] < 10.0 / args.cells[-1]
+            look = {"s": 6, "cmap": "viridis"}
+            drawn = other.scatter(x[at, 0], x[at, 2], c=100 * strain[at], **look)
+            other.set(xlabel="$x$ (m)", ylabel="$z$ (m)", aspect="equal")
+            figure.colorbar(drawn, ax=other, label="plastic strain (%)")

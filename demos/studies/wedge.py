@@ -162,62 +162,49 @@ class Scene:
 
 def draw(args, scene, figures):
     """Force against depth, and the clay beside the wedge; rank 0 writes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
     names = "x", "F", "l0", "plastic_strain"
     known = [n for n in names if n in scene.points.fields]
     found = scene.points.gather(*known)
     if found is None:
         return
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.0), layout="constrained")
-    depth, force = scene.history["depth"], scene.history["force"]
-    left.plot(depth, figures["exact_slope"] * depth, color="k", lw=1, label="Hill, Lee, Tupper")
-    left.plot(depth, force / COHESION, lw=1, label="material points")
-    left.set(xlabel="depth (m)", ylabel="force / $c_u$ (m)")
-    left.legend(frameon=False)
-    values = found[3] if len(found) > 3 else np.zeros(len(found[0]))
-    drawn = draw_points(right, *found[:3], values, cmap="viridis", clim=(0, 1.0))
-    figure.colorbar(drawn, ax=right, label="plastic strain", shrink=0.8)
-    outline = scene.wedge.outline(np.zeros(2), np.ones(2))[:, 0]
-    right.fill(*outline.T, color="0.7", zorder=3)
-    c = args.depth
-    right.set(xlim=(0, 2.5 * c), ylim=(-2 * c, c))
-    args.output.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.output / f"wedge_{args.semi_angle:g}.png", dpi=200)
-    plt.close(figure)
+    path = args.output / f"wedge_{args.semi_angle:g}.png"
+    with mpm.figure(path, 7.2, 3.0, ncols=2) as (figure, (left, right)):
+        depth, force = scene.history["depth"], scene.history["force"]
+        left.plot(depth, figures["exact_slope"] * depth, color="k", lw=1, label="Hill, Lee, Tupper")
+        left.plot(depth, force / COHESION, lw=1, label="material points")
+        left.set(xlabel="depth (m)", ylabel="force / $c_u$ (m)")
+        left.legend()
+        values = found[3] if len(found) > 3 else np.zeros(len(found[0]))
+        drawn = draw_points(right, *found[:3], values, cmap="viridis", clim=(0, 1.0))
+        figure.colorbar(drawn, ax=right, label="plastic strain", shrink=0.8)
+        outline = scene.wedge.outline(np.zeros(2), np.ones(2))[:, 0]
+        right.fill(*outline.T, color="0.7", zorder=3)
+        c = args.depth
+        right.set(xlim=(0, 2.5 * c), ylim=(-2 * c, c))
 
 
-def main(words=None):
-    """Run, print, and return the figures."""
-    args = Input.parse(words)
-    scene = Scene(args)
-    scene.run()
-    depth, force = scene.history["depth"], scene.history["force"]
-    late = depth >= 0.3 * depth[-1]
-    slope = float(np.polyfit(depth[late], force[late], 1)[0]) / COHESION
-    found, lip, pressure = exact(args.semi_angle)
-    rises = scene.lip() / float(depth[-1])
-    figures = {
-        "pressure": slope / (2 * math.tan(math.radians(args.semi_angle)) * (1 + rises)),
-        "slope": slope, "lip": scene.lip() / float(depth[-1]),
-        "mean_pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
-        "exact_pressure": pressure, "slope_error": slope / found - 1,
-        "mean_slope": float(force[-1] / depth[-1]) / COHESION, **solver_figures(scene.problem),
-    }  # fmt: skip
-    say(
-        f"slope {slope:.4f} ({found:.4f}, {100 * figures['slope_error']:+.2f} %), lip "
-        f"{figures['lip']:.4f} ({lip:.4f}), pressure {figures['pressure']:.3f} c_u "
-        f"({pressure:.4f}), at most {figures['max_newton_iterations']} iterations, "
-        f"{figures['halvings']} halvings"
-    )
-    if not args.no_plot:
-        draw(args, scene, figures)
-    finish(args, figures)
-    return figures
-
-
-if __name__ == "__main__":
-    main()
+# %%
+args = Input.parse()
+scene = Scene(args)
+scene.run()
+depth, force = scene.history["depth"], scene.history["force"]
+late = depth >= 0.3 * depth[-1]
+slope = float(np.polyfit(depth[late], force[late], 1)[0]) / COHESION
+found, lip, pressure = exact(args.semi_angle)
+rises = scene.lip() / float(depth[-1])
+figures = {
+    "pressure": slope / (2 * math.tan(math.radians(args.semi_angle)) * (1 + rises)),
+    "slope": slope, "lip": scene.lip() / float(depth[-1]),
+    "mean_pressure": scene.pressure() / COHESION, "exact_slope": found, "exact_lip": lip,
+    "exact_pressure": pressure, "slope_error": slope / found - 1,
+    "mean_slope": float(force[-1] / depth[-1]) / COHESION, **solver_figures(scene.problem),
+}  # fmt: skip
+say(
+    f"slope {slope:.4f} ({found:.4f}, {100 * figures['slope_error']:+.2f} %), lip "
+    f"{figures['lip']:.4f} ({lip:.4f}), pressure {figures['pressure']:.3f} c_u "
+    f"({pressure:.4f}), at most {figures['max_newton_iterations']} iterations, "
+    f"{figures['halvings']} halvings"
+)
+if not args.no_plot:
+    draw(args, scene, figures)
+finish(args, figures)
