@@ -36,7 +36,7 @@ from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive
-from scene import finish, say, solver_figures
+from scene import draw_points, fibre_stress, finish, outline_of_beam, say, solver_figures
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -192,35 +192,18 @@ class Beam:
 # %%
 def picture(path, shapes, curve, stages, length, depth, downwards):
     """Draw the bent beam and the load-displacement curves."""
-    from matplotlib.collections import PolyCollection
-
-    fibre = {}
-    for alpha, (_, _, F, _, stress) in shapes.items():
-        t = F[:, :, 0] / np.linalg.norm(F[:, :, 0], axis=1, keepdims=True)
-        fibre[alpha] = np.einsum("pi,pij,pj->p", t, stress[:, :2, :2], t) / 1e6
+    fibre = {alpha: fibre_stress(F, stress) / 1e6 for alpha, (*_, F, _, stress) in shapes.items()}
     top = np.percentile(np.abs(fibre[max(fibre)]), 99.5)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     with mpm.figure(path, 7.0, 3.1, ncols=2, width_ratios=(1.25, 1)) as (figure, (left, right)):
         for layer, (alpha, (x0, x, F, l0, _)) in enumerate(shapes.items(), start=3):
-            parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
-            drawn = PolyCollection(
-                [*parts], array=fibre[alpha], cmap="RdBu_r", clim=(-top, top), linewidths=0,
-                antialiased=False, snap=False, rasterized=True, zorder=layer,
-            )  # fmt: skip
-            left.add_collection(drawn)
-            rows = []
-            for end, sides in ((x0[:, 1].min(), (0, 1)), (x0[:, 1].max(), (3, 2))):
-                row = np.flatnonzero(np.isclose(x0[:, 1], end))
-                rows.append(parts[row[np.argsort(x0[row, 0])]][:, sides].reshape(-1, 2))
-            edge = np.vstack([rows[0], rows[1][::-1]])
-            left.plot(*edge.T, color="0.3", lw=0.4, zorder=layer)
+            look = {"cmap": "RdBu_r", "clim": (-top, top), "zorder": layer}
+            drawn = draw_points(left, x, F, l0, fibre[alpha], **look)
+            left.plot(*outline_of_beam(x0, x, F, l0).T, color="0.3", lw=0.4, zorder=layer)
             xE, yE = elastica(alpha)
             left.plot(xE * length, -downwards * yE * length, "k--", lw=0.6, zorder=layer)
         left.plot([], [], "k--", lw=0.6, label="elastica")
         box = np.array([(0, -1), (length, -1), (length, 1), (0, 1), (0, -1)]) * (1, 0.5 * depth)
         left.plot(*box.T, color="0.5", lw=0.6)
-        left.grid(visible=False)
-        left.set(aspect="equal", xlabel="$x$ (m)", ylabel="$y$ (m)")
         left.legend(loc="lower left" if downwards > 0 else "upper left")
         figure.colorbar(drawn, ax=left, label="stress along the fibres (MPa)")
         load = np.linspace(0, curve[-1, 0], 101)[1:]

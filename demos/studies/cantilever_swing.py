@@ -27,7 +27,7 @@ from grids import box_grid
 from motion import Moving, problem_of, times_of
 from mpi4py import MPI
 from options import option, other_default, positive
-from scene import draw_points, finish, say, solver_figures
+from scene import draw_points, fibre_stress, finish, outline_of_beam, say, solver_figures
 from scipy.optimize import brentq
 from scipy.sparse.linalg import spsolve
 
@@ -194,29 +194,17 @@ say(f"energy that is missing: {figures['energy_gap']:.2%} of the work of gravity
 
 
 # %%
-def outline(x0, x, F, l0):
-    """Corners of the lowest and the highest row of points (m), from the support and back."""
-    rows = []
-    for y, side in ((x0[:, 1].min(), -1), (x0[:, 1].max(), 1)):
-        row = np.flatnonzero(np.isclose(x0[:, 1], y))
-        row = row[np.argsort(x0[row, 0])]
-        ends = np.array([(-1, side), (1, side)])
-        rows.append(x[row, None] + np.einsum("pij,cj,pj->pci", F[row], ends, l0[row]))
-    return np.vstack([rows[0].reshape(-1, 2), rows[1].reshape(-1, 2)[::-1]])
-
-
 if not args.no_plot and comm.rank == 0:
     with mpm.figure(
         args.output / "cantilever_swing.png", 7.0, 3.0, ncols=2, width_ratios=(1, 1.2)
     ) as (whole, (left, right_ax)):
         at = min(shapes, key=lambda t: abs(t - time))
         _, x, G, l0, stress = shapes[at]
-        fibre = G[:, :, 0] / np.linalg.norm(G[:, :, 0], axis=1, keepdims=True)
-        along = np.einsum("pi,pij,pj->p", fibre, stress[:, :2, :2], fibre) / 1e3
+        along = fibre_stress(G, stress) / 1e3
         top = np.percentile(np.abs(along), 99.5)
         drawn = draw_points(left, x, G, l0, along, cmap="RdBu_r", clim=(-top, top), zorder=2)
         for passed in [t for t in shapes if t < 0.8 * at][2::4]:
-            edge = outline(*shapes[passed][:4])
+            edge = outline_of_beam(*shapes[passed][:4])
             left.plot(*edge.T, color="0.55", lw=0.6, zorder=1)
             corner = edge[len(edge) // 2]
             left.annotate(f" {passed:.1f} s", corner, fontsize=6, color="0.4", va="center")

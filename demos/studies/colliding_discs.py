@@ -24,7 +24,7 @@ from energybalance import EnergyBalance
 from grids import box_grid
 from motion import Moving, problem_of, times_of
 from mpi4py import MPI
-from options import option, other_default, positive, values
+from options import option, other_default, positive
 from scene import draw_points, finish, say, solver_figures
 
 import dolfinmpm as mpm

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from cam_clay import COMPRESSION, PRESSURE, SWELLING, M, cam_clay
 from scipy.optimize import least_squares
 
 import dolfinmpm as mpm
 
-PRESSURE = 50e3  # Pa, p0
-M, SWELLING, COMPRESSION, POROSITY = 1.05, 0.018, 0.13, 0.5
+POROSITY = 0.5
 # v d/c_v of what counts as drained, and of a run in between; None for water that stays
 VELOCITIES = {"drained": 1e-2, "partly": 3.0, "undrained": None}
 
@@ -46,15 +46,7 @@ class Clay:
         self.bulk_modulus = PRESSURE / SWELLING
         c_v = way * diameter / velocity if velocity else 0.0
         self.permeability = c_v * mpm.Fluid().unit_weight * COMPRESSION / PRESSURE
-        self.law = mpm.materials.CamClay(
-            swelling=SWELLING,
-            compression=COMPRESSION,
-            M=M,
-            mu0=self.shear_modulus,
-            alpha=0.0,
-            reference_pressure=PRESSURE,
-            preconsolidation=ratio * PRESSURE,
-        )
+        self.law = cam_clay(ratio, self.shear_modulus)
 
     @property
     def young(self) -> float:

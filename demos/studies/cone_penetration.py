@@ -57,7 +57,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from cone_in_water import PRESSURE, VELOCITIES, Clay, compared, draw_curve
+from cam_clay import PRESSURE
+from cone_in_water import VELOCITIES, Clay, compared, draw_curve
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
 from scene import draw_points, finish, say, solver_figures

@@ -50,6 +50,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
+from cam_clay import COMPRESSION, PRESSURE, SWELLING, M, cam_clay
 from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
@@ -59,11 +60,10 @@ from scene import draw_points, finish, say, solver_figures
 import dolfinmpm as mpm
 
 HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
-SUCTION = 50e3  # Pa, p0
+SUCTION = PRESSURE
 PERMEABILITY = 1e-9  # m/s; times are by c_v
 TIMES = {"fast": 1e-4, "slow": 1e3}  # c_v t/H² of the rise
 LIMITS = {"fast": "undrained", "slow": "drained"}
-M, SWELLING, COMPRESSION = 1.05, 0.018, 0.13
 COHESION, FRICTION = 5e3, 25.0
 # Taylor's c/(γH) by the angle of the slope, without friction (toe circles) and with 25°
 TAYLOR = {0.0: {60: 0.191, 75: 0.219}, FRICTION: {45: 0.044, 60: 0.079, 75: 0.117}}
@@ -123,15 +123,7 @@ class Soil:
             least = M * SUCTION / math.sqrt(3)
             self.strength = least * (args.ratio / 2) ** (1 - SWELLING / COMPRESSION)
             self.G = args.rigidity_index * self.strength
-            self.law = mpm.materials.CamClay(
-                swelling=SWELLING,
-                compression=COMPRESSION,
-                M=M,
-                mu0=self.G,
-                alpha=0.0,
-                reference_pressure=SUCTION,
-                preconsolidation=args.ratio * SUCTION,
-            )
+            self.law = cam_clay(args.ratio, self.G)
             self.modulus = SUCTION / SWELLING + 4 / 3 * self.G
         else:
             phi, nu = math.radians(FRICTION), 0.3

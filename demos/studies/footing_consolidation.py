@@ -20,12 +20,12 @@ from grids import box_grid
 from mpi4py import MPI
 from options import natural, option, other_default, positive
 from poroelastic import (
-    PERMEABILITY,
+    MODULUS,
     SMALL,
-    WATER,
     InTime,
     consolidation_coefficient,
     instants,
+    mixture,
     node_value,
     report,
 )
@@ -60,7 +60,7 @@ class Input(InTime):
 
 
 args = Input.parse()
-comm, nu, B, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+comm, nu, B, E = MPI.COMM_WORLD, args.poisson, 1.0, MODULUS
 q, c_v = SMALL * E, consolidation_coefficient(E, nu)
 W, D, h = args.width, args.depth, args.h
 cells = round(W / h), round(D / h)
@@ -72,11 +72,7 @@ V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test
 top = mpm.Surface(points, lambda x: x[1] > D * (1 - 1e-9), (0, 1), name="top")
 strip = mpm.Surface(points, lambda x: (x[1] > D * (1 - 1e-9)) & (x[0] < B), (0, 1), name="strip")
-F = mpm.poromechanics(
-    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=top, theta=args.theta,
-    strain="small",
-)  # fmt: skip
+F = mixture(args, points, V, Q, top)
 load = fem.Constant(grid, (0.0, -q))
 F += strip.traction(load, v)
 bcs = mpm.rollers(V, "left", "right") + mpm.fixed(V, "bottom")

@@ -24,7 +24,7 @@ from grids import box_grid
 from mpi4py import MPI
 from numpy.polynomial import Chebyshev
 from options import Options, natural, option, positive
-from scene import finish, say
+from scene import draw_points, finish, say
 from scipy import sparse
 from scipy.optimize import least_squares
 
@@ -406,25 +406,18 @@ if from_library is not None:
 # %%
 def picture(path, x0, x, F, l0, stress):
     """Draw the grown disc, its stresses by radius and the condition numbers by step."""
-    from matplotlib.collections import PolyCollection
-
     mm, kPa = 1e3, 1e-3
     R = np.linalg.norm(x0, axis=1)
     e = x0 / R[:, None]
     t = e @ np.array([[0, 1], [-1, 0]])
     along, around = (np.einsum("pi,pij,pj->p", a, stress[:, :2, :2], a) * kPa for a in (e, t))
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    parts = x[:, None] + np.einsum("pij,cj,pj->pci", F, corners, l0)
     small = None not in conditions + bare_conditions
     panels = {"ncols": 3 if small else 2, "width_ratios": (1.15, 1, 0.9)[: 3 if small else 2]}
     with mpm.figure(path, 7.2 if small else 5.0, 2.4, **panels) as (figure, axes):
         left, middle = axes[:2]
         top = np.percentile(np.abs(around), 99.5)
-        drawn = PolyCollection(
-            [*(mm * parts)], array=around, cmap="RdBu_r", clim=(-top, top), linewidths=0,
-            antialiased=False, snap=False, rasterized=True,
-        )  # fmt: skip
-        left.add_collection(drawn)
+        look = {"cmap": "RdBu_r", "clim": (-top, top)}
+        drawn = draw_points(left, mm * x, F, mm * l0, around, **look)
         lines = np.arange(across + 1) * h * mm
         left.vlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
         left.hlines(lines, 0, lines[-1], color="k", alpha=0.2, lw=0.3)
@@ -432,8 +425,7 @@ def picture(path, x0, x, F, l0, stress):
         for r in (radius, grown):
             left.plot(mm * r * np.cos(angle), mm * r * np.sin(angle), "k--", lw=0.6)
         side = (0, mm * (grown + 1.5 * h))
-        left.grid(visible=False)
-        left.set(aspect="equal", xlabel="$x$ (mm)", ylabel="$y$ (mm)", xlim=side, ylim=side)
+        left.set(xlabel="$x$ (mm)", ylabel="$y$ (mm)", xlim=side, ylim=side)
         figure.colorbar(drawn, ax=left, label="stress around the centre (kPa)")
 
         s = np.linspace(1e-3, 1, 101) * radius

@@ -22,12 +22,12 @@ from grids import box_grid
 from mpi4py import MPI
 from options import natural, option, other_default
 from poroelastic import (
-    PERMEABILITY,
+    MODULUS,
     SMALL,
-    WATER,
     InTime,
     consolidation_coefficient,
     instants,
+    mixture,
     node_value,
     report,
 )
@@ -54,7 +54,7 @@ class Input(InTime):
 
 args = Input.parse()
 comm, nu, a = MPI.COMM_WORLD, args.poisson, args.width
-E = 1e6
+E = MODULUS
 G, c_v = E / (2 * (1 + nu)), consolidation_coefficient(E, nu)
 force = SMALL * E * a
 h = a / args.cells
@@ -93,11 +93,7 @@ V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
 u, v = V.increment, V.test
 top = mpm.Surface(points, lambda x: x[1] > b * (1 - 1e-9), (0, 1))
 side = mpm.Surface(points, lambda x: x[0] > a * (1 - 1e-9), (1, 0))
-F = mpm.poromechanics(
-    mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-    permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=side, theta=args.theta,
-    strain="small",
-)  # fmt: skip
+F = mixture(args, points, V, Q, side)
 # a membrane that stays flat, loaded by all of the force
 tension = fem.Constant(grid, 1e4 * E * a)
 F += top.density * tension * ufl.grad(u)[1, 0] * ufl.grad(v)[1, 0] * points.dX

@@ -15,6 +15,7 @@ import dolfinmpm as mpm
 
 # Of water that is next to nothing, and of soils whose strains are
 WATER = mpm.Fluid(density=1000.0, gravity=10.0)
+MODULUS = 1e6  # E (Pa)
 PERMEABILITY = 1e-6  # m/s
 SMALL = 1e-6  # largest stress, by E
 
@@ -36,6 +37,15 @@ class InTime(Options):
 
     def _check(self) -> None:
         self.times.sort()
+
+
+def mixture(args: Any, points: Any, V: mpm.Space, Q: mpm.Space, drained: mpm.Surface) -> Any:
+    """Weak form of soil with water, of E = MODULUS and small strain, that drains at a surface."""
+    return mpm.poromechanics(
+        mpm.materials.Hencky(E=MODULUS, nu=args.poisson), points, (V.increment, Q.increment),
+        (V.test, Q.test), permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=drained,
+        theta=args.theta, strain="small",
+    )  # fmt: skip
 
 
 def instants(times: Sequence[float], steps: int) -> np.ndarray:
@@ -156,7 +166,7 @@ def run_round(args: Round, axisymmetric: bool) -> None:
     from dolfinx import fem
     from mpi4py import MPI
 
-    comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, 1e6
+    comm, nu, a, E = MPI.COMM_WORLD, args.poisson, 1.0, MODULUS
     c_v, p0 = consolidation_coefficient(E, nu), SMALL * E
     M = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
     h = a / (args.cells - 0.37)
@@ -168,11 +178,7 @@ def run_round(args: Round, axisymmetric: bool) -> None:
     V, Q = mpm.Space(grid, "linear"), mpm.Space(grid, "linear", shape=())
     u, v = V.increment, V.test
     edge = rim(points, a)
-    F = mpm.poromechanics(
-        mpm.materials.Hencky(E=E, nu=nu), points, (u, Q.increment), (v, Q.test),
-        permeability=PERMEABILITY, porosity=0.5, fluid=WATER, drained=edge, theta=args.theta,
-        strain="small",
-    )  # fmt: skip
+    F = mixture(args, points, V, Q, edge)
     load = fem.Constant(grid, -p0)
     F -= load * ufl.dot(edge.area, edge.at(v)) / points.V0 * points.dX
     bcs = mpm.prescribed(V, "left", 0) + mpm.prescribed(V, "bottom", 1)

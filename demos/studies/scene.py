@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 from options import Options, command_line, values
 
@@ -80,6 +81,34 @@ def say(*words: Any) -> None:
         print(*words, flush=True)
 
 
+def fibre_stress(F: Any, stress: Any) -> Any:
+    """Stress t·σt along the fibres t = F e_x/|F e_x| of a beam, shape (n,).
+
+    Args:
+        F: Deformation gradients, shape (n, 2, 2).
+        stress: Cauchy stress (Pa), shape (n, 3, 3).
+    """
+    t = F[:, :, 0] / np.linalg.norm(F[:, :, 0], axis=1, keepdims=True)
+    return np.einsum("pi,pij,pj->p", t, stress[:, :2, :2], t)
+
+
+def outline_of_beam(x0: Any, x: Any, F: Any, l0: Any) -> Any:
+    """Corners of the lowest and the highest row of a beam's points (m), from the support and back.
+
+    Args:
+        x0, x: First and present positions (m), shape (n, 2).
+        F: Deformation gradients, shape (n, 2, 2).
+        l0: First half-lengths (m), shape (n, 2).
+    """
+    rows = []
+    for y, side in ((x0[:, 1].min(), -1), (x0[:, 1].max(), 1)):
+        row = np.flatnonzero(np.isclose(x0[:, 1], y))
+        row = row[np.argsort(x0[row, 0])]
+        ends = np.array([(-1, side), (1, side)])
+        rows.append(x[row, None] + np.einsum("pij,cj,pj->pci", F[row], ends, l0[row]))
+    return np.vstack([rows[0].reshape(-1, 2), rows[1].reshape(-1, 2)[::-1]])
+
+
 def draw_points(axes: Any, x: Any, F: Any, l0: Any, values: Any, **look: Any) -> Any:
     """Draw the points' deformed first domains, coloured by values; returns the collection.
 
@@ -91,7 +120,6 @@ def draw_points(axes: Any, x: Any, F: Any, l0: Any, values: Any, **look: Any) ->
         values: What they are coloured by, shape (n,).
         look: Further arguments of Matplotlib's `PolyCollection`.
     """
-    import numpy as np
     from matplotlib.collections import PolyCollection
 
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])

@@ -365,7 +365,7 @@ def mpi_row(args, count) -> dict[str, Any]:
 
 def counted(args) -> dict[str, Any]:
     """All rows, in the process that is counted."""
-    # which `parser` asks for
+    # which the command line asks for
     mpm.measure_stages(False)
     count = instructions.Counter()
     wanted = args.only.split(",") if args.only else None

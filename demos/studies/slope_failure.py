@@ -34,14 +34,26 @@ from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, switch
-from scene import draw_points, finish, say
+from scene import finish, say
+from weak_slope import (
+    BASE,
+    DENSITY,
+    GRAVITY,
+    GRID_TOP,
+    NU,
+    TOE,
+    WEAK,
+    YIELD,
+    ZONE,
+    E,
+    draw_slope,
+    in_body,
+    in_zone,
+)
 
 import dolfinmpm as mpm
 
-E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
-DENSITY, GRAVITY = 2400.0, 10.0
-WIDTH, BASE, TOP, TOE, GRID_TOP = 24.0, 2.0, 8.0, 12.0, 9.0
-ZONE = (4.0, 12.0), (2.0, 3.0)
+WIDTH = 24.0
 STABILISATIONS = "none", "ghost", "aggregation", "weak-aggregation", "extended", "soft"
 
 
@@ -99,18 +111,6 @@ class Input(Options):
 
 
 # %%
-def in_zone(x):
-    """Whether points at x, shape (2, n), were in the weak zone."""
-    (left, right), (low, high) = ZONE
-    return (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
-
-
-def in_body(x):
-    """Whether x, shape (2, n), is in the slope or in the ground."""
-    # rounding must not decide about the points on the slope's surface
-    return (x[1] <= TOP) & ((x[1] <= BASE) | (x[0] + x[1] <= TOE + BASE + 1e-9))
-
-
 def law_of(name):
     """The law; both have the undrained strength ρ_y/√2."""
     if name == "tresca":
@@ -124,7 +124,7 @@ def run(h, per_cell, stabilisation, args):
     started = time.perf_counter()
     grid = box_grid([(0, 0), (WIDTH, GRID_TOP)], (round(WIDTH / h), round(GRID_TOP / h)))
     comm = grid.comm
-    points = mpm.fill(grid, mpm.Where(in_body), per_cell, DENSITY)
+    points = mpm.fill(grid, mpm.Where(lambda x: in_body(x, WIDTH)), per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     gravity = fem.Constant(grid, (0.0, 0.0))
@@ -190,11 +190,9 @@ def describe(result):
 
 
 # %%
-def draw_state(axes, x, F, l0, alpha, limit):
+def draw_state(axes, state, limit):
     """Draw the deformed body over its first outline."""
-    drawn = draw_points(axes, x, F, l0, alpha, cmap="viridis", clim=(0, limit))
-    outline = [(0, TOP), (TOE + BASE - TOP, TOP), (TOE, BASE), (WIDTH, BASE)]
-    axes.plot(*np.array(outline).T, color="0.4", lw=0.6, ls="--")
+    drawn = draw_slope(axes, state, limit, WIDTH)
     (left, right), (low, high) = ZONE
     corners = [(left, low), (right, low), (right - (high - low), high), (left, high), (left, low)]
     axes.plot(*np.array(corners).T, color="0.8", lw=0.6, ls=":")
@@ -208,7 +206,7 @@ STATE = "x", "F", "l0", "plastic_strain"
 def picture(path, rows, label):
     """Draw one state."""
     with mpm.figure(path, 6.5, 3.0) as (figure, axes):
-        drawn = draw_state(axes, *rows, np.percentile(rows[3], 99.5))
+        drawn = draw_state(axes, rows, np.percentile(rows[3], 99.5))
         axes.set_title(label)
         bar = figure.colorbar(drawn, ax=axes, extend="max", shrink=0.75)
         bar.set_label(r"plastic strain $\alpha$")
@@ -252,7 +250,7 @@ def table_picture(path, results, states, args):
         panels = np.atleast_1d(parts[1].subplots(1, len(shown), sharey=True))
         for axes, h in zip(panels, shown):
             label, rows = states[h]
-            drawn = draw_state(axes, *rows, 2.0)
+            drawn = draw_state(axes, rows, 2.0)
             axes.set_title(label)
         for axes in panels[1:]:
             axes.set_ylabel("")

@@ -23,15 +23,26 @@ from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
 from options import BASES, Options, natural, option, positive
-from scene import draw_points, finish, say
+from scene import finish, say
+from weak_slope import (
+    BASE,
+    DENSITY,
+    GRAVITY,
+    GRID_TOP,
+    NU,
+    TOE,
+    WEAK,
+    YIELD,
+    E,
+    draw_slope,
+    in_body,
+    in_zone,
+)
 
 import dolfinmpm as mpm
 from dolfinmpm import study
 
-E, NU, YIELD, WEAK = 1e6, 0.3, 15e3, 7.5e3
-DENSITY, GRAVITY = 2400.0, 10.0
-WIDTH, BASE, TOP, TOE, GRID_TOP = 36.0, 2.0, 8.0, 12.0, 9.0
-ZONE = (4.0, 12.0), (2.0, 3.0)
+WIDTH = 36.0
 
 
 @dataclass
@@ -52,19 +63,6 @@ class Input(Options):
                 raise ValueError(f"h = {h:g} m must divide 1 m")
 
 
-def in_zone(x):
-    """Whether points at x, shape (2, n), were in the weak zone."""
-    (left, right), (low, high) = ZONE
-    return (x[0] >= left) & (x[0] <= right) & (x[1] >= low) & (x[1] <= high)
-
-
-def in_body(x):
-    """Whether x, shape (2, n), is in the slope or in the ground."""
-    # rounding must not decide about the points on the slope's surface
-    inside = (x[1] >= 0) & (x[1] <= TOP) & (x[0] >= 0) & (x[0] <= WIDTH)
-    return inside & ((x[1] <= BASE) | (x[0] + x[1] <= TOE + BASE + 1e-9))
-
-
 # %% [markdown]
 # ## One run
 # Explicit steps have the lumped mass with "flip"; implicit ones the lumped mass with "accel", and
@@ -80,7 +78,7 @@ def run(args, integrator, h):
     corners = [(-2 * h, -2 * h), (WIDTH + 2 * h, GRID_TOP)]
     grid = box_grid(corners, cells)
     comm = grid.comm
-    points = mpm.fill(grid, mpm.Where(in_body), args.points_per_cell, DENSITY)
+    points = mpm.fill(grid, mpm.Where(lambda x: in_body(x, WIDTH)), args.points_per_cell, DENSITY)
     V = mpm.Space(grid, args.basis)
     u, v = V.increment, V.test
     law = mpm.materials.VonMises(E, NU, radius=lambda x: np.where(in_zone(x), WEAK, YIELD))
@@ -192,9 +190,7 @@ def picture(path, runs, states):
         front.legend()
         panels = np.atleast_1d(lower.subplots(len(states), 1, sharex=True))
         for ax, (label, rows) in zip(panels, states):
-            drawn = draw_points(ax, *rows, cmap="viridis", clim=(0, 2))
-            outline = [(0, TOP), (TOE + BASE - TOP, TOP), (TOE, BASE), (WIDTH, BASE)]
-            ax.plot(*np.array(outline).T, color="0.4", lw=0.6, ls="--")
+            drawn = draw_slope(ax, rows, 2.0, WIDTH)
             ax.set(xlim=(0, 26), ylim=(0, GRID_TOP), title=label)
         for ax in panels[:-1]:
             ax.set_xlabel("")

@@ -42,7 +42,7 @@ import ufl
 from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
-from options import BASES, Options, natural, option, values
+from options import BASES, Options, natural, option
 from scene import draw_points, finish, say, stage_seconds
 
 import dolfinmpm as mpm
