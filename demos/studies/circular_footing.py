@@ -61,8 +61,7 @@ class Input(Options):
 args = Input.parse()
 width, depth, rough = args.width, args.depth, args.rough == "on"
 grid = grid_of_lines(
-    lines(width, RADIUS, args.h, args.coarsest),
-    lines(depth + 0.5, depth, args.h, args.coarsest),
+    lines(width, RADIUS, args.h, args.coarsest), lines(depth + 0.5, depth, args.h, args.coarsest)
 )
 ground = mpm.Box((0, 0), (width, depth))
 points = mpm.fill(grid, ground, args.points_per_cell, 1000.0, axisymmetric=True)

@@ -38,12 +38,10 @@ class Input(Moving):
     """A block without stiffness whose velocity is affine."""
 
     matrix: list[float] = option(
-        [1.0, 0.0, 0.0, 1.0],
-        "A (1/s), row by row: four numbers by commas, or one in one dimension",
+        [1.0, 0.0, 0.0, 1.0], "A (1/s), row by row: four numbers by commas, or one in one dimension"
     )
     offsets: list[float] = option(
-        [0.0, 0.3, 0.5, 1 - 1e-4],
-        "of the body from the grid's lines, in cells, by commas",
+        [0.0, 0.3, 0.5, 1 - 1e-4], "of the body from the grid's lines, in cells, by commas"
     )
     h: float = other_default(Moving, "h", 0.1)
     length: float = option(1.0, "of the block (m)")

@@ -49,8 +49,7 @@ class Input(Options):
 
     laws: list[str] = option(list(LAWS), "of " + ", ".join(LAWS), choices=tuple(LAWS))
     bases: list[str] = option(
-        ["bspline2"],
-        "linear, gimp, bspline2, bspline3; averaged-bspline2 averages it over domains",
+        ["bspline2"], "linear, gimp, bspline2, bspline3; averaged-bspline2 averages it over domains"
     )
     schemes: list[str] = option(["usl"])
     mapping: str = "flip"

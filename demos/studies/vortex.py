@@ -108,10 +108,7 @@ class Motion:
         R, a1, a2 = self.R, self.slope, self.curvature
         inertia = -R * self.rate**2, R * self.acceleration
         if law == "neo-hookean":
-            return (
-                inertia[0] + MU / RHO * R * a1**2,
-                inertia[1] - MU / RHO * (3 * a1 + R * a2),
-            )
+            return (inertia[0] + MU / RHO * R * a1**2, inertia[1] - MU / RHO * (3 * a1 + R * a2))
         k, k1 = R * a1, a1 + R * a2
         root = ufl.sqrt(1 + k**2 / 4)
         arc = ufl.ln(k / 2 + root)
@@ -355,7 +352,4 @@ if __name__ == "__main__":
         if state is not None:
             picture(args.output / "vortex.png", args, space, times, state)
 
-    finish(
-        args,
-        {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size},
-    )
+    finish(args, {"runs": runs, "overall": overall, "in_time": times, "ranks": MPI.COMM_WORLD.size})
