@@ -110,21 +110,3 @@ def compared(runs):
         "m_fitted": float(fit.x[1]),
         "apart": float(np.abs(share - backbone(V, 2.0) + 1).max()),
     }
-
-
-def draw_curve(path, runs, figures):
-    """Resistance and pore pressure against the velocity."""
-    V = np.array([run["velocity"] for run in runs])
-    q = np.array([run["factor"] for run in runs])
-    line = np.geomspace(V[0], V[-1], 200)
-    with mpm.figure(path, 6.8, 2.6, ncols=2) as (_, (left, right)):
-        left.semilogx(line, backbone(line, figures["drained_ratio"]), color="0.6", label="backbone")
-        scatter = [run["scatter"] for run in runs] / q[-1]
-        if "V50_fitted" in figures:
-            fitted = figures["drained_ratio"], figures["V50_fitted"], figures["m_fitted"]
-            left.semilogx(line, backbone(line, *fitted), "C0--", lw=0.8)
-        left.errorbar(V, q / q[-1], scatter, fmt="o", ms=3, lw=0.8, label="material points")
-        left.set(xlabel="$v d/c_v$", ylabel="$q/q_{undrained}$", ylim=(0, None))
-        left.legend()
-        right.semilogx(V, [run["pore_ratio"] for run in runs], "o-", ms=3, lw=0.8)
-        right.set(xlabel="$v d/c_v$", ylabel="$\\Delta u_2/q$")

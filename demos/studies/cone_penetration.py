@@ -58,10 +58,12 @@ from dataclasses import dataclass
 import numpy as np
 import ufl
 from cam_clay import PRESSURE
-from cone_in_water import VELOCITIES, Clay, compared, draw_curve
+from cone_in_water import VELOCITIES, Clay, compared
+from cone_pictures import draw, draw_curve
+from grids import growing
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
-from scene import draw_points, finish, say, solver_figures
+from scene import finish, say, solver_figures
 
 import dolfinmpm as mpm
 
@@ -153,16 +155,6 @@ def teh_houlsby(index):
 
 
 # %%
-def growing(h, length, growth):
-    """Ends of cells on a length, each larger than the one before, the first more than h (m)."""
-    if length < 0.5 * h:
-        return np.empty(0)
-    sizes = [h * growth]
-    while sum(sizes) < length - 1e-9:
-        sizes.append(sizes[-1] * growth)
-    return np.cumsum(sizes) * (length / sum(sizes))
-
-
 class Scene:
     """The ground and the cone, step by step."""
 
@@ -353,43 +345,6 @@ def results(args, scene):
         exact = teh_houlsby(args.rigidity_index)
         figures |= {"factor_exact": exact, "error": mean / exact - 1}
     return figures
-
-
-def draw(args, scene, figures):
-    """Force against depth, and the ground beside the cone; rank 0 writes."""
-    points, R = scene.points, args.radius
-    shown = "pressure" if scene.wet else "plastic_strain"
-    found = points.gather("x", "F", "l0", shown)
-    if found is None:
-        return
-    x, F, l0, values = found
-    label = r"$\log_{10}$ plastic strain"
-    if scene.wet:
-        values, label = (values + PRESSURE) / scene.unit, r"$\Delta u/c_u$"
-    else:
-        values = np.log10(values + 1e-3)
-    if not scene.flat:
-        # points beside the plane of symmetry
-        near = x[:, 1] < 0.5 * args.h
-        x, l0, values = x[near][:, [0, 2]], l0[near][:, [0, 2]], values[near]
-        F = F[near][:, [0, 2]][:, :, [0, 2]]
-    path = args.output / f"cone_penetration_{args.law}_{args.dimension}.png"
-    with mpm.figure(path, 7.0, 3.6, ncols=2, width_ratios=(1, 1.2)) as (fig, (left, right)):
-        depth = scene.history["depth"]
-        left.plot(scene.history["factor"], depth, lw=1, color="C1")
-        if "factor_exact" in figures:
-            left.axvline(figures["factor_exact"], color="C0", lw=1, label="Teh & Houlsby")
-            left.legend()
-        name = "$q_c$ (kPa)" if args.law == "sand" else "$q_c/c_u$"
-        left.set(xlabel=name, ylabel="depth of the tip (m)", xlim=(0, None))
-        left.set_ylim(depth[-1], args.start)
-        drawn = draw_points(right, x, F[:, :2, :2], l0, values, cmap="magma")
-        tip = -scene.depth
-        meridian = np.array([(0, tip), (R, tip + scene.height), (R, tip + 9 * R), (0, tip + 9 * R)])
-        right.fill(*meridian.T, color="0.6", zorder=3)
-        right.set(xlim=(0, 4 * R), ylim=(tip - 2 * R, tip + 5 * R))
-        right.set(xlabel="radius (m)", ylabel="height (m)")
-        fig.colorbar(drawn, label=label)
 
 
 def once(args):

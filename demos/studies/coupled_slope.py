@@ -55,15 +55,14 @@ from dolfinx import fem
 from grids import box_grid
 from mpi4py import MPI
 from options import Options, natural, option, positive, switch
-from scene import draw_points, finish, say, solver_figures
+from scene import finish, say, solver_figures
+from slope_pictures import BASE, HEIGHT, LIMITS, ROOM, TOE, WIDTH, picture, sheared
 
 import dolfinmpm as mpm
 
-HEIGHT, BASE, TOE, WIDTH, ROOM = 6.0, 2.0, 14.0, 26.0, 1.0
 SUCTION = PRESSURE
 PERMEABILITY = 1e-9  # m/s; times are by c_v
 TIMES = {"fast": 1e-4, "slow": 1e3}  # c_v t/H² of the rise
-LIMITS = {"fast": "undrained", "slow": "drained"}
 COHESION, FRICTION = 5e3, 25.0
 # Taylor's c/(γH) by the angle of the slope, without friction (toe circles) and with 25°
 TAYLOR = {0.0: {60: 0.191, 75: 0.219}, FRICTION: {45: 0.044, 60: 0.079, 75: 0.117}}
@@ -326,12 +325,6 @@ class Slope:
         return figures | solver_figures(self.problem)
 
 
-def sheared(F):
-    """Logarithmic shear strain ½ ln(λ₁/λ₂) of deformation gradients, shape (n, 2, 2)."""
-    stretch = np.linalg.svd(F[:, :2, :2], compute_uv=False)
-    return 0.5 * np.log(stretch[:, 0] / stretch[:, 1])
-
-
 def failure(N, moved):
     """N from which on displacements grow by more than FAILS per unit of it, or None."""
     rates = np.diff(moved, prepend=0.0) / np.diff(N, prepend=0.0)
@@ -361,53 +354,6 @@ def describe(way, result):
         f"{result['halvings']} halvings, {result['seconds']:.1f} s"
         + (f"; ended: {result['reason'][:300]}" if result["reason"] else "")
     )
-
-
-# %% [markdown]
-# ## Picture
-# Displacements against the load, or the time while it is held; below, where the body lies in the
-# end, or when it fails while the load is held, with the pressure beyond that at first and the shear
-# strain.
-
-
-# %%
-def picture(path, args, runs, states):
-    """Draw the curves of all runs and the states of those with water; rank 0."""
-    strength = Soil(args).strength
-    rows = len(states)
-    with mpm.figure(path, 7.2, 2.4 + 1.6 * rows) as (whole, old):
-        old.remove()
-        upper, lower = whole.subfigures(2, 1, height_ratios=(2.4, 1.6 * rows))
-        left, right = upper.subplots(1, 2)
-        colours = {"fast": "C3", "undrained": "C3", "slow": "C0", "drained": "C0", "timed": "C2"}
-        for way, result in runs.items():
-            look = {"color": colours[way], "lw": 1.2}
-            if way in LIMITS.values():
-                look |= {"lw": 3.5, "alpha": 0.3}
-            left.plot(result["moved"], result["N"], label=way, **look)
-            if args.hold and "excess" in result:
-                right.semilogx(result["T"], result["moved"], label=way, **look)
-            elif "excess" in result:
-                right.plot(result["N"], result["excess"], label=way, **look)
-            if way not in LIMITS.values() and result["taylor"] is not None:
-                left.axhline(result["taylor"], color=colours[way], lw=0.6, ls="--")
-        left.set(xlabel="largest displacement / $H$", ylabel="$N = \\gamma' H/c_u$")
-        left.set(xlim=(0, 0.2), ylim=(0, None))
-        left.legend(loc="lower right")
-        if args.hold:
-            right.set(xlabel="$c_v t/H^2$", ylabel="largest displacement / $H$")
-        else:
-            right.set(xlabel="$N$", ylabel="excess pressure on the slip / $c_u$")
-        excess = {way: (state[3] + SUCTION) / strength for way, state in states.items()}
-        limits = [f([f(values) for values in excess.values()]) for f in (np.min, np.max)]
-        panels = np.atleast_2d(lower.subplots(rows, 2, sharex=True, sharey=True))
-        for (axes, other), (way, (x, F, l0, _)) in zip(panels, states.items()):
-            drawn = draw_points(axes, x, F, l0, excess[way], cmap="cividis", clim=limits)
-            lower.colorbar(drawn, ax=axes, label="excess pressure / $c_u$", shrink=0.9)
-            drawn = draw_points(other, x, F, l0, sheared(F), cmap="viridis", clim=(0, 0.5))
-            lower.colorbar(drawn, ax=other, label="shear strain", extend="max", shrink=0.9)
-            for ax in (axes, other):
-                ax.set(xlim=(4, 22), ylim=(0, BASE + HEIGHT + ROOM), title=way)
 
 
 # %% [markdown]
@@ -442,5 +388,5 @@ for way, limit in LIMITS.items():
 figures["seconds"] = time.perf_counter() - started
 if states:
     name = "held" if args.hold else args.law.replace("-", "_")
-    picture(args.output / f"coupled_slope_{name}.png", args, runs, states)
+    picture(args.output / f"coupled_slope_{name}.png", args, runs, states, Soil(args).strength)
 finish(args, figures)

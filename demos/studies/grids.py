@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx import mesh
 from mpi4py import MPI
 
-__all__ = ["box_grid", "grid_of_lines", "lines"]
+__all__ = ["box_grid", "grid_of_lines", "growing", "lines"]
 
 
 def box_grid(
@@ -53,3 +53,13 @@ def lines(length, at, h, coarsest):
         return np.cumsum(sizes) * reach / sum(sizes) if reach > 0 else np.empty(0)
 
     return np.r_[at - half(at)[::-1], at, at + half(length - at)]
+
+
+def growing(h, length, growth):
+    """Ends of cells on a length, each larger than the one before, the first more than h (m)."""
+    if length < 0.5 * h:
+        return np.empty(0)
+    sizes = [h * growth]
+    while sum(sizes) < length - 1e-9:
+        sizes.append(sizes[-1] * growth)
+    return np.cumsum(sizes) * (length / sum(sizes))

@@ -21,12 +21,11 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from grids import box_grid
+from grown_disc import ExactDisc
 from mpi4py import MPI
-from numpy.polynomial import Chebyshev
 from options import Options, natural, option, positive
 from scene import draw_points, finish, say
 from scipy import sparse
-from scipy.optimize import least_squares
 
 import dolfinmpm as mpm
 
@@ -255,60 +254,7 @@ if args.law == "neo-hookean":
 
 
 # %%
-def slope(function, *at):
-    """Derivative of an analytic function of several numbers by each of them."""
-    step = 1e-30
-    return [
-        np.imag(function(*(x + 1j * step * (i == j) for j, x in enumerate(at)))) / step
-        for i in range(len(at))
-    ]
-
-
-class ExactDisc:
-    """Positions and Cauchy stresses of the disc, by initial radius; energy (J/m) of a quarter."""
-
-    def __init__(self, terms=10):
-        s, weight = np.polynomial.legendre.leggauss(40)
-        s, weight = 0.5 * (s + 1), 0.5 * weight
-        basis = [Chebyshev.basis(2 * k) for k in range(terms)]
-        c = np.eye(terms)[0]
-        ratio = np.array([T(s) for T in basis])
-        along = ratio + np.array([s * T.deriv()(s) for T in basis])
-        for share in np.linspace(0, 1, 11)[1:]:
-            g = 1 + share * growth_of(s * radius)
-
-            def balance(c, g=g):
-                P_r, P_t, _ = slope(lambda *at: self._energy(g, *at), c @ along, c @ ratio, 1.0)
-                return (along * P_r + ratio * P_t) @ (weight * s) / mu
-
-            solution = least_squares(
-                balance, c, jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15
-            )
-            c = solution.x
-        if np.abs(solution.fun).max() > 1e-9:
-            raise RuntimeError(f"no exact solution with growth {args.growth}: {solution.message}")
-        density = self._energy(g, c @ along, c @ ratio, 1.0)
-        self.stored_energy = float(np.pi / 2 * radius**2 * (density @ (weight * s)))
-        self._ratio = sum(a * T for a, T in zip(c, basis))
-
-    @staticmethod
-    def _energy(g, a, b, c):
-        """Energy (J/m³) of the principal stretches a, b and c, the last along the axis."""
-        return g**2 * energy((a**2 + b**2) / g**2 + c**2, a * b * c / g**2, np.log)
-
-    def position(self, R):
-        """Radius r (m) to which the ring of radius R (m) moves."""
-        return R * self._ratio(R / radius)
-
-    def stress(self, R):
-        """Cauchy stresses (Pa) along the radius, around it and along the axis, shape (3, n)."""
-        s, g = R / radius, 1 + growth_of(R)
-        a, b = self._ratio(s) + s * self._ratio.deriv()(s), self._ratio(s)
-        P_r, P_t, P_z = slope(lambda *at: self._energy(g, *at), a, b, np.ones_like(a))
-        return np.array([P_r / b, P_t / a, P_z / (a * b)])
-
-
-exact = ExactDisc()
+exact = ExactDisc(energy, growth_of, radius, mu)
 grown = float(exact.position(radius))
 
 # %% [markdown]
@@ -322,30 +268,8 @@ def total(points, values):
     return comm.allreduce(float(values @ points["V0"]))
 
 
-def polar(points):
-    """Initial radii (m), shape (n,), and the axes along the radius, around and across, as rows."""
-    R = np.linalg.norm(points["x0"], axis=1)
-    axes = np.zeros((len(points), 3, 3))
-    axes[:, 0, :2] = points["x0"] / R[:, None]
-    axes[:, 1, :2] = axes[:, 0, :2] @ np.array([[0, 1], [-1, 0]])
-    axes[:, 2, 2] = 1
-    return R, axes
-
-
-def errors(points):
-    """Relative errors of displacement and stress."""
-    R, axes = polar(points)
-    moved = (exact.position(R) - R)[:, None] * axes[:, 0, :2]
-    stress = np.einsum("ap,pai,paj->pij", exact.stress(R), axes, axes)
-    result = []
-    for found, sought in ((points["x"] - points["x0"], moved), (points["stress"], stress)):
-        square = [(e**2).reshape(len(R), -1).sum(axis=1) for e in (found - sought, sought)]
-        result.append(float(np.sqrt(total(points, square[0]) / total(points, square[1]))))
-    return result
-
-
-displacement_error, stress_error = errors(points)
-bare_displacement_error, bare_stress_error = errors(bare_points)
+displacement_error, stress_error = exact.errors(points)
+bare_displacement_error, bare_stress_error = exact.errors(bare_points)
 
 
 # %%
