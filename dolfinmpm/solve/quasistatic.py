@@ -32,6 +32,7 @@ from dolfinmpm.solve.arguments import (
     check_points,
 )
 from dolfinmpm.solve.bordered import Bordered
+from dolfinmpm.solve.easing import FIRST, ease, jumps
 from dolfinmpm.solve.freebodies import FreeBodies
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.method import Tangent, symmetric
@@ -61,9 +62,11 @@ class QuasiStatic(Problem):
     unknowns are numbered. PETSc's SNES finds the increment for which the form vanishes. Only then
     the state of the points changes.
 
-    A step that does not converge leaves the state unchanged, and is halved. The DOLFINx constants
-    and functions in the form carry the load. In substeps they go from their values at the last
-    converged step to the values set by the user. Prescribed increments are divided likewise.
+    A step that does not converge leaves the state unchanged, and is halved. If the smallest substep
+    fails too, substeps may release by shares what is out of balance, see `dolfinmpm.solve.easing`.
+    The DOLFINx constants and functions in the form carry the load. In substeps they go from their
+    values at the last converged step to the values set by the user. Prescribed increments are
+    divided likewise.
 
     Args:
         form: Weak form, linear in the test functions; see `momentum`.
@@ -164,7 +167,7 @@ class QuasiStatic(Problem):
         if self.bodies.free:
             self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
         self.share = 1.0
-        self._record = StepRecord()
+        self._record, self._release = StepRecord(), 1.0
 
     def use(self, scheme: Static) -> None:
         """Use another scheme in the next steps."""
@@ -238,11 +241,12 @@ class QuasiStatic(Problem):
         self.scheme.begin(self, t)
         self.loads.aim()
         self._record = record = self.scheme.record()
-        done, share, whole = 0.0, self.share, False
+        done, share, whole, eased = 0.0, self.share, False, False
         try:
             while done < 1.0:
                 share = min(share, 1.0 - done)
                 step = self.scheme.part(done, share)
+                self._release = share / (1.0 - done) if eased else 1.0
                 self.loads.set(done + share)
                 failed = self._attempt(step)
                 if failed is None:
@@ -251,6 +255,9 @@ class QuasiStatic(Problem):
                     share = min(1.0, 2.0 * share)
                     continue
                 if share * (1 + 1e-9) < 2 * 0.5**self.max_halvings:
+                    if not eased and jumps(self, record.residuals):
+                        eased, share = True, FIRST
+                        continue
                     raise ConvergenceError(self._failure(failed, done, share))
                 record.halvings += 1
                 share *= 0.5
@@ -280,6 +287,7 @@ class QuasiStatic(Problem):
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
+        ease(operator, self._release)
         outcome = self._solve(operator, step)
         state: NewState | str | None = outcome.reason
         if state is None:
