@@ -3,14 +3,17 @@
     docker/run python3 docs/theory/figures.py              all of them: a minute
     docker/run python3 docs/theory/figures.py bases cuts   some of them
 
-The pictures go to the folder of this file. Figures of a picture are also printed.
+The pictures go to the folder of this file, with the same bytes each time. Figures of a picture are
+also printed.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
@@ -287,6 +290,9 @@ PARTS = (active, bases, cuts, shear, locking, mappings, newton, tangents)
 PICTURES = {f.__name__: f for f in PARTS}
 
 if __name__ == "__main__":
+    # no times and no random names in the files
+    os.environ["SOURCE_DATE_EPOCH"] = "0"
+    mpl.rcParams["svg.hashsalt"] = "theory"
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("names", nargs="*", help=", ".join(PICTURES))
     for name in options.parse_args().names or PICTURES:
