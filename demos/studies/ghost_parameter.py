@@ -23,15 +23,15 @@ from mpi4py import MPI
 from scene import finish, numbers, parser, say
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.facetpairs import (
+from dolfinmpm.assembly.facetpenalties import (
     INTERVALS,
     by_ratio,
     isotropic,
     lattice_pair,
     local_constant,
 )
-from dolfinmpm.assembly.facetplaces import FacetPlace
 from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.latticefacets import FacetPlace
 from dolfinmpm.cut.facetmoduli import bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
 

@@ -1,7 +1,7 @@
 """A rank that waits for ever says so, and ends the run.
 
 Collective calls begin at a door where ranks wait for each other, see
-`dolfinmpm._platform.together`. Who waits there longer than some seconds tells once which call it
+`dolfinmpm._platform.collective`. Who waits there longer than some seconds tells once which call it
 is in and where the others are; after `DOLFINMPM_WAIT` seconds (600 by default, 0 for never) it
 ends all ranks. Ranks that compute are waited for as long as they need: only those count that are
 outside of any call, have come to the end of their script, or hang in a call that the waiting rank
@@ -22,9 +22,9 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
+from dolfinmpm._platform.collective import Ranks, here, line_of
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.sharedmemory import Memory, Slot, answer, ask, find, read, remove_all
-from dolfinmpm._platform.together import Ranks, here, line_of
 
 __all__ = ["Patience", "in_words", "watch"]
 

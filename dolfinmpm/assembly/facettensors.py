@@ -28,7 +28,7 @@ from ufl.corealg.multifunction import MultiFunction
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinmpm._platform.compat import geometric_dimension, restrict
-from dolfinmpm.assembly.facetplaces import FacetPlace, gauss_rule, product, splines
+from dolfinmpm.assembly.latticefacets import FacetPlace, gauss_rule, product, splines
 from dolfinmpm.cut.facetmoduli import FacetModulus
 
 __all__ = ["FacetTensors", "facet_moduli", "readable"]

@@ -21,7 +21,7 @@ from dolfinmpm._platform.compat import (
     integration_domains,
     pack_coefficients,
 )
-from dolfinmpm.assembly.facetpairs import INTERVALS, MeshPairs, by_ratio
+from dolfinmpm.assembly.facetpenalties import INTERVALS, MeshPairs, by_ratio
 from dolfinmpm.assembly.facettensors import facet_moduli
 from dolfinmpm.assembly.splinefacets import FacetBlock, are_alike
 from dolfinmpm.basis import LatticeBasis

@@ -14,9 +14,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm.assembly.facetpairs import INTERVALS, by_ratio, lattice_pair
-from dolfinmpm.assembly.facetplaces import FacetPlace
+from dolfinmpm.assembly.facetpenalties import INTERVALS, by_ratio, lattice_pair
 from dolfinmpm.assembly.facettensors import FacetTensors, facet_moduli, readable
+from dolfinmpm.assembly.latticefacets import FacetPlace
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.space import Space
 from dolfinmpm.basis.stencils import running_sum

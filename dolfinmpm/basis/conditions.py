@@ -13,16 +13,16 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import (
     ParameterError,
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.positions import ask, choose
+from dolfinmpm.grid.userfunctions import ask, choose
 
 __all__ = [
     "Condition",
@@ -202,7 +202,7 @@ def prescribed(
         where: A side, by its axis, "x-", "x+", "y-", ..., or by its name: "left", "right" (first
             axis), "bottom", "top" (last axis), "front", "back" (second axis in 3D); or a function
             of node positions (m), shape (gdim, n), that returns n booleans; see
-            `dolfinmpm.grid.positions`.
+            `dolfinmpm.grid.userfunctions`.
         component: Component of the field.
         increment: Increment per step (m for a displacement), of a field that moves points: a
             number, a scalar DOLFINx constant, or a function of node positions like `where` that

@@ -11,7 +11,8 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import number, shown, truth, whole
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
@@ -19,15 +20,13 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import Placement
 from dolfinmpm.basis.conditions import side_of
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.contours import along_segments, contour, cut_triangles
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
-from dolfinmpm.body.markerplaces import (
+from dolfinmpm.body.formsigns import acting
+from dolfinmpm.body.markergeometry import (
     put_inside,
     revolved,
     rows_of,
@@ -37,9 +36,10 @@ from dolfinmpm.body.markerplaces import (
 )
 from dolfinmpm.body.orientation import check_outward
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.counts import next_on
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.lattice import lattice_of, require_lattice, smallest_height
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.serialnumbers import next_on
+from dolfinmpm.grid.userfunctions import ask
 
 if TYPE_CHECKING:
     from dolfinmpm.body.fields import PointField
@@ -306,7 +306,7 @@ class Boundary:
         Args:
             points: Material points of the body.
             phi: Function of positions (m), shape (gdim, n), to n values, negative in the
-                body; see `dolfinmpm.grid.positions`.
+                body; see `dolfinmpm.grid.userfunctions`.
             subdivisions: Parts of a cell in each direction, on rectangular grids. The error of
                 the boundary's place is of the square of their size.
             follows, name, activates: See `Boundary`.

@@ -10,10 +10,10 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, truth
+from dolfinmpm._platform.argumentchecks import check_kind, number, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.given import ReadOnce
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints

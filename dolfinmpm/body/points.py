@@ -11,18 +11,18 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.argumentchecks import truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
-from dolfinmpm._platform.together import together
-from dolfinmpm.body import files, joining, sources
+from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis, ring
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.joining import PointChange
 from dolfinmpm.body.location import Destinations, bounds, destinations
 from dolfinmpm.body.migration import migrate
+from dolfinmpm.body.pointchanges import PointChange
+from dolfinmpm.body.pointchecks import astray, checked_rows, fault, require_grid
 from dolfinmpm.body.pointsymbols import ACTIVE_CELLS, GHOST_FACETS, UNSET
 from dolfinmpm.body.pointtable import BUILT_IN, PointTable
-from dolfinmpm.body.validity import astray, checked_rows, fault, require_grid
 from dolfinmpm.grid.partition import Partition
 
 __all__ = [
@@ -217,7 +217,7 @@ class MaterialPoints(PointTable):
             EmptyShapeError: There is no point.
             UnsupportedGridError: The cells are curved, or coordinates of single precision.
         """
-        rows, others = sources.located(
+        rows, others = pointinput.located(
             grid, x, volume, density, tag, half_length, fields or {}, id, axisymmetric,
             reserved=tuple(name for name in _RESERVED if name != "stress"),
         )  # fmt: skip
@@ -258,7 +258,7 @@ class MaterialPoints(PointTable):
                 number; the message has line and column. Or as `from_arrays`.
             OSError: The file cannot be read.
         """
-        rows = files.from_csv(grid, path, density, tag, delimiter)
+        rows = pointfiles.from_csv(grid, path, density, tag, delimiter)
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     @classmethod
@@ -298,7 +298,7 @@ class MaterialPoints(PointTable):
             PointsOutsideGridError: Points are outside the grid.
             OSError: The file cannot be read.
         """
-        rows = files.from_mesh(grid, mesh, density, points, degree, tag)
+        rows = pointfiles.from_mesh(grid, mesh, density, points, degree, tag)
         if truth("axisymmetric", axisymmetric):
             rows["volume"] = ring(rows["x"][:, 0], rows["volume"])
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
@@ -317,7 +317,7 @@ class MaterialPoints(PointTable):
                 the same place, or both fill a cell more than once; see `overlapping`.
             FieldShapeError: A field has another shape in the other body.
         """
-        return joining.joined(self, other)
+        return pointchanges.joined(self, other)
 
     @together
     def add(self, other: MaterialPoints) -> PointChange:
@@ -335,7 +335,7 @@ class MaterialPoints(PointTable):
         Raises:
             ParameterError, FieldShapeError: As for `a + b`; no point is added then.
         """
-        return joining.add(self, other)
+        return pointchanges.add(self, other)
 
     @together(own=("where",))
     def remove(
@@ -361,7 +361,7 @@ class MaterialPoints(PointTable):
                 point has the tag, or none would be left.
             FieldShapeError: Their number is not that of the points.
         """
-        return joining.remove(self, where, tag)
+        return pointchanges.remove(self, where, tag)
 
     def fault(self) -> DolfinMPMError | None:
         """What is impossible in the fields of this rank's points, or None."""
@@ -385,7 +385,7 @@ class MaterialPoints(PointTable):
         """
         x = self.placement(self.configuration).x
         to = destinations(self.grid, x, self["cell"], self.partition)
-        raise_together(self.comm, sources.outside(x, self["id"], to))
+        raise_together(self.comm, pointinput.outside(x, self["id"], to))
         return self.migrate(to)
 
     def migrate(self, to: Destinations) -> int:

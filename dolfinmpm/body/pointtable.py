@@ -11,19 +11,19 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import meet, together
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import meet, together
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:

@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
     UnknownNameError,
     call_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.markerstate import keys_of
 from dolfinmpm.body.points import MaterialPoints

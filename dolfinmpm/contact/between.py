@@ -12,7 +12,7 @@ import scipy
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form

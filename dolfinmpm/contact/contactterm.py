@@ -13,7 +13,7 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
+from dolfinmpm._platform.argumentchecks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form

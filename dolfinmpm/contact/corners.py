@@ -28,7 +28,7 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.incells import values_in_cells
+from dolfinmpm.basis.singlecellvalues import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
 from dolfinmpm.body.points import MaterialPoints

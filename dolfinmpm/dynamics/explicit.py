@@ -19,9 +19,9 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform.checks import check_kind, choice, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints

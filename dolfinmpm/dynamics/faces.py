@@ -12,9 +12,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles

@@ -21,9 +21,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock

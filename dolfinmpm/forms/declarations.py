@@ -21,7 +21,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.body.tags import tags_in_use

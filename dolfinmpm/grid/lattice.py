@@ -14,11 +14,11 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.compat import geometry_degree, geometry_dofmap
 from dolfinmpm._platform.errors import UnsupportedGridError
 from dolfinmpm._platform.jit import patiently
-from dolfinmpm._platform.together import together
 from dolfinmpm.grid.constants import own_constant
 
 __all__ = ["Lattice", "cell_size", "coarse_cell_size", "lattice_of"]

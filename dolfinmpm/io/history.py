@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.ownership import refuse_other, take_paths
 from dolfinmpm.io.tables import check_suffix, write_table

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from dolfinx import fem, plot
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, number, shown, truth
+from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.location import bounds

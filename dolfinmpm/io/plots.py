@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies

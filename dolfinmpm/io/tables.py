@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 
 __all__ = [
     "check_suffix",

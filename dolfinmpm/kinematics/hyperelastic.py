@@ -9,7 +9,7 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm.body.axisymmetry import gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
@@ -20,7 +20,7 @@ from dolfinmpm.forms.declarations import (
 )
 from dolfinmpm.forms.pointwise import compile_here
 from dolfinmpm.kinematics.parameters import PointParameters
-from dolfinmpm.kinematics.strainmarks import ENERGY, MARKS, check_history, refuse_stress
+from dolfinmpm.kinematics.strainhistory import ENERGY, MARKS, check_history, refuse_stress
 from dolfinmpm.materials.base import lame
 from dolfinmpm.materials.neohookean import NeoHookean
 

@@ -12,9 +12,9 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -24,11 +24,11 @@ from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
-from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
+from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.kinematics.strainmarks import MARKS, check_history
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.strainhistory import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

@@ -26,19 +26,19 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 

@@ -27,9 +27,9 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import as_tags, number, shown, truth
+from dolfinmpm._platform.argumentchecks import as_tags, number, shown, truth
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import (
     check_displacement,
     check_increment,
@@ -42,11 +42,11 @@ from dolfinmpm.forms.ghostterms import PENALTY
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.kinematics.lawterms import momentum
 from dolfinmpm.materials.base import lame
+from dolfinmpm.porous.alphalevel import Level
+from dolfinmpm.porous.deformation import kinematics
 from dolfinmpm.porous.fluid import Fluid, refuse_hollow, refuse_light
-from dolfinmpm.porous.kinematics import kinematics
-from dolfinmpm.porous.levels import Level
 from dolfinmpm.porous.projection import factor_of, largest, projected, size_of
-from dolfinmpm.porous.waterfaces import Flow, entering, held, seeping, surfaces
+from dolfinmpm.porous.waterboundaries import Flow, entering, held, seeping, surfaces
 
 __all__ = ["poromechanics"]
 
@@ -112,7 +112,7 @@ def poromechanics(
         theta: Weight of the flow at the end of the step: 1 is backward Euler, ½ is Crank-Nicolson.
         rho_inf: ρ∞ of `GeneralisedAlpha`; give both the same number. The balance of the water's
             volume then uses the generalised-α method for first-order equations, at the level at
-            which forces balance; see `dolfinmpm.porous.levels`. None for all other problems.
+            which forces balance; see `dolfinmpm.porous.alphalevel`. None for all other problems.
         inertia: Whether the water is accelerated together with the soil. Darcy's law is then
             w = −(k/γ_w)(∇p − ρ_w (b − a)), with the acceleration a of the soil. The acceleration
             of the water relative to the soil is left out (Zienkiewicz, Chang & Bettess 1980,

@@ -1,4 +1,4 @@
-"""What ranks compare of problems and of steps; see `dolfinmpm._platform.together`."""
+"""What ranks compare of problems and of steps; see `dolfinmpm._platform.collective`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ufl.classes import FixedIndex, MultiIndex, ScalarValue
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinmpm._platform.alike import Told, told
+from dolfinmpm._platform.plainvalues import Told, told
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.boundary import Boundary

@@ -14,8 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.alike import told
 from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.plainvalues import told
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.kinematics.walls import Wall

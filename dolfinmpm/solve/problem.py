@@ -14,21 +14,21 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, shown
+from dolfinmpm._platform.argumentchecks import file_path, shown
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import (
     FormError,
     ParameterError,
 )
-from dolfinmpm._platform.given import ReadList, ReadOnce
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.readonce import ReadList, ReadOnce
 from dolfinmpm.assembly.state import Keeps, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import warn_idle
-from dolfinmpm.body.meshparts import warn_of_imbalance
+from dolfinmpm.body.meshpartition import warn_of_imbalance
 from dolfinmpm.body.migration import settle
+from dolfinmpm.body.overlapchecks import check_room
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.body.room import check_room
 from dolfinmpm.contact.bodies import Bodies
 from dolfinmpm.contact.contactterm import Contact
 from dolfinmpm.cut.activation import activate, active_on_grid

@@ -12,9 +12,9 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.state import Keeps
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
@@ -279,7 +279,7 @@ class QuasiStatic(Problem):
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._begin()
         raise_together(self.comm, self.points.fault())
-        garbage.free(self.comm)
+        petscgarbage.free(self.comm)
         self._record.migrated += balance(self.points)
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.grid.graded import lay_lines
 from dolfinmpm.grid.lattice import lattice_of

@@ -11,9 +11,9 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, whole
+from dolfinmpm._platform.argumentchecks import check_kind, number, whole
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS

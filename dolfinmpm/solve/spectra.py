@@ -11,9 +11,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import check_kind, coordinates
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.collective import together
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.collective import meet
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     DegreesWarning,
@@ -15,7 +16,6 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     warn,
 )
-from dolfinmpm._platform.together import meet
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic

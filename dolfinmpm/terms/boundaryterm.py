@@ -13,9 +13,9 @@ from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.nitschepenalty import trace_constants
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.state import Local
 from dolfinmpm.assembly.term import NewState, Term
-from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.boundary import OWN, Boundary

@@ -11,7 +11,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 import dolfinmpm as mpm
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.collective import together
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0

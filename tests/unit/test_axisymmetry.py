@@ -18,7 +18,7 @@ from dolfinmpm._platform.errors import (
     UnsupportedGridError,
 )
 from dolfinmpm.assembly.stencilsums import add_product
-from dolfinmpm.basis.heldmotions import free_motions
+from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.dynamics.faces import Faces
 
 HENCKY = mpm.materials.Hencky(10.0, 0.3)

@@ -11,7 +11,7 @@ from scenes import vibrating_bar
 
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import FormError, ParameterError
-from dolfinmpm.assembly.facetpairs import (
+from dolfinmpm.assembly.facetpenalties import (
     INTERVALS,
     MeshPairs,
     by_ratio,
@@ -21,8 +21,8 @@ from dolfinmpm.assembly.facetpairs import (
     local_constant,
     smooth_constant,
 )
-from dolfinmpm.assembly.facetplaces import FacetPlace
 from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.latticefacets import FacetPlace
 from dolfinmpm.assembly.stencilsums import add_product
 from dolfinmpm.body.points import GHOST_FACETS
 from dolfinmpm.cut.facetmoduli import FIELD, LEAST, bounded, isotropic_moduli

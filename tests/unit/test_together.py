@@ -15,10 +15,10 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import sharedmemory
-from dolfinmpm._platform.alike import difference, digest, nearly, told
+from dolfinmpm._platform.collective import Here, line_of
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.plainvalues import difference, digest, nearly, told
 from dolfinmpm._platform.sharedmemory import Slot
-from dolfinmpm._platform.together import Here, line_of
 from dolfinmpm._platform.watchdog import Patience, _limit, in_words
 from dolfinmpm.solve.agreement import of_step
 

@@ -8,13 +8,13 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.porous.kinematics import Kinematics
+from dolfinmpm.porous.deformation import Kinematics
 from dolfinmpm.porous.projection import largest, size_of
 
 __all__ = ["Flow", "entering", "held", "seeping", "surfaces"]

@@ -26,8 +26,8 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import sharedmemory
 from dolfinmpm._platform.abort import end_all_ranks
-from dolfinmpm._platform.alike import Told, difference, digest, in_words, nearly, told
 from dolfinmpm._platform.errors import DifferentCallsError, ParameterError
+from dolfinmpm._platform.plainvalues import Told, difference, digest, in_words, nearly, told
 from dolfinmpm._platform.sharedmemory import Memory
 
 __all__ = ["Ranks", "here", "line_of", "meet", "together"]

@@ -27,7 +27,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm.assembly.facetplaces import FacetPlace, one_dimensional, product
+from dolfinmpm.assembly.latticefacets import FacetPlace, one_dimensional, product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import cell_size
 
