@@ -1,10 +1,11 @@
-"""Calls that all ranks make together: they meet at the door, and compare what they were given.
+"""Collective calls: all ranks make the same call with the same arguments.
 
-Without this a call that one rank leaves out, or makes with another argument, ends in a hang or in
-wrong numbers. Each public call that is collective therefore begins with one reduction of two whole
-numbers: which call it is, and what it was given. Where ranks differ all of them raise. Where one
-does not come the others wait at the door, and `dolfinmpm._platform.watchdog` tells so.
-Calls within a call have no door, and on one rank there is none at all.
+Without a check, a call that one rank leaves out ends in a hang. A call with another argument gives
+wrong numbers. Each public collective call therefore begins with a barrier. The barrier is one
+reduction of two whole numbers: the name of the call, and its arguments. If ranks differ, all ranks
+raise an error. If one rank does not come, the other ranks wait at the barrier, and
+`dolfinmpm._platform.watchdog` reports it. A call within a call has no barrier, and a run on one
+rank has none.
 """
 
 from __future__ import annotations
@@ -27,33 +28,40 @@ from mpi4py import MPI
 from dolfinmpm._platform import sharedmemory
 from dolfinmpm._platform.abort import end_all_ranks
 from dolfinmpm._platform.errors import DifferentCallsError, ParameterError
-from dolfinmpm._platform.plainvalues import Told, difference, digest, in_words, nearly, told
+from dolfinmpm._platform.plainvalues import (
+    PlainValues,
+    as_text,
+    difference,
+    digest,
+    equal_up_to_rounding,
+    plain_value,
+)
 from dolfinmpm._platform.sharedmemory import Memory
 
-__all__ = ["Ranks", "here", "line_of", "meet", "together"]
+__all__ = ["RankGroup", "check_same_call", "collective", "process", "script_line"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = str(Path(__file__).resolve().parents[1])
 
 
-class Here:
+class ProcessState:
     """What this process does now.
 
     Attributes:
-        inside: Whether it is in one of these calls.
-        call: Name of the last one that it came to.
-        failed: Whether the last one that it left ended in an error.
-        door: Ranks at whose door it stands, or None.
-        memory: Where others see this; None if there are none.
-        file: Its file.
+        inside: Whether the process is in a collective call.
+        call: Name of the last collective call.
+        failed: Whether the last finished call ended in an error.
+        waits_with: Ranks at whose barrier the process waits, or None.
+        memory: Memory in which other processes see this state; None on one rank.
+        file: File of the memory.
     """
 
     def __init__(self) -> None:
         self.inside = False
         self.call = ""
         self.failed = False
-        self.door: Ranks | None = None
+        self.waits_with: RankGroup | None = None
         self.memory: Memory | None = None
         self.file = ""
         self._process = os.getpid()
@@ -61,45 +69,50 @@ class Here:
             self.memory, self.file = sharedmemory.own_memory(MPI.COMM_WORLD.rank)
             atexit.register(self.end)
 
-    def write(self) -> None:
-        """Tell others that it came to a call, entered or left one."""
+    def publish(self) -> None:
+        """Show other processes that this process came to a call, entered it or left it."""
         if self.memory is not None:
             m = self.memory
             m["inside"], m["since"] = self.inside, time.monotonic_ns()
             m["failed"], m["ended"] = self.failed, False
 
-    def come(self, ranks: Ranks, doors: int) -> None:
-        """Come to a door."""
-        self.door = ranks
+    def wait_with(self, ranks: RankGroup, calls: int) -> None:
+        """Begin to wait at a barrier.
+
+        Args:
+            ranks: Ranks of the barrier.
+            calls: Number of the barriers of these ranks so far.
+        """
+        self.waits_with = ranks
         if self.memory is not None:
             m = self.memory
-            m["group"], m["doors"], m["at_door"] = ranks.number, doors, True
-        self.write()
+            m["group"], m["calls"], m["waiting"] = ranks.number, calls, True
+        self.publish()
 
-    def enter(self) -> None:
-        """Go through the door, for all are here."""
-        self.door = None
+    def go_on(self) -> None:
+        """Leave the barrier."""
+        self.waits_with = None
         if self.memory is not None:
-            self.memory["at_door"] = False
+            self.memory["waiting"] = False
 
     def end(self) -> None:
-        """Tell others that the script has come to its end; not that of a copy of the process."""
+        """Show other processes that the script has ended. A forked copy does nothing."""
         if self.memory is not None and os.getpid() == self._process:
             self.memory["ended"] = True
             sharedmemory.remove_all()
 
 
-class Ranks:
+class RankGroup:
     """Ranks that make collective calls together.
 
     Args:
-        comm: Their communicator.
+        comm: Communicator of the ranks.
 
     Attributes:
-        world: Their numbers among all ranks.
-        number: What tells them from other ranks.
-        files: Files of the slots of those of this node, by their numbers among all.
-        comm: A communicator for their meetings alone.
+        world: Numbers of the ranks in MPI's world.
+        number: Number that identifies the group.
+        files: Files of the ranks on this node, by number in MPI's world.
+        comm: Communicator for the barriers only.
     """
 
     def __init__(self, comm: MPI.Intracomm):
@@ -108,46 +121,47 @@ class Ranks:
         self.world = [rank for rank in found if rank != MPI.UNDEFINED]
         self.number = zlib.crc32(repr(self.world).encode())
         self.files: dict[int, str] = {}
-        self._doors = 0
+        self._calls = 0
         self._numbers = np.zeros(2, np.int64)
-        here.come(self, 0)
+        process.wait_with(self, 0)
         try:
-            # that of the world serves all grids on all ranks
+            # the copy of MPI's world serves all grids on all ranks
             all_ranks = self.world == list(range(MPI.COMM_WORLD.size))
             self.comm: MPI.Intracomm = (MPI.COMM_WORLD if all_ranks else comm).Dup()
-            own = MPI.Get_processor_name(), MPI.COMM_WORLD.rank, here.file
+            own = MPI.Get_processor_name(), MPI.COMM_WORLD.rank, process.file
             for node, rank, file in self.comm.allgather(own):
                 if node == own[0] and file:
                     self.files[rank] = file
         finally:
-            here.enter()
+            process.go_on()
 
-    def meet(self, given: Told) -> None:
-        """Wait for all ranks, and raise on all of them unless they make the same call. Collective.
+    def check_same_call(self, arguments: PlainValues) -> None:
+        """Wait for all ranks; raise on all ranks unless all make the same call. Collective.
 
         Args:
-            given: What `here.call` was given.
+            arguments: Arguments of the call `process.call`.
 
         Raises:
-            DifferentCallsError: Ranks make other calls.
+            DifferentCallsError: Ranks make different calls.
             ParameterError: Arguments differ; the message has the values of the first two ranks
-                that do.
+                with different values.
         """
-        self._doors += 1
+        self._calls += 1
         numbers = self._numbers
-        numbers[0] = number = zlib.crc32(here.call.encode()) << 31 ^ digest(given)
+        numbers[0] = number = zlib.crc32(process.call.encode()) << 31 ^ digest(arguments)
         numbers[1] = -number
-        here.come(self, self._doors)
+        process.wait_with(self, self._calls)
         try:
             self.comm.Allreduce(MPI.IN_PLACE, numbers, op=MPI.MIN)
         finally:
-            here.enter()
+            process.go_on()
         if numbers[0] != -numbers[1]:
-            self._compare(given)
+            self._compare(arguments)
 
-    def _compare(self, given: Told) -> None:
-        """Raise unless a number is given in two ways, such as 1 and 1.0. Collective."""
-        others = self.comm.allgather((here.call, line_of(sys._getframe()), given))
+    def _compare(self, arguments: PlainValues) -> None:
+        """Raise, unless ranks give one number in two types, such as 1 and 1.0. Collective."""
+        line = script_line(sys._getframe())
+        others = self.comm.allgather((process.call, line, arguments))
         first = others[0]
         for rank, other in enumerate(others):
             if other[0] != first[0]:
@@ -162,17 +176,17 @@ class Ranks:
                 name, a, b = found
                 bcast = "; a number that ranks compute goes from one to all by bcast"
                 raise ParameterError(
-                    f"{name} differs between ranks: {in_words(a)} on rank 0, {in_words(b)} on rank "
+                    f"{name} differs between ranks: {as_text(a)} on rank 0, {as_text(b)} on rank "
                     f"{rank}; every rank must build the same problem and take the same steps"
-                    f"{bcast if nearly(a, b) else ''}"
+                    f"{bcast if equal_up_to_rounding(a, b) else ''}"
                 )
 
 
-here = Here()
+process = ProcessState()
 
 
-def line_of(frame: FrameType | None) -> str:
-    """The line of the user's script that a frame belongs to, in words."""
+def script_line(frame: FrameType | None) -> str:
+    """Line of the user's script that led to a frame, as text."""
     while frame is not None and frame.f_code.co_filename.startswith(_libraries()):
         frame = frame.f_back
     if frame is None:
@@ -182,7 +196,7 @@ def line_of(frame: FrameType | None) -> str:
 
 @functools.cache
 def _libraries() -> tuple[str, ...]:
-    """How the files of libraries begin, dolfinmpm's among them."""
+    """Folders of libraries, dolfinmpm included, as beginnings of file names."""
     import sysconfig
 
     names = ("stdlib", "platstdlib", "purelib", "platlib")
@@ -190,38 +204,38 @@ def _libraries() -> tuple[str, ...]:
     return (_PACKAGE, *(folder for folder in found if folder), "<frozen")
 
 
-# -- which ranks ----------------------------------------------------------------
+# -- groups of ranks ------------------------------------------------------------
 
-_known: list[Ranks] = []
+_known: list[RankGroup] = []
 _key: list[int] = []
 
 
-def ranks_of(comm: MPI.Intracomm) -> Ranks | None:
-    """The ranks of a communicator, or None for one rank. Collective when first asked."""
+def _group_of(comm: MPI.Intracomm) -> RankGroup | None:
+    """Ranks of a communicator; None for one rank. The first call is collective."""
     if comm.size == 1:
         return None
     if not _key:
         _key.append(MPI.Comm.Create_keyval())
     kept: Any = comm.Get_attr(_key[0])
     if kept is None:
-        kept = _found_or_made(comm)
+        kept = _find_or_make(comm)
         comm.Set_attr(_key[0], kept)
     return kept
 
 
-def _found_or_made(comm: MPI.Intracomm) -> Ranks:
+def _find_or_make(comm: MPI.Intracomm) -> RankGroup:
     for ranks in _known:
         if MPI.Comm.Compare(comm, ranks.comm) in (MPI.IDENT, MPI.CONGRUENT):
             return ranks
     if not _known:
         end_all_ranks(MPI.COMM_WORLD)
-    made = Ranks(comm)
+    made = RankGroup(comm)
     _known.append(made)
     return made
 
 
 def _comm_of(value: Any) -> MPI.Intracomm | None:
-    """The communicator of an argument, or None if it has none."""
+    """Communicator of an argument, or None."""
     for _ in range(4):
         if isinstance(value, MPI.Intracomm):
             return value
@@ -237,117 +251,119 @@ def _comm_of(value: Any) -> MPI.Intracomm | None:
     return None
 
 
-# -- the calls ------------------------------------------------------------------
+# -- the decorator --------------------------------------------------------------
 
 
 @overload
-def together(function: Function) -> Function: ...
+def collective(function: Function) -> Function: ...
 @overload
-def together(
+def collective(
     *,
-    own: Sequence[str] = (),
-    given: Callable[..., Told] | None = None,
-    of: Callable[..., MPI.Intracomm] | None = None,
+    local: Sequence[str] = (),
+    compared: Callable[..., PlainValues] | None = None,
+    comm_of: Callable[..., MPI.Intracomm] | None = None,
 ) -> Callable[[Function], Function]: ...
-def together(
+def collective(
     function: Function | None = None,
     *,
-    own: Sequence[str] = (),
-    given: Callable[..., Told] | None = None,
-    of: Callable[..., MPI.Intracomm] | None = None,
+    local: Sequence[str] = (),
+    compared: Callable[..., PlainValues] | None = None,
+    comm_of: Callable[..., MPI.Intracomm] | None = None,
 ) -> Any:
-    """Mark a public function that is collective: `@together`, or `@together(own=("x",))`.
+    """Decorator of public collective functions: `@collective`, or `@collective(local=("x",))`.
 
     Args:
-        function: The function. The first of its arguments that has a communicator tells which
-            ranks meet.
-        own: Names of arguments of which each rank has its own.
-        given: Tells from the arguments what ranks compare, by name; by default all of them. Of
-            methods of what has a communicator.
-        of: Tells from the arguments which ranks meet.
+        function: The function. Its first argument with a communicator gives the ranks.
+        local: Names of arguments that differ between ranks.
+        compared: Function of the arguments that returns the values to compare, by name. By default
+            all arguments are compared. Only for methods of objects with a communicator.
+        comm_of: Function of the arguments that returns the communicator.
     """
     if function is None:
-        return functools.partial(together, own=own, given=given, of=of)
+        return functools.partial(collective, local=local, compared=compared, comm_of=comm_of)
     marked: Any = function
     if MPI.COMM_WORLD.size > 1:
-        marked = _with_door(function, frozenset(own), given, of)
+        marked = _with_barrier(function, frozenset(local), compared, comm_of)
     marked.is_collective = True
     return marked
 
 
-def _with_door(function: Callable, own: frozenset[str], given: Any, of: Any) -> Callable:
+def _with_barrier(
+    function: Callable, local: frozenset[str], compared: Any, comm_of: Any
+) -> Callable:
     signature = inspect.signature(function)
     plain = function.__qualname__ == function.__name__
 
-    def meeting(arguments: tuple, options: dict[str, Any]) -> None:
+    def barrier(arguments: tuple, options: dict[str, Any]) -> None:
         try:
-            # for a step this would take too long, and what it is given is looked at below
-            bound = signature.bind(*arguments, **options) if given is None else None
-            pairs = given(*arguments, **options) if given is not None else []
+            # binding takes too long for a step; `compared` looks at the arguments of a step
+            bound = signature.bind(*arguments, **options) if compared is None else None
+            pairs = compared(*arguments, **options) if compared is not None else []
         except TypeError:
-            # the call itself says what is wrong with it
+            # the call itself raises the error
             return
         if bound is None:
             comm = arguments[0].comm
         else:
             bound.apply_defaults()
-            comm = of(*arguments, **options) if of else _first_comm(bound.arguments.values())
-        here.call = _name(function, None if plain else arguments[0])
-        ranks = None if comm is None else ranks_of(comm)
+            found = map(_comm_of, bound.arguments.values())
+            comm = comm_of(*arguments, **options) if comm_of else _first(found)
+        process.call = _name(function, None if plain else arguments[0])
+        ranks = None if comm is None else _group_of(comm)
         if ranks is not None:
-            ranks.meet(pairs if bound is None else _pairs(bound, plain, own))
+            ranks.check_same_call(pairs if bound is None else _pairs(bound, plain, local))
 
     @functools.wraps(function)
-    def within(*arguments: Any, **options: Any) -> Any:
-        if here.inside:
+    def checked(*arguments: Any, **options: Any) -> Any:
+        if process.inside:
             return function(*arguments, **options)
-        meeting(arguments, options)
-        here.inside, here.failed = True, False
-        here.write()
+        barrier(arguments, options)
+        process.inside, process.failed = True, False
+        process.publish()
         try:
             return function(*arguments, **options)
         except BaseException:
-            here.failed = True
+            process.failed = True
             raise
         finally:
-            here.inside = False
-            here.write()
+            process.inside = False
+            process.publish()
 
-    return within
+    return checked
 
 
-def _first_comm(values: Iterable[Any]) -> MPI.Intracomm | None:
-    return next((comm for comm in map(_comm_of, values) if comm is not None), None)
+def _first(comms: Iterable[MPI.Intracomm | None]) -> MPI.Intracomm | None:
+    return next((comm for comm in comms if comm is not None), None)
 
 
 def _name(function: Callable, owner: Any) -> str:
-    """What messages call it: `fill`, `Space`, `QuasiStatic.step`."""
+    """Name in messages: `fill`, `Space`, `QuasiStatic.step`."""
     if owner is None:
         return function.__name__
     kind = owner.__name__ if isinstance(owner, type) else type(owner).__name__
     return kind if function.__name__ == "__init__" else f"{kind}.{function.__name__}"
 
 
-def _pairs(bound: inspect.BoundArguments, plain: bool, own: frozenset[str]) -> Told:
-    """Arguments by name, those of `**options` by their own."""
+def _pairs(bound: inspect.BoundArguments, plain: bool, local: frozenset[str]) -> PlainValues:
+    """Arguments by name; each argument of `**options` has its own name."""
     named: dict[str, Any] = dict(list(bound.arguments.items())[0 if plain else 1 :])
     for name, parameter in bound.signature.parameters.items():
         if parameter.kind is parameter.VAR_KEYWORD:
             named |= named.pop(name, {})
-    return [(name, told(value)) for name, value in named.items() if name not in own]
+    return [(name, plain_value(value)) for name, value in named.items() if name not in local]
 
 
-def meet(comm: MPI.Intracomm, call: str, **given: Any) -> None:
-    """The door of a call that is collective in some of its uses only. Collective.
+def check_same_call(comm: MPI.Intracomm, call: str, **arguments: Any) -> None:
+    """Barrier of a call that is collective in some of its uses only. Collective.
 
     Args:
-        comm: Whose ranks meet.
+        comm: Communicator of the ranks.
         call: Name of the call.
-        given: What it is given, by name.
+        arguments: Arguments of the call, by name.
     """
-    if MPI.COMM_WORLD.size == 1 or here.inside:
+    if MPI.COMM_WORLD.size == 1 or process.inside:
         return
-    here.call = call
-    ranks = ranks_of(comm)
+    process.call = call
+    ranks = _group_of(comm)
     if ranks is not None:
-        ranks.meet([(name, told(value)) for name, value in given.items()])
+        ranks.check_same_call([(name, plain_value(value)) for name, value in arguments.items()])

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import at_time, choice, number, shown, truth, whole
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
     call_together,
@@ -183,7 +183,7 @@ def _nodes(
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
-@together(own=("increment", "value"))
+@collective(local=("increment", "value"))
 def prescribed(
     space: Space,
     where: Where,
@@ -245,7 +245,7 @@ def prescribed(
     return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
 
 
-@together
+@collective
 def moving(
     space: Space, where: Where, component: int, *, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
@@ -315,7 +315,7 @@ def _one_per_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     return given
 
 
-@together
+@collective
 def fixed(space: Space, *where: Where) -> list[Condition]:
     """Set the increments of all components to zero at some places. Collective.
 
@@ -336,7 +336,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
     ]
 
 
-@together
+@collective
 def rollers(space: Space, *sides: str) -> list[Condition]:
     """Constrain the displacement normal to each side, and leave it free along the side. Collective.
 

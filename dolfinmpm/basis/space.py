@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import as_tags, choice, shown, truth, whole
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.basis import LatticeBasis, LinearBasis
@@ -239,7 +239,7 @@ class Space:
     ()
     """
 
-    @together
+    @collective
     def __init__(
         self,
         grid: Mesh,

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import number, shown, truth, whole
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
@@ -94,7 +94,7 @@ class Boundary:
         PointsOutsideGridError: A marker is outside the grid.
     """
 
-    @together(own=("x", "area"))
+    @collective(local=("x", "area"))
     def __init__(
         self,
         points: MaterialPoints,
@@ -165,7 +165,7 @@ class Boundary:
     # -- where markers come from ----------------------------------------------
 
     @classmethod
-    @together
+    @collective
     def from_polygon(
         cls,
         points: MaterialPoints,
@@ -215,7 +215,7 @@ class Boundary:
         return made
 
     @classmethod
-    @together
+    @collective
     def from_side(
         cls, points: MaterialPoints, side: str, *, rule: int = 2, name: str | None = None
     ) -> Boundary:
@@ -250,7 +250,7 @@ class Boundary:
         return cls(points, x, area, follows=False, name=name or word, activates=False)
 
     @classmethod
-    @together
+    @collective
     def from_triangles(
         cls,
         points: MaterialPoints,
@@ -289,7 +289,7 @@ class Boundary:
         return cls(points, x, area, follows=follows, name=name, activates=activates)
 
     @classmethod
-    @together
+    @collective
     def from_level_set(
         cls,
         points: MaterialPoints,
@@ -400,7 +400,7 @@ class Boundary:
         work = p * ufl.det(dF) * ufl.dot(ufl.dot(self.normal, back), v)
         return acting(work, self.ds, f"the pressure on '{self.name}'")
 
-    @together
+    @collective
     def force(self) -> Array:
         """Force of all conditions on the body in the last step (N), shape (gdim,). Collective.
 
@@ -416,7 +416,7 @@ class Boundary:
         return self.points.gdim
 
     @property
-    @together
+    @collective
     def total_area(self) -> float:
         """Area now (m^(d-1); of axisymmetric bodies m²), on all ranks. Collective."""
         return self.points.comm.allreduce(float(self.markers["V"].sum()), op=MPI.SUM)

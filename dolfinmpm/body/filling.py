@@ -12,7 +12,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     ParameterError,
@@ -40,7 +40,7 @@ Density = float | Callable[[Array], Array]
 _SLIVER = 1e-9
 
 
-@together
+@collective
 def fill(
     grid: Mesh,
     shape: Shape,

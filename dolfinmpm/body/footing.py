@@ -11,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.body.axisymmetry import in_section
@@ -61,7 +61,7 @@ class RigidFooting(ReadOnce):
 
     _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})
 
-    @together
+    @collective
     def __init__(
         self,
         surface: Surface,
@@ -144,7 +144,7 @@ class RigidFooting(ReadOnce):
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
-    @together
+    @collective
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
@@ -153,7 +153,7 @@ class RigidFooting(ReadOnce):
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 
-    @together
+    @collective
     def load(self) -> float:
         """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
         return float(-self.reaction() @ self.surface.normal)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.argumentchecks import truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import DolfinMPMError, call_together, raise_together
 from dolfinmpm.body import pointchanges, pointfiles, pointinput
 from dolfinmpm.body.axisymmetry import require_axis, ring
@@ -130,7 +130,7 @@ class MaterialPoints(PointTable):
             axisymmetric points is not two-dimensional, or reaches beyond the axis.
     """
 
-    @together(own=("x", "cell", "volume", "half_length", "density", "tag", "id"))
+    @collective(local=("x", "cell", "volume", "half_length", "density", "tag", "id"))
     def __init__(
         self,
         grid: Mesh,
@@ -172,7 +172,7 @@ class MaterialPoints(PointTable):
     # -- where points come from -----------------------------------------------
 
     @classmethod
-    @together(own=("x", "volume", "density", "tag", "half_length", "fields", "id"))
+    @collective(local=("x", "volume", "density", "tag", "half_length", "fields", "id"))
     def from_arrays(
         cls,
         grid: Mesh,
@@ -228,7 +228,7 @@ class MaterialPoints(PointTable):
         return points
 
     @classmethod
-    @together
+    @collective
     def from_csv(
         cls,
         grid: Mesh,
@@ -262,7 +262,7 @@ class MaterialPoints(PointTable):
         return cls.from_arrays(grid, **rows, axisymmetric=axisymmetric)
 
     @classmethod
-    @together(own=("mesh",))
+    @collective(local=("mesh",))
     def from_mesh(
         cls,
         grid: Mesh,
@@ -305,7 +305,7 @@ class MaterialPoints(PointTable):
 
     # -- changes of the body --------------------------------------------------
 
-    @together
+    @collective
     def __add__(self, other: MaterialPoints) -> MaterialPoints:
         """A body of the points of both, with all their fields. Collective.
 
@@ -319,7 +319,7 @@ class MaterialPoints(PointTable):
         """
         return pointchanges.joined(self, other)
 
-    @together
+    @collective
     def add(self, other: MaterialPoints) -> PointChange:
         """Take the points of another body in, between steps. Collective.
 
@@ -337,7 +337,7 @@ class MaterialPoints(PointTable):
         """
         return pointchanges.add(self, other)
 
-    @together(own=("where",))
+    @collective(local=("where",))
     def remove(
         self,
         where: Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | npt.ArrayLike | None = None,
@@ -373,7 +373,7 @@ class MaterialPoints(PointTable):
             self._located = place if error is None else math.nan
         return error
 
-    @together
+    @collective
     def locate(self) -> int:
         """Find cells and ranks of points whose x was changed by hand. Collective.
 

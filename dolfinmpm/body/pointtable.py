@@ -12,7 +12,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import shown
-from dolfinmpm._platform.collective import meet, together
+from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
@@ -214,7 +214,7 @@ class PointTable:
             return field.first_values(self["x0"])
 
         if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name=name)
+            check_same_call(self.comm, "MaterialPoints.add_field", name=name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -290,7 +290,7 @@ class PointTable:
         size = section(self, volume, x)
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
-    @together
+    @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
         """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
 

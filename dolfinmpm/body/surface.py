@@ -25,7 +25,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import shown
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -84,7 +84,7 @@ class Surface:
         UnsupportedGridError: The grid is not rectangular.
     """
 
-    @together
+    @collective
     def __init__(
         self,
         points: MaterialPoints,
@@ -128,7 +128,7 @@ class Surface:
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
     @classmethod
-    @together(own=("offset", "area"))
+    @collective(local=("offset", "area"))
     def from_arrays(
         cls,
         points: MaterialPoints,
@@ -313,7 +313,7 @@ class Surface:
         moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
-    @together
+    @collective
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area

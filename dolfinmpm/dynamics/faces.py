@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
@@ -67,7 +67,7 @@ class Face:
         return rates[0 if component == self.axis else 1] > 0.0
 
 
-@together
+@collective
 def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     """Sides of the grid with Coulomb friction: the body may leave them, not pass. Collective.
 
@@ -87,7 +87,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     return [_face(space, side, mu, None) for side in sides]
 
 
-@together
+@collective
 def absorbing(
     space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
 ) -> list[Face]:

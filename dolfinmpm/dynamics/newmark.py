@@ -22,7 +22,7 @@ import ufl
 from dolfinx import fem
 
 from dolfinmpm._platform.argumentchecks import choice, number
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -129,7 +129,7 @@ class TimeStepping(QuasiStatic):
         """Time of the present state (s)."""
         return self.scheme.clock.time
 
-    @together
+    @collective
     def energies(self) -> Energies:
         """Present energies of the body, and work done since the first step. Collective.
 
@@ -137,12 +137,12 @@ class TimeStepping(QuasiStatic):
         """
         return self.ledger.energies()
 
-    @together
+    @collective
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
-    @together
+    @collective
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
@@ -191,7 +191,7 @@ class Newmark(TimeStepping):
         ParameterError: An argument has the wrong type or a value outside its range.
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -227,7 +227,7 @@ class GeneralisedAlpha(TimeStepping):
             own rho_inf.
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
@@ -116,7 +116,7 @@ class Transient(QuasiStatic):
     scheme: Rates
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

@@ -16,7 +16,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, number, shown, whole
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
@@ -98,7 +98,7 @@ def _graded(length: float, cells: int, h: float) -> Array:
     return np.cumsum(sizes) * (length / sizes.sum())
 
 
-@together
+@collective
 def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.Mesh:
     """A rectangular grid with given lines. Collective.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.ownership import refuse_other, take_paths
@@ -80,7 +80,7 @@ class History:
             raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
         return np.array([row[name] for row in self._rows])
 
-    @together(of=lambda history, *_, **__: history._comm)
+    @collective(comm_of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a table as .csv or .json; see `study.write_table`. Collective.
 

@@ -14,7 +14,7 @@ from dolfinx import fem, plot
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
@@ -83,7 +83,7 @@ class ParaView:
         OSError: The folder or the file cannot be written.
     """
 
-    @together
+    @collective
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -119,7 +119,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Do nothing: the files are complete after every write."""
 
-    @together
+    @collective
     @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points and of the grid. Collective.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.axisymmetry import in_section
@@ -32,7 +32,7 @@ _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
 _MOST_CELLS = 200_000
 
 
-@together
+@collective
 def plot(
     points: MaterialPoints,
     path: str | os.PathLike[str],

@@ -24,7 +24,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, shown
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
@@ -258,7 +258,7 @@ class Deposit:
 
     # -- terms at the points ------------------------------------------------------
 
-    @together
+    @collective
     def body_force(self, points: MaterialPoints) -> Expr:
         """Body force per initial volume in balance with the effective stress (N/m³). Collective.
 

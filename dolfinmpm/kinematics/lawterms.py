@@ -13,7 +13,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import Tags, as_tags, choice, shown, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
@@ -295,7 +295,7 @@ def flux(
     return in_section(points, S), declaration
 
 
-@together(own=("stress",))
+@collective(local=("stress",))
 def set_stress(
     law: Law | NeoHookean,
     points: MaterialPoints,

@@ -27,7 +27,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import check_kind, number
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.boundary import Boundary
@@ -139,7 +139,7 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
-@together
+@collective
 def signorini(
     boundary: Boundary,
     u: fem.Function,

@@ -28,7 +28,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import as_tags, number, shown, truth
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -58,7 +58,7 @@ _STORAGE = {1: 5e-4, 2: 5e-6, 3: 5e-8}
 _FLOW = {1: 1 / 90, 2: 1 / 1800, 3: 1 / 90000}
 
 
-@together
+@collective
 def poromechanics(
     soil: Any,
     points: MaterialPoints,

@@ -13,7 +13,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfinmpm._platform import petscgarbage, stages
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
 from dolfinmpm.assembly.state import Keeps
 from dolfinmpm.assembly.term import NewState
@@ -109,7 +109,7 @@ class QuasiStatic(Problem):
 
     scheme: Static
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -199,7 +199,7 @@ class QuasiStatic(Problem):
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
         """Take one step, to the present load or to the time t. Collective.
 
@@ -335,7 +335,7 @@ class QuasiStatic(Problem):
             f"{method or 'chosen in the first step'}",
         ]
 
-    @together
+    @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
         points, here, comm = self.points, self.here, self.comm

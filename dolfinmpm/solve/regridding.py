@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy.typing as npt
 
 from dolfinmpm._platform.argumentchecks import check_kind
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.grid.graded import lay_lines
@@ -17,7 +17,7 @@ from dolfinmpm.solve.problem import Problem
 __all__ = ["regrid"]
 
 
-@together
+@collective
 def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     """Move the grid lines of a problem between steps, such as for a moving fine zone. Collective.
 

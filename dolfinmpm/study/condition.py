@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import ufl
 
 from dolfinmpm._platform.argumentchecks import check_kind, number
-from dolfinmpm._platform.collective import together
+from dolfinmpm._platform.collective import collective
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
@@ -41,7 +41,7 @@ class Conditioning:
     unknowns: int
 
 
-@together
+@collective
 def conditioning(
     problem: QuasiStatic, density: float, factor: float = 1.0, extra: ufl.Form | None = None
 ) -> Conditioning:

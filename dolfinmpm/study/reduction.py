@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from mpi4py import MPI
 
 from dolfinmpm._platform.argumentchecks import number, shown
-from dolfinmpm._platform.collective import meet
+from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     DegreesWarning,
@@ -120,7 +120,7 @@ def factor_of_safety(
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):
         limits = {"low": low, "high": high, "tolerance": tolerance, "growth": growth}
-        meet(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
+        check_same_call(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
         with FromState(loading, growth, steps, over) as attempt:
             found = _search(attempt, low, high, tolerance, label)
         failure = (
