@@ -165,7 +165,9 @@ class Between(Term):
         moduli = []
         for k, u in enumerate(self.u):
             own = [d for d in declarations if d.u is u]
-            found = max((float(_young(d.moduli()).max(initial=0.0)) for d in own), default=0.0)
+            found = max(
+                (float(_young(d.elastic.moduli()).max(initial=0.0)) for d in own), default=0.0
+            )
             moduli.append(points.comm.allreduce(found, op=MPI.MAX))
             if not moduli[k] > 0.0:
                 raise ParameterError(

@@ -120,7 +120,7 @@ class Contact(Term):
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
             found = np.zeros((len(points), 2))
             for declaration in declarations:
-                found[declaration.rows] = declaration.moduli()
+                found[declaration.rows] = declaration.elastic.moduli()
             lame = found[:, 0] - 2 * found[:, 1]
             whole = found[:, 0] - found[:, 1]
             with np.errstate(invalid="ignore", divide="ignore"):

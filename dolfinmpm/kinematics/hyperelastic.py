@@ -14,6 +14,7 @@ from dolfinmpm.body.axisymmetry import gradient
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import (
     Declaration,
+    ElasticResponse,
     LawConstant,
     LawField,
     rows_within,
@@ -67,9 +68,11 @@ def declare_energy(law: Any, points: MaterialPoints, u, tags: Tags) -> Declarati
         operator=None, updates={"stress": law.cauchy_stress(end_of_step(points, u), **given)},
         mark=MARKS[ENERGY], bind=bind,
         parameters=lambda: parameters.at(rows_within(points, tags)),
-        energy=lambda: _energy_at(law, points, parameters, tags),
-        stiffness=lambda: _stiffness_at(points, parameters, tags),
-        moduli=lambda: _moduli_at(points, parameters, tags),
+        elastic=ElasticResponse(
+            lambda: _energy_at(law, points, parameters, tags),
+            lambda: _stiffness_at(points, parameters, tags),
+            lambda: _moduli_at(points, parameters, tags),
+        ),
     )  # fmt: skip
     for holder in holders:
         holder.declaration = declaration

@@ -19,7 +19,7 @@ from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.forms.declarations import Declaration, subdomain
+from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
@@ -144,8 +144,8 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     declaration = Declaration(
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
-        parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
-        stiffness=inner.stiffness, moduli=inner.moduli,
+        parameters=lambda: inner.parameters(inner.rows),
+        elastic=ElasticResponse(inner.energy, inner.stiffness, inner.moduli),
         weaken=None if law.strengths == () else inner.weaken,
     )  # fmt: skip
     operator.declaration = declaration

@@ -118,7 +118,7 @@ class WeakCondition:
         markers = self.boundary.markers
         if self.moduli is not None:
             assert self.declaration is not None
-            markers[self.moduli][self.declaration.rows] = self.declaration.moduli()
+            markers[self.moduli][self.declaration.rows] = self.declaration.elastic.moduli()
         if self.on is not None:
             on = in_front(self.boundary, rows)[0]
             markers[self.on] = on.astype(float)
@@ -129,7 +129,7 @@ class WeakCondition:
         elif self.penalty is not None:
             assert self.declaration is not None
             rows = self.declaration.rows
-            moduli = self.declaration.moduli()[:, 0]
+            moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
 
     def gaps(self) -> npt.NDArray[np.float64]:

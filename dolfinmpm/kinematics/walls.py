@@ -104,8 +104,8 @@ class Wall:
         if self.fixed is not None:
             k[:] = self.fixed
         elif self.declaration is not None:
-            of_law = self.declaration.rows
-            k[of_law] = self.penalty * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
+            M = self.declaration.elastic.moduli()[:, 0]
+            k[self.declaration.rows] = self.penalty * M / largest_cell(markers.grid)
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]

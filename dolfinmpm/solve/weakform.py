@@ -175,7 +175,7 @@ class WeakForm:
     def _moduli_of(self, laws: Sequence[Declaration]) -> Array:
         out = np.zeros((len(self.points), 2))
         for declaration in laws:
-            out[declaration.rows] = declaration.moduli()
+            out[declaration.rows] = declaration.elastic.moduli()
         return out
 
     def place(self) -> None:

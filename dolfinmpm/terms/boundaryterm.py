@@ -120,7 +120,7 @@ class BoundaryTerm(Term):
             if not (stabilised and len(fields) == 1 and _stays(self.boundary, rows)):
                 at = np.zeros((len(markers), 2))
                 for one in self.declarations:
-                    at[one.rows] = one.moduli()
+                    at[one.rows] = one.elastic.moduli()
                 found = trace_constants(here, k, self.boundary, moduli(), at)
                 markers[TRACE], markers[f"{TRACE}_x"] = found, markers["x"]
                 markers[f"{TRACE}_cell"] = _middles(self.boundary)

@@ -320,10 +320,10 @@ def test_without_a_file_a_process_writes_for_itself(monkeypatch, tmp_path):
 
 def test_a_line_is_that_of_the_script():
     here = sys._getframe()
-    assert script_line(here) == f"line {here.f_lineno} of test_together.py"
+    assert script_line(here) == f"line {here.f_lineno} of test_collective.py"
     found = []
     np.apply_along_axis(
         lambda row: found.append(script_line(sys._getframe())) or 0.0, 0, np.zeros(1)
     )
-    assert found[0].endswith(" of test_together.py")
+    assert found[0].endswith(" of test_collective.py")
     assert script_line(None) == "an unknown line"
