@@ -26,15 +26,15 @@ from options import Options, option
 from scene import finish, say
 
 import dolfinmpm as mpm
-from dolfinmpm.assembly.facetpairs import (
+from dolfinmpm.assembly.facetpenalties import (
     INTERVALS,
     by_ratio,
     isotropic,
     lattice_pair,
     local_constant,
 )
-from dolfinmpm.assembly.facetplaces import FacetPlace
 from dolfinmpm.assembly.facettensors import FacetTensors
+from dolfinmpm.assembly.latticefacets import LatticeFacet
 from dolfinmpm.cut.facetmoduli import bounded, isotropic_moduli
 from dolfinmpm.materials.base import lame
 
@@ -76,7 +76,7 @@ def two_cells(basis, dimension):
     bilinear = ufl.derivative(form, V.increment, ufl.TrialFunction(V.function_space))
     bilinear = ufl.algorithms.expand_derivatives(bilinear)
     lines = [np.arange(8.0)] * dimension
-    place = FacetPlace(lines, (3,) * dimension, 0, False)
+    place = LatticeFacet(lines, (3,) * dimension, 0, False)
     tensor = FacetTensors(bilinear, DEGREES[basis], dimension)(place)
     return lattice_pair(place, DEGREES[basis], tensor)
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import truth
+from dolfinmpm._platform.argumentchecks import truth
 
 __all__ = ["NAMES", "STEP", "Watch", "activate", "assemble", "commit", "evaluate",
            "measure_stages", "migrate", "output", "solve"]  # fmt: skip

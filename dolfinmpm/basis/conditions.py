@@ -13,16 +13,16 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import at_time, choice, number, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     ParameterError,
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.positions import ask, choose
+from dolfinmpm.grid.userfunctions import ask, choose
 
 __all__ = [
     "Condition",
@@ -183,7 +183,7 @@ def _nodes(
     return nodes, name if name != "<lambda>" else f"nodes from {low} to {high} m"
 
 
-@together(own=("increment", "value"))
+@collective(local=("increment", "value"))
 def prescribed(
     space: Space,
     where: Where,
@@ -202,7 +202,7 @@ def prescribed(
         where: A side, by its axis, "x-", "x+", "y-", ..., or by its name: "left", "right" (first
             axis), "bottom", "top" (last axis), "front", "back" (second axis in 3D); or a function
             of node positions (m), shape (gdim, n), that returns n booleans; see
-            `dolfinmpm.grid.positions`.
+            `dolfinmpm.grid.userfunctions`.
         component: Component of the field.
         increment: Increment per step (m for a displacement), of a field that moves points: a
             number, a scalar DOLFINx constant, or a function of node positions like `where` that
@@ -255,7 +255,7 @@ def prescribed(
     return [Condition(space, nodes, int(component), checked, name, None, kind, place)]
 
 
-@together
+@collective
 def moving(
     space: Space, where: Where, component: int, *, velocity: float | Callable[[float], float]
 ) -> list[Condition]:
@@ -333,7 +333,7 @@ def _one_per_node(what: str, value: Any, size: int) -> npt.NDArray[np.float64]:
     return given
 
 
-@together
+@collective
 def fixed(space: Space, *where: Where) -> list[Condition]:
     """Set the increments of all components to zero at some places. Collective.
 
@@ -365,7 +365,7 @@ def fixed(space: Space, *where: Where) -> list[Condition]:
     ]
 
 
-@together
+@collective
 def rollers(space: Space, *sides: str) -> list[Condition]:
     """Constrain the displacement normal to each side, and leave it free along the side. Collective.
 

@@ -12,14 +12,13 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.argumentchecks import as_tags, choice, shown, truth, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_degree
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis, LinearBasis
 from dolfinmpm.basis.bspline import functions_of
 from dolfinmpm.basis.latticebasis import first_parts
-from dolfinmpm.grid.counts import next_on
 from dolfinmpm.grid.lattice import (
     Lattice,
     cell_size,
@@ -28,6 +27,7 @@ from dolfinmpm.grid.lattice import (
     once_per_grid,
     require_lattice,
 )
+from dolfinmpm.grid.serialnumbers import next_on
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -240,7 +240,7 @@ class Space:
     ()
     """
 
-    @together
+    @collective
     def __init__(
         self,
         grid: Mesh,

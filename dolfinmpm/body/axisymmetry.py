@@ -27,7 +27,7 @@ import ufl
 from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.body.location import bounds
 

@@ -10,10 +10,10 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, truth
+from dolfinmpm._platform.argumentchecks import check_kind, number, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.given import ReadOnce
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.formarguments import check_displacement
 from dolfinmpm.body.points import MaterialPoints
@@ -77,7 +77,7 @@ class RigidFooting(ReadOnce):
 
     _attributes = frozenset({"surface", "settlement", "rough", "stiffness"})
 
-    @together
+    @collective
     def __init__(
         self,
         surface: Surface,
@@ -160,7 +160,7 @@ class RigidFooting(ReadOnce):
         gap = gap if self.rough else np.outer(gap @ n, n)
         return np.where(self.surface._sizes()[:, None] > 0, gap, 0.0)
 
-    @together
+    @collective
     def reaction(self) -> Array:
         """Force of the footing on the body (N; N/m in plane strain), shape (gdim,). Collective.
 
@@ -169,7 +169,7 @@ class RigidFooting(ReadOnce):
         force = -self.stiffness * (self.surface._sizes() @ self.gaps())
         return self.surface.points.comm.allreduce(force, op=MPI.SUM)
 
-    @together
+    @collective
     def load(self) -> float:
         """Force that presses the footing into the body (N; N/m in plane strain). Collective."""
         return float(-self.reaction() @ self.surface.normal)

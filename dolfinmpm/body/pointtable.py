@@ -11,7 +11,8 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import check_same_call, collective
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
@@ -19,12 +20,11 @@ from dolfinmpm._platform.errors import (
     call_together,
 )
 from dolfinmpm._platform.html import listing
-from dolfinmpm._platform.together import meet, together
 from dolfinmpm.basis import Placement
 from dolfinmpm.body.axisymmetry import section
 from dolfinmpm.body.fieldarrays import FieldArrays
 from dolfinmpm.body.fields import PointField
-from dolfinmpm.body.missing import no_field
+from dolfinmpm.body.missingfields import no_field
 from dolfinmpm.body.pointsymbols import PointSymbols
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ class PointTable:
             return field.first_values(self["x0"])
 
         if callable(value):
-            meet(self.comm, "MaterialPoints.add_field", name=name)
+            check_same_call(self.comm, "MaterialPoints.add_field", name=name)
         # a function may fail at the points of some ranks only
         values = call_together(self.comm, first) if callable(value) else first()
         self.fields[name] = values
@@ -291,7 +291,7 @@ class PointTable:
         size = section(self, volume, x)
         return Placement(self[x], self[half], size, self["cell"], self.axisymmetric)
 
-    @together
+    @collective
     def gather(self, *names: str) -> tuple[npt.NDArray[Any], ...] | None:
         """Fields of all ranks, sorted by the points' id, on rank 0; None elsewhere.
 

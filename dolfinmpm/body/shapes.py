@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_function, coordinates, number
+from dolfinmpm._platform.argumentchecks import check_function, coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 

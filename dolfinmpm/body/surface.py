@@ -9,7 +9,7 @@ also how far the point's own material reaches there.
 
 What acts on the body, a load here or the contact of a `RigidFooting`, is added to the internal
 forces, F = momentum(...) + surface.traction(t, v) + footing.contact(u, v); see
-`dolfinmpm.body.acting`.
+`dolfinmpm.body.formsigns`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -33,15 +34,14 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm._platform.together import together
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section, ring
 from dolfinmpm.body.formarguments import check_displacement, check_points
-from dolfinmpm.body.loading import pressure_of, vector_of
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.body.points import MaterialPoints
+from dolfinmpm.body.surfaceloads import pressure_of, vector_of
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import lattice_of
-from dolfinmpm.grid.positions import choose
+from dolfinmpm.grid.userfunctions import choose
 
 __all__ = ["Surface"]
 
@@ -64,7 +64,7 @@ class Surface:
     Args:
         points: Material points.
         where: Function of the centres of the points' faces as they were at first (m),
-            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.positions`. The
+            shape (gdim, n), that returns n booleans; see `dolfinmpm.grid.userfunctions`. The
             faces are those of the points' domains, x0 + l0·n.
         normal: Outward unit normal of the face: an axis of the grid, such as (0, 1).
         name: Name of the fields; `surface1`, `surface2`, ... by default.
@@ -99,7 +99,7 @@ class Surface:
     (4.0, [0.0, -0.0147])
     """
 
-    @together
+    @collective
     def __init__(
         self,
         points: MaterialPoints,
@@ -143,7 +143,7 @@ class Surface:
                   np.where(chosen[:, None], area, 0.0), name, n)  # fmt: skip
 
     @classmethod
-    @together(own=("offset", "area"))
+    @collective(local=("offset", "area"))
     def from_arrays(
         cls,
         points: MaterialPoints,
@@ -328,7 +328,7 @@ class Surface:
         moved = np.einsum("pij,pj->pi", in_section(points, points["F"]), R) - R
         return points["x"] - points["x0"] + moved
 
-    @together
+    @collective
     def mean_displacement(self) -> Array:
         """Mean displacement over the initial area (m), shape (gdim,). Collective."""
         return self.points.comm.allreduce(self._sizes() @ self.displacements()) / self.total_area

@@ -12,7 +12,7 @@ import scipy
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
@@ -165,7 +165,9 @@ class Between(Term):
         moduli = []
         for k, u in enumerate(self.u):
             own = [d for d in declarations if d.u is u]
-            found = max((float(_young(d.moduli()).max(initial=0.0)) for d in own), default=0.0)
+            found = max(
+                (float(_young(d.elastic.moduli()).max(initial=0.0)) for d in own), default=0.0
+            )
             moduli.append(points.comm.allreduce(found, op=MPI.MAX))
             if not moduli[k] > 0.0:
                 raise ParameterError(

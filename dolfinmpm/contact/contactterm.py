@@ -13,7 +13,7 @@ import numpy.typing as npt
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import as_tags, check_kind, choice, number
+from dolfinmpm._platform.argumentchecks import as_tags, check_kind, choice, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.assembly.term import Term, as_form
@@ -120,7 +120,7 @@ class Contact(Term):
         if points.comm.allreduce(bool(new.any()), op=MPI.LOR):
             found = np.zeros((len(points), 2))
             for declaration in declarations:
-                found[declaration.rows] = declaration.moduli()
+                found[declaration.rows] = declaration.elastic.moduli()
             lame = found[:, 0] - 2 * found[:, 1]
             whole = found[:, 0] - found[:, 1]
             with np.errstate(invalid="ignore", divide="ignore"):

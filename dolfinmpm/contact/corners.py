@@ -29,10 +29,10 @@ import numpy.typing as npt
 import scipy
 
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.basis.incells import values_in_cells
+from dolfinmpm.basis.singlecellvalues import values_in_cells
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.axisymmetry import in_section, ring
-from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.contact.motions import Mixed, Plain, Seen, growth_by_gradient

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.given import ReadOnce
+from dolfinmpm._platform.readonce import ReadOnce
 from dolfinmpm.contact.course import Course, Motion, first_rate
 from dolfinmpm.contact.freedom import Freedom, vector
 from dolfinmpm.contact.making import surface_of

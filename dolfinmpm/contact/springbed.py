@@ -15,7 +15,7 @@ import scipy
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.term import ActiveTerm, Term, as_form
 from dolfinmpm.body.axisymmetry import in_section

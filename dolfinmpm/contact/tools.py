@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dolfinmpm._platform.checks import coordinates, number
+from dolfinmpm._platform.argumentchecks import coordinates, number
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import in_radians
 from dolfinmpm.body.shapes import Polygon, Shape

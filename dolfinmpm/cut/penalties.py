@@ -13,9 +13,8 @@ from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-from dolfinmpm._platform.checks import choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import choice, number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, ring
 from dolfinmpm.body.formarguments import (
     check_displacement,
@@ -23,6 +22,7 @@ from dolfinmpm.body.formarguments import (
     check_points,
     check_test,
 )
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
@@ -125,7 +125,7 @@ def ghost(
             incompressibility: the local constant rises from 414 at ν = 0 to 7340 at ν = 0.49,
             but only to 441 with M. "adaptive" chooses γ per facet: the smallest γ for which the
             local constant of the two cells is at most `target`, with the tangent of the laws; see
-            `dolfinmpm.assembly.facetpairs`.
+            `dolfinmpm.assembly.facetpenalties`.
 
     Raises:
         ParameterError: γ or the factor is negative or not a number, both are given, or the order,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import choice, number, shown
+from dolfinmpm._platform.argumentchecks import choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import Placement, Stencils
 from dolfinmpm.basis.space import Space

@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from dolfinmpm._platform.checks import number, shown, whole
+from dolfinmpm._platform.argumentchecks import number, shown, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress_to
 from dolfinmpm.solve.step import Step, StepRecord

@@ -36,7 +36,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import shown, truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 

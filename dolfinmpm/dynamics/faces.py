@@ -12,9 +12,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals, middles
@@ -67,7 +67,7 @@ class Face:
         return rates[0 if component == self.axis else 1] > 0.0
 
 
-@together
+@collective
 def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     """Sides of the grid with Coulomb friction: the body may leave them, not pass. Collective.
 
@@ -102,7 +102,7 @@ def frictional(space: Space, *sides: str, friction: float) -> list[Face]:
     return [_face(space, side, mu, None) for side in sides]
 
 
-@together
+@collective
 def absorbing(
     space: Space, *sides: str, density: float, p_speed: float, s_speed: float = 0.0
 ) -> list[Face]:

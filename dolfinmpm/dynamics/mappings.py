@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import choice, number, whole
+from dolfinmpm._platform.argumentchecks import choice, number, whole
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints

@@ -21,9 +21,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from dolfinmpm._platform.checks import choice, number
+from dolfinmpm._platform.argumentchecks import choice, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.dynamics.clock import MotionRecord, check_clock
@@ -129,7 +129,7 @@ class TimeStepping(QuasiStatic):
         """Time of the present state (s)."""
         return self.scheme.clock.time
 
-    @together
+    @collective
     def energies(self) -> Energies:
         """Present energies of the body, and work done since the first step. Collective.
 
@@ -137,12 +137,12 @@ class TimeStepping(QuasiStatic):
         """
         return self.ledger.energies()
 
-    @together
+    @collective
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
-    @together
+    @collective
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
@@ -205,7 +205,7 @@ class Newmark(TimeStepping):
     0.1
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -255,7 +255,7 @@ class GeneralisedAlpha(TimeStepping):
     1.0
     """
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

@@ -11,9 +11,9 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -133,7 +133,7 @@ class Transient(QuasiStatic):
     scheme: Rates
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,

@@ -12,7 +12,7 @@ import ufl
 from ufl.algorithms import extract_arguments, extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_displacement, check_points

@@ -10,7 +10,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.classes import Sum
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags, check_kind
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, check_kind
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.forms.operators import PointOperator
 

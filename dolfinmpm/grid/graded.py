@@ -15,9 +15,9 @@ import numpy.typing as npt
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, shown, whole
+from dolfinmpm._platform.argumentchecks import check_kind, number, shown, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
-from dolfinmpm._platform.together import together
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
 __all__ = ["create_lattice", "lay_lines", "times_regridded", "zoned_line"]
@@ -102,7 +102,7 @@ def _graded(length: float, cells: int, h: float) -> Array:
     return np.cumsum(sizes) * (length / sizes.sum())
 
 
-@together
+@collective
 def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.Mesh:
     """A rectangular grid with given lines. Collective.
 

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, choice, file_path, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, choice, file_path, number, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.pyvistamesh import domains
@@ -162,7 +162,7 @@ class Film:
         call_together(self._comm, draw)
 
 
-@together
+@collective
 def animate(
     source: Any,
     path: str | os.PathLike[str],

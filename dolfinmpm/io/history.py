@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError, call_together
 from dolfinmpm._platform.html import table
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.probes import Probe
 from dolfinmpm.io.figures import figure
 from dolfinmpm.io.ownership import refuse_other, take_paths
@@ -89,7 +89,7 @@ class History:
             raise UnknownNameError(f"nothing is recorded as '{name}'; there are {known}")
         return np.array([row[name] for row in self._rows])
 
-    @together(of=lambda history, *_, **__: history._comm)
+    @collective(comm_of=lambda history, *_, **__: history._comm)
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a table as .csv or .json; see `study.write_table`. Collective.
 

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from dolfinx import fem, plot
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import file_path, number, shown, truth
+from dolfinmpm._platform.argumentchecks import file_path, number, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.loadbalance import occupied
 from dolfinmpm.body.location import bounds
@@ -103,7 +103,7 @@ class ParaView:
     ['block', 'block.pvd', 'block_grid.pvd', 'block_paraview.py']
     """
 
-    @together
+    @collective
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -140,7 +140,7 @@ class ParaView:
     def __exit__(self, *exception: object) -> None:
         """Do nothing: the files are complete after every write."""
 
-    @together
+    @collective
     @stages.output
     def write(self, time: float) -> None:
         """Write the present state of the points and of the grid. Collective.

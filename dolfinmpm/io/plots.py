@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.contact.rigid import RigidBody, check_bodies
@@ -40,7 +40,7 @@ _SYMBOLS = {"stress": r"\sigma", "displacement": "u"}
 _MOST_CELLS = 200_000
 
 
-@together
+@collective
 def plot(
     points: MaterialPoints,
     path: str | os.PathLike[str],

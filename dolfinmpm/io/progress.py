@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import whole
+from dolfinmpm._platform.argumentchecks import whole
 
 __all__ = ["progress", "progress_to", "steps"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.tables import Row, rows_of
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, file_path, shown
+from dolfinmpm._platform.argumentchecks import check_kind, file_path, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 
 __all__ = [
     "check_suffix",
@@ -27,7 +27,7 @@ Row = Mapping[str, Any]
 PathLike = str | os.PathLike[str]
 
 
-@together(own=("rows",))
+@collective(local=("rows",))
 def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> None:
     """Write rows as CSV or as JSON; rank 0 writes them. Collective.
 
@@ -73,7 +73,7 @@ def write_table(rows: Iterable[Row], path: PathLike, *, comm: MPI.Comm = MPI.COM
     call_together(comm, write if comm.rank == 0 else _nothing)
 
 
-@together
+@collective
 def read_table(path: PathLike, *, comm: MPI.Comm = MPI.COMM_WORLD) -> list[dict[str, Any]]:
     """Read what `write_table` wrote; rank 0 reads, all ranks get the rows. Collective.
 

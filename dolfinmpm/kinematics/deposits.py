@@ -23,12 +23,12 @@ import numpy.typing as npt
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates, number, shown
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import ask
 from dolfinmpm.materials.sands import Sand
 
 __all__ = ["Deposit", "Layer"]
@@ -276,7 +276,7 @@ class Deposit:
 
     # -- terms at the points ------------------------------------------------------
 
-    @together
+    @collective
     def body_force(self, points: MaterialPoints) -> Expr:
         """Body force per initial volume in balance with the effective stress (N/m³). Collective.
 

@@ -12,23 +12,23 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.argumentchecks import Tags, as_tags, choice, shown, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.formarguments import check_displacement, check_points
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.forms.declarations import Declaration, subdomain
+from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
 from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
-from dolfinmpm.kinematics.initial import StressField, take_stress, write_stress
+from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
-from dolfinmpm.kinematics.large import LargeStrain
-from dolfinmpm.kinematics.small import SmallStrain
-from dolfinmpm.kinematics.strainmarks import MARKS, check_history
+from dolfinmpm.kinematics.largestrain import LargeStrain
+from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.strainhistory import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -144,8 +144,8 @@ def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -
     declaration = Declaration(
         points=points, law=law, u=u, strain=strain, fbar=fbar, tags=tags, given={},
         operator=operator, updates={}, mark=MARKS[strain], bind=bind,
-        parameters=lambda: inner.parameters(inner.rows), energy=inner.energy,
-        stiffness=inner.stiffness, moduli=inner.moduli,
+        parameters=lambda: inner.parameters(inner.rows),
+        elastic=ElasticResponse(inner.energy, inner.stiffness, inner.moduli),
         weaken=None if law.strengths == () else inner.weaken,
     )  # fmt: skip
     operator.declaration = declaration
@@ -326,7 +326,7 @@ def flux(
     return in_section(points, S), declaration
 
 
-@together(own=("stress",))
+@collective(local=("stress",))
 def set_stress(
     law: Law | NeoHookean,
     points: MaterialPoints,

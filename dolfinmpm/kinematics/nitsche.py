@@ -32,17 +32,17 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, choice, number, shown
+from dolfinmpm._platform.argumentchecks import check_kind, choice, number, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -118,7 +118,7 @@ class WeakCondition:
         markers = self.boundary.markers
         if self.moduli is not None:
             assert self.declaration is not None
-            markers[self.moduli][self.declaration.rows] = self.declaration.moduli()
+            markers[self.moduli][self.declaration.rows] = self.declaration.elastic.moduli()
         if self.on is not None:
             on = in_front(self.boundary, rows)[0]
             markers[self.on] = on.astype(float)
@@ -129,7 +129,7 @@ class WeakCondition:
         elif self.penalty is not None:
             assert self.declaration is not None
             rows = self.declaration.rows
-            moduli = self.declaration.moduli()[:, 0]
+            moduli = self.declaration.elastic.moduli()[:, 0]
             markers[self.stiffness][rows] = self.penalty * moduli / largest_cell(markers.grid)
 
     def gaps(self) -> npt.NDArray[np.float64]:

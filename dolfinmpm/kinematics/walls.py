@@ -26,19 +26,19 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_kind, number
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm._platform.units import friction_coefficient
-from dolfinmpm.body.acting import acting
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
+from dolfinmpm.body.formsigns import acting
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.kinematics.coverage import in_front, look_ahead
 from dolfinmpm.kinematics.lawterms import flux
+from dolfinmpm.kinematics.walldistance import in_front, look_ahead
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
@@ -104,8 +104,8 @@ class Wall:
         if self.fixed is not None:
             k[:] = self.fixed
         elif self.declaration is not None:
-            of_law = self.declaration.rows
-            k[of_law] = self.penalty * self.declaration.moduli()[:, 0] / largest_cell(markers.grid)
+            M = self.declaration.elastic.moduli()[:, 0]
+            k[self.declaration.rows] = self.penalty * M / largest_cell(markers.grid)
         on, distance = in_front(self.boundary, rows)
         gap, known = markers[f"{name}_gap"], markers[f"{name}_on"]
         new, shear = on & (known == 0.0), markers[f"{name}_shear"]
@@ -139,7 +139,7 @@ class Wall:
             to[rows[near]] = source[of[near]]
 
 
-@together
+@collective
 def signorini(
     boundary: Boundary,
     u: fem.Function,

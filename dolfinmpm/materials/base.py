@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError, StateError
 from dolfinmpm.materials.lawkernel import Kernel, respond_at_points
 from dolfinmpm.materials.parametrised import Array, Parameter, Parametrised

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import choice
+from dolfinmpm._platform.argumentchecks import choice
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.angles import warn_of_radians
 from dolfinmpm.materials.base import ELASTIC, Law

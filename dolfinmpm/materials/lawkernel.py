@@ -11,9 +11,9 @@ import numba
 from numba import types
 from numba.extending import intrinsic
 
-from dolfinmpm._platform.checks import check_function, shown
+from dolfinmpm._platform.argumentchecks import check_function, shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.materials.discarded import DISCARDED
+from dolfinmpm.materials.discardarray import DISCARDED
 
 __all__ = ["KERNEL_SIGNATURE", "Kernel", "call_law", "law_kernel", "respond_at_points"]
 

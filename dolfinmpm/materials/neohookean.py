@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, lame
 from dolfinmpm.materials.parametrised import Parametrised, Value

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import ask
 
 __all__ = ["Array", "Parameter", "Parametrised", "Value"]
 

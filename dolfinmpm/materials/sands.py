@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import ParameterError
 
 __all__ = ["Sand", "sand"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.materials.base import ELASTIC, Law
 from dolfinmpm.materials.lawkernel import law_kernel

@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags, number
+from dolfinmpm._platform.argumentchecks import Tags, number
 from dolfinmpm._platform.errors import ParameterError, raise_together
 from dolfinmpm.body.points import MaterialPoints, PointField
 

@@ -14,8 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfinmpm._platform import stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.formchecks import check_form
@@ -200,7 +200,7 @@ class ArcLength(QuasiStatic):
     scheme: AlongPath
     _takes_scheme = False
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -258,7 +258,7 @@ class ArcLength(QuasiStatic):
         """Load factor λ in the present state."""
         return self.path.factor
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> ArcRecord:
         """Take one step along the path. Collective.
 

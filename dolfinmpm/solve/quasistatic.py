@@ -12,9 +12,9 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform import garbage, stages
+from dolfinmpm._platform import petscgarbage, stages
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.state import Keeps
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
@@ -126,7 +126,7 @@ class QuasiStatic(Problem):
 
     scheme: Static
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -216,7 +216,7 @@ class QuasiStatic(Problem):
     def _in_blocks(self, count: int) -> bool:
         return self.newton.linear.in_blocks(count)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> Any:
         """Take one step, to the present load or to the time t. Collective.
 
@@ -301,7 +301,7 @@ class QuasiStatic(Problem):
         """Check that a step may begin, and distribute the points over the ranks. Collective."""
         self._begin()
         raise_together(self.comm, self.points.fault())
-        garbage.free(self.comm)
+        petscgarbage.free(self.comm)
         self._record.migrated += balance(self.points)
         fault = self.bodies.fault(step.dt, self.scheme.inertia)
         return None if fault is None else Failed(fault, "that body")
@@ -357,7 +357,7 @@ class QuasiStatic(Problem):
             f"{method or 'chosen in the first step'}",
         ]
 
-    @together
+    @collective
     def info(self) -> str:
         """Lines to print: points, unknowns and the linear solver at present. Collective."""
         points, here, comm = self.points, self.here, self.comm

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import check_kind
+from dolfinmpm._platform.argumentchecks import check_kind
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.grid.graded import lay_lines
 from dolfinmpm.grid.lattice import lattice_of
@@ -17,7 +17,7 @@ from dolfinmpm.solve.problem import Problem
 __all__ = ["regrid"]
 
 
-@together
+@collective
 def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
     """Move the grid lines of a problem between steps, such as for a moving fine zone. Collective.
 

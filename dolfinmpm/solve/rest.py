@@ -11,9 +11,9 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import check_kind, number, whole
+from dolfinmpm._platform.argumentchecks import check_kind, number, whole
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
-from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.body.boundary import OWN
 from dolfinmpm.body.points import GHOST_FACETS
@@ -31,7 +31,7 @@ from dolfinmpm.solve.step import Step
 __all__ = ["equilibrate"]
 
 
-@together
+@collective
 def equilibrate(problem: QuasiStatic, *, tolerance: float = 1e-9, most: int = 20) -> int:
     """Bring the stress of a body into balance with its loads, without moving it. Collective.
 

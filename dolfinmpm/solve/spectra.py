@@ -11,9 +11,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm._platform.checks import check_kind, coordinates
+from dolfinmpm._platform.argumentchecks import check_kind, coordinates
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Unknowns
 
@@ -99,7 +99,7 @@ def _kernel_of(matrix: PETSc.Mat, kernel: Any) -> Array | None:
     return found
 
 
-@together(own=("kernel",))
+@collective(local=("kernel",))
 def condition_number(matrix: PETSc.Mat, *, kernel: Array | None = None) -> float:
     """Ratio of the largest to the smallest eigenvalue of a symmetric matrix. Collective.
 
@@ -176,7 +176,7 @@ def _ends(matrix: PETSc.Mat, kernel: Array | None) -> tuple[float, float]:
     return low, high
 
 
-@together
+@collective
 def critical_step(stiffness: PETSc.Mat, mass: PETSc.Mat, *, lumped: bool = False) -> float:
     """Largest stable step of central differences, 2/√λ_max of K x = λ M x (s). Collective.
 
@@ -329,7 +329,7 @@ def near_kernel_within(here: Activation, matrix: PETSc.Mat, rows: PETSc.IS) -> P
     return PETSc.NullSpace().create(vectors=modes, comm=unknowns.comm)
 
 
-@together
+@collective
 def rigid_modes(here: Activation) -> Array:
     """Translations and rotations in the unknowns of a first field, shape (owned unknowns, n).
 

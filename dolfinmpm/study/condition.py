@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import ufl
 
-from dolfinmpm._platform.checks import check_kind, number
-from dolfinmpm._platform.together import together
+from dolfinmpm._platform.argumentchecks import check_kind, number
+from dolfinmpm._platform.collective import collective
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
@@ -53,7 +53,7 @@ class Conditioning:
     unknowns: int
 
 
-@together
+@collective
 def conditioning(
     problem: QuasiStatic, density: float, factor: float = 1.0, extra: ufl.Form | None = None
 ) -> Conditioning:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable
 
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
+from dolfinmpm._platform.collective import check_same_call
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     DegreesWarning,
@@ -15,7 +16,6 @@ from dolfinmpm._platform.errors import (
     PointsOutsideGridError,
     warn,
 )
-from dolfinmpm._platform.together import meet
 from dolfinmpm.io.progress import progress
 from dolfinmpm.materials.strength import reduced_angle
 from dolfinmpm.solve.quasistatic import QuasiStatic
@@ -142,7 +142,7 @@ def factor_of_safety(
         raise ParameterError(f"growth = {growth} must be more than 1, usually 2 to 10")
     if isinstance(loading, QuasiStatic):
         limits = {"low": low, "high": high, "tolerance": tolerance, "growth": growth}
-        meet(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
+        check_same_call(loading.comm, "factor_of_safety", **limits, steps=steps, over=over)
         with FromState(loading, growth, steps, over) as attempt:
             found = _search(attempt, low, high, tolerance, label)
         failure = (

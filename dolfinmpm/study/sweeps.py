@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import coordinates, shown
+from dolfinmpm._platform.argumentchecks import coordinates, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.io.progress import progress
 

@@ -16,7 +16,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
     UnsupportedGridError,
 )
-from dolfinmpm.basis.heldmotions import free_motions
+from dolfinmpm.basis.conditionchecks import free_motions
 
 HENCKY = mpm.materials.Hencky(10.0, 0.3)
 

@@ -20,7 +20,7 @@ from dolfinmpm.kinematics import (
     update_domains,
 )
 from dolfinmpm.kinematics.frameworks import symmetric
-from dolfinmpm.kinematics.measures import StrainMeasure
+from dolfinmpm.kinematics.strainformulations import StrainMeasure
 from dolfinmpm.materials.base import lame
 
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}

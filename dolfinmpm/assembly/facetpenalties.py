@@ -27,7 +27,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.compat import geometry_dofmap
-from dolfinmpm.assembly.facetplaces import FacetPlace, one_dimensional, product
+from dolfinmpm.assembly.latticefacets import LatticeFacet, one_dimensional, product
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.lattice import cell_size
 
@@ -163,7 +163,7 @@ def by_ratio(
     return (1 - share) * kept[kind, low] + share * kept[kind, low + 1]
 
 
-def lattice_pair(place: FacetPlace, degree: int, tensor: Array) -> Pair:
+def lattice_pair(place: LatticeFacet, degree: int, tensor: Array) -> Pair:
     """The two cells at a facet of a lattice.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import coordinates, number, shown
+from dolfinmpm._platform.argumentchecks import coordinates, number, shown
 from dolfinmpm._platform.errors import (
     FieldShapeError,
     ParameterError,
@@ -17,10 +17,10 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.grid.userfunctions import ask
 from dolfinmpm.kinematics.frameworks import Array, Framework, Rows
-from dolfinmpm.kinematics.strainmarks import GIVEN, MARKS
-from dolfinmpm.materials.inverse import belong, elastic_strain
+from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS
+from dolfinmpm.materials.elasticinverse import belong, elastic_strain
 
 __all__ = ["StressField", "geostatic_stress", "take_stress", "write_stress"]
 

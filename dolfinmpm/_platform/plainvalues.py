@@ -1,4 +1,4 @@
-"""Arguments in plain values, so that ranks can compare theirs."""
+"""Plain values of arguments, so that ranks can compare their arguments."""
 
 from __future__ import annotations
 
@@ -12,25 +12,27 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Told", "difference", "digest", "in_words", "nearly", "told"]
+__all__ = ["PlainValues", "as_text", "difference", "digest", "equal_up_to_rounding", "plain_value"]
 
 # Names and plain values: numbers, words, None, and tuples of them
-Told = list[tuple[str, Any]]
+PlainValues = list[tuple[str, Any]]
 
-# Entries of an array beyond which a checksum stands for them
+# Larger arrays are compared by a checksum
 _MOST = 1000
 
 
 @functools.singledispatch
-def told(value: Any) -> Any:
-    """An argument in plain values: numbers, words, None, and tuples of them.
+def plain_value(value: Any) -> Any:
+    """Plain value of an argument: a number, a word, None, or a tuple of plain values.
 
-    Of what is not known it is the kind. Other modules register theirs.
+    An object of an unknown type gives the name of its type. Other modules register their types.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         parts = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
-        # arrays within are of each rank
-        kept = [(name, told(part)) for name, part in parts if not isinstance(part, np.ndarray)]
+        # arrays in a dataclass differ between ranks
+        kept = [
+            (name, plain_value(part)) for name, part in parts if not isinstance(part, np.ndarray)
+        ]
         return (type(value).__name__, *kept)
     if callable(value):
         return "a function"
@@ -39,57 +41,57 @@ def told(value: Any) -> Any:
     return f"a {type(value).__name__}"
 
 
-@told.register(str)
-@told.register(int)
-@told.register(float)
-@told.register(type(None))
+@plain_value.register(str)
+@plain_value.register(int)
+@plain_value.register(float)
+@plain_value.register(type(None))
 def _plain(value: Any) -> Any:
-    # a word or a number of a subclass has a text of its own
+    # a subclass of a word or number may have another text
     for kind in (bool, int, float, str):
         if isinstance(value, kind):
             return kind(value)
     return value
 
 
-@told.register(np.generic)
+@plain_value.register(np.generic)
 def _scalar(value: np.generic) -> Any:
-    return told(value.item())
+    return plain_value(value.item())
 
 
-@told.register(np.ndarray)
+@plain_value.register(np.ndarray)
 def _array(value: np.ndarray) -> Any:
     if value.dtype == object or value.size <= _MOST:
-        return told(value.tolist())
+        return plain_value(value.tolist())
     shape = " × ".join(map(str, value.shape))
     return f"an array of {shape} with the checksum {zlib.crc32(np.ascontiguousarray(value))}"
 
 
-@told.register(list)
-@told.register(tuple)
+@plain_value.register(list)
+@plain_value.register(tuple)
 def _several(value: Iterable[Any]) -> Any:
-    return tuple(told(part) for part in value)
+    return tuple(plain_value(part) for part in value)
 
 
-@told.register(set)
-@told.register(frozenset)
+@plain_value.register(set)
+@plain_value.register(frozenset)
 def _unordered(value: Iterable[Any]) -> Any:
-    return tuple(sorted((told(part) for part in value), key=repr))
+    return tuple(sorted((plain_value(part) for part in value), key=repr))
 
 
-@told.register(Mapping)
+@plain_value.register(Mapping)
 def _named(value: Mapping[Any, Any]) -> Any:
-    return tuple((told(name), told(part)) for name, part in value.items())
+    return tuple((plain_value(name), plain_value(part)) for name, part in value.items())
 
 
 def digest(plain: Any) -> int:
-    """A number of 32 bits that goes with plain values; the same on all ranks."""
+    """Checksum of plain values (32 bits); the same on all ranks."""
     return zlib.crc32(repr(plain).encode())
 
 
-def difference(first: Told, other: Told) -> tuple[str, Any, Any] | None:
-    """What differs between two ranks: its name and both values, or None.
+def difference(first: PlainValues, other: PlainValues) -> tuple[str, Any, Any] | None:
+    """First difference between two ranks: its name and both values, or None.
 
-    Rounding counts too: what hangs on whether a load has changed must be the same on all ranks.
+    Rounding counts as a difference: all ranks must agree on whether a load has changed.
     """
     ours, theirs = dict(first), dict(other)
     for name in dict.fromkeys((*ours, *theirs)):
@@ -100,7 +102,7 @@ def difference(first: Told, other: Told) -> tuple[str, Any, Any] | None:
 
 
 def _within(name: str, a: Any, b: Any) -> tuple[str, Any, Any]:
-    """The named part that differs, of values that consist of such."""
+    """First named part that differs, if the values have named parts."""
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
         x, y = next((x, y) for x, y in zip(a, b) if not _same(x, y))
         pairs = all(isinstance(p, tuple) and len(p) == 2 and isinstance(p[0], str) for p in (x, y))
@@ -119,10 +121,10 @@ def _same(a: Any, b: Any) -> bool:
     return a == b or (math.isnan(a) and math.isnan(b))
 
 
-def nearly(a: Any, b: Any) -> bool:
-    """Whether values may differ by rounding alone."""
+def equal_up_to_rounding(a: Any, b: Any) -> bool:
+    """Whether values differ by no more than rounding."""
     if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(map(nearly, a, b))
+        return len(a) == len(b) and all(map(equal_up_to_rounding, a, b))
     if not (_is_number(a) and _is_number(b)):
         return type(a) is type(b) and a == b
     return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
@@ -132,7 +134,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def in_words(plain: Any) -> str:
-    """Plain values in a message, cut where they are long."""
+def as_text(plain: Any) -> str:
+    """Plain values as text for a message; a long text is cut."""
     text = " ".join(repr(plain).split())
     return text if len(text) <= 200 else text[:197] + "..."

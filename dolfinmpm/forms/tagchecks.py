@@ -11,10 +11,10 @@ from mpi4py import MPI
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FormError
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import MARK
+from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.tags import in_order, tags_in_use
 from dolfinmpm.forms.declarations import Declaration, in_words

@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh
 
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError, call_together
 from dolfinmpm.body.meshfiles import read_mesh
-from dolfinmpm.body.validity import require_grid
+from dolfinmpm.body.pointchecks import require_grid
 
 __all__ = ["from_csv", "from_mesh"]
 

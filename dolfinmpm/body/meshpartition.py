@@ -10,10 +10,10 @@ import numpy.typing as npt
 from dolfinx.mesh import CellType, Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import coordinates
+from dolfinmpm._platform.argumentchecks import coordinates
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.compat import adjacency_list
 from dolfinmpm._platform.errors import ImbalanceWarning, ParameterError, raise_together, warn
-from dolfinmpm._platform.together import together
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Shape
 from dolfinmpm.grid.lattice import lattice_of
@@ -40,7 +40,7 @@ _FACETS = {
 }  # fmt: skip
 
 
-@together(own=("vertices",))
+@collective(local=("vertices",))
 def partitioner(shape: Shape, vertices: Mesh | npt.ArrayLike) -> Callable[..., Any]:
     """A cell partitioner for DOLFINx's meshes by which every rank has its share of a body.
 

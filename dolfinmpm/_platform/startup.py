@@ -12,9 +12,9 @@ from dolfinmpm._platform.versions import check_version
 
 check_version(__version__, MPI.COMM_WORLD.rank)
 
+from dolfinmpm._platform.brokenpipe import end_quietly
 from dolfinmpm._platform.compat import kernel_arguments
 from dolfinmpm._platform.kernelcache import forget_outdated
-from dolfinmpm._platform.pipes import end_quietly
 from dolfinmpm._platform.watchdog import watch
 
 forget_outdated(Path(__file__).parents[1], f"kernels of {kernel_arguments()} arguments")

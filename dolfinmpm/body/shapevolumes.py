@@ -18,7 +18,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.body.parts import Parts
+from dolfinmpm.body.cellparts import Parts
 from dolfinmpm.body.shapes import Shape
 
 __all__ = ["Pieces", "correct", "pieces_inside"]

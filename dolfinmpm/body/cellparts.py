@@ -13,7 +13,7 @@ from dolfinx.mesh import Mesh
 from dolfinmpm._platform.compat import geometry_dofmap
 from dolfinmpm.basis.cells import BOX
 from dolfinmpm.basis.linear import kind_of
-from dolfinmpm.body.amounts import check_amount
+from dolfinmpm.body.pointlimits import check_amount
 from dolfinmpm.grid.lattice import Lattice
 
 __all__ = ["CellParts", "LatticeParts", "Parts"]

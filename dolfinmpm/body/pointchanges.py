@@ -17,9 +17,9 @@ from dolfinmpm._platform.errors import (
     raise_together,
 )
 from dolfinmpm.body.loadbalance import beside
-from dolfinmpm.body.room import check_room_of_both
+from dolfinmpm.body.overlapchecks import check_room_of_both
 from dolfinmpm.body.tags import check_in_use
-from dolfinmpm.grid.positions import choose
+from dolfinmpm.grid.userfunctions import choose
 
 if TYPE_CHECKING:
     from dolfinmpm.body.points import MaterialPoints

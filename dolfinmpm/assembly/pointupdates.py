@@ -9,15 +9,15 @@ import numpy.typing as npt
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import Tags
+from dolfinmpm._platform.argumentchecks import Tags
 from dolfinmpm._platform.errors import FieldShapeError, FormError
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
+from dolfinmpm.forms.placeholders import Slots
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program, compile_program
-from dolfinmpm.forms.slots import Slots
 
 __all__ = ["PointUpdates"]
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfinmpm._platform.checks import shown, truth
+from dolfinmpm._platform.argumentchecks import shown, truth
 from dolfinmpm._platform.errors import (
     EmptyShapeError,
     FieldShapeError,
@@ -21,8 +21,8 @@ from dolfinmpm._platform.errors import (
 from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
-from dolfinmpm.body.validity import checked, checked_tag, require_grid
-from dolfinmpm.grid.positions import ask
+from dolfinmpm.body.pointchecks import checked, checked_tag, require_grid
+from dolfinmpm.grid.userfunctions import ask
 
 __all__ = ["located", "outside"]
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError, UnknownNameError
 
 __all__ = ["ReadList", "ReadOnce"]

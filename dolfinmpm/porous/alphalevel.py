@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.carriedfields import CarriedField
 from dolfinmpm.grid.constants import own_constant

@@ -20,11 +20,11 @@ __all__ = ["return_kernel", "yield_values"]
 _ROOT = math.sqrt(2.0 / 3.0)
 _TIGHT, _LOOSE = 1e-14, 1e-10  # residual by the strain's size: aimed at, and still accepted
 _ARGUMENTS = KERNEL_SIGNATURE.args
-_LONG_SIGNATURE = types.int32(*[types.intp] * 4, *_ARGUMENTS)
+_MAPPING_SIGNATURE = types.int32(*[types.intp] * 4, *_ARGUMENTS)
 
 
 @intrinsic
-def _call_long(typingctx, function, energy, value, full, count, *arguments):
+def _call_mapping(typingctx, function, energy, value, full, count, *arguments):
     """Call the kernel at an address with the functions' addresses in front."""
     signature = types.int32(*[types.intp] * 5, types.Tuple(_ARGUMENTS))
 
@@ -202,11 +202,12 @@ def _newton(
     return False
 
 
-def _long(energy, value, full, count, parameters, strain, old, new, stress, tangent):
-    elastic = np.empty(12)
-    z, y, f = np.empty(4 + count), np.empty(4 + count), np.empty(1)
-    for k in range(count):
-        z[4 + k] = y[4 + k] = parameters[k]
+@numba.njit(error_model="numpy")
+def _elastic_trial(energy, value, strain, old, new, stress, tangent, z, y, elastic):
+    """Stress and tangent without plastic flow.
+
+    Returns 0, 1 if a number is not finite, or -1 if the stress is outside the yield surface.
+    """
     for i in range(3):
         z[i] = strain[i]
     z[3] = 0.0
@@ -216,21 +217,61 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
         total += elastic[i]
     if not math.isfinite(total):
         return 1
-    yields = False
     if value != 0:
+        f = np.empty(1)
         y[0], y[1], y[2], y[3] = elastic[0], elastic[1], elastic[2], old[0]
         new[0] = old[0]
         _evaluate(value, y, f)
         if not math.isfinite(f[0]):
             return 1
-        yields = f[0] > 0.0
-    if not yields:
+        if f[0] > 0.0:
+            return -1
+    for i in range(3):
+        stress[i] = elastic[i]
+    for i in range(9):
+        tangent[i] = elastic[3 + i]
+    _equalise(strain, strain, stress)
+    return 0
+
+
+@numba.njit(error_model="numpy")
+def _scales(elastic, plastic):
+    """Scales of the residual: the slope of f by strain, and the length of the flow's direction."""
+    a = b = 0.0
+    for j in range(3):
+        slope = 0.0
         for i in range(3):
-            stress[i] = elastic[i]
-        for i in range(9):
-            tangent[i] = elastic[3 + i]
-        _equalise(strain, strain, stress)
-        return 0
+            slope += plastic[1 + i] * elastic[3 + 3 * i + j]
+        a += slope * slope
+        b += plastic[5 + j] ** 2
+    return math.sqrt(a), math.sqrt(b)
+
+
+@numba.njit(error_model="numpy")
+def _plastic_tangent(elastic, J, tangent):
+    """Write the tangent from the Jacobian; returns whether the Jacobian is regular."""
+    inverse = np.zeros((5, 3))
+    for i in range(3):
+        inverse[i, i] = 1.0
+    if not _solve(J, inverse):
+        return False
+    for i in range(3):
+        for j in range(3):
+            tangent[3 * i + j] = 0.0
+            for k in range(3):
+                tangent[3 * i + j] += elastic[3 + 3 * i + k] * inverse[k, j]
+    return True
+
+
+def _map_return(energy, value, full, count, parameters, strain, old, new, stress, tangent):
+    """The kernel of a law, with the addresses of its functions in front; see `return_kernel`."""
+    elastic = np.empty(12)
+    z, y = np.empty(4 + count), np.empty(4 + count)
+    for k in range(count):
+        z[4 + k] = y[4 + k] = parameters[k]
+    status = _elastic_trial(energy, value, strain, old, new, stress, tangent, z, y, elastic)
+    if status >= 0:
+        return status
 
     plastic, r, x = np.empty(20), np.empty(5), np.empty(5)
     J, work = np.empty((5, 5)), np.empty((5, 5))
@@ -242,15 +283,7 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
         size = max(size, abs(trial[i]))
     x[3], x[4] = 0.0, old[0]
     _state(energy, full, x, z, y, elastic, plastic)
-    # scales: the slope of f by strain, and the length of the flow's direction
-    a = b = 0.0
-    for j in range(3):
-        slope = 0.0
-        for i in range(3):
-            slope += plastic[1 + i] * elastic[3 + 3 * i + j]
-        a += slope * slope
-        b += plastic[5 + j] ** 2
-    a, b = math.sqrt(a), math.sqrt(b)
+    a, b = _scales(elastic, plastic)
     if not (0.0 < a < math.inf and 0.0 < b < math.inf):
         return 2
     # Newton's method may fail far from the solution: f is then brought to zero in stages
@@ -275,26 +308,17 @@ def _long(energy, value, full, count, parameters, strain, old, new, stress, tang
         return 2
     new[0] = max(x[4], old[0])
     _jacobian(x, a, b, elastic, plastic, J)
-    inverse = np.zeros((5, 3))
     for i in range(3):
-        inverse[i, i] = 1.0
         strain[i] = x[i]
         stress[i] = elastic[i]
     _equalise(trial, strain, stress)
-    if not _solve(J, inverse):
-        return 2
-    for i in range(3):
-        for j in range(3):
-            tangent[3 * i + j] = 0.0
-            for k in range(3):
-                tangent[3 * i + j] += elastic[3 + 3 * i + k] * inverse[k, j]
-    return 0
+    return 0 if _plastic_tangent(elastic, J, tangent) else 2
 
 
 @functools.cache
-def _long_kernel() -> Any:
+def _mapping_kernel() -> Any:
     """The compiled mapping; compiled on demand, because most problems do not use it."""
-    return numba.cfunc(_LONG_SIGNATURE, cache=True, error_model="numpy")(_long)
+    return numba.cfunc(_MAPPING_SIGNATURE, cache=True, error_model="numpy")(_map_return)
 
 
 def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
@@ -309,13 +333,13 @@ def return_kernel(energy: int, value: int, full: int, count: int) -> Any:
             direction n (3), and the derivatives of n by stresses and α, row by row (12).
         count: Number of parameters.
     """
-    long = _long_kernel().address
+    mapping = _mapping_kernel().address
 
     # addresses are valid in this process only, and so is code compiled with them
     @numba.cfunc(KERNEL_SIGNATURE)
     def kernel(parameters, strain, old, new, stress, tangent):
-        return _call_long(
-            long, energy, value, full, count, parameters, strain, old, new, stress, tangent
+        return _call_mapping(
+            mapping, energy, value, full, count, parameters, strain, old, new, stress, tangent
         )
 
     return kernel

@@ -1,4 +1,4 @@
-"""What ranks compare at the door of a collective call, and how long one waits there."""
+"""What ranks compare at the barrier of a collective call, and how long one waits there."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm._platform import sharedmemory
-from dolfinmpm._platform.alike import difference, digest, nearly, told
+from dolfinmpm._platform.collective import ProcessState, script_line
 from dolfinmpm._platform.errors import ParameterError
+from dolfinmpm._platform.plainvalues import difference, digest, equal_up_to_rounding, plain_value
 from dolfinmpm._platform.sharedmemory import Slot
-from dolfinmpm._platform.together import Here, line_of
-from dolfinmpm._platform.watchdog import Patience, _limit, in_words
+from dolfinmpm._platform.watchdog import Patience, _limit, message
 from dolfinmpm.solve.agreement import of_step
 
 # those that a step makes itself, or that only call what a user gives
-WITHOUT_DOOR = {
+WITHOUT_BARRIER = {
     "MaterialPoints.add_field", "MaterialPoints.migrate", "MaterialPoints.recount",
     "Mapping.add_fields", "Mapping.to_grid", "Mapping.to_points", "Stabilisation.measure",
     "Stabilisation.ties", "Space.cell_size", "sweep", "convergence", "factor_of_safety",
@@ -46,11 +46,11 @@ def public():
                     yield f"{name}.{method}", found
 
 
-def test_every_public_collective_call_has_a_door():
+def test_every_public_collective_call_has_a_barrier():
     names = set()
     for name, function in public():
         text = " ".join((function.__doc__ or "").split())
-        if "ollective" not in text or "ot collective" in text or name in WITHOUT_DOOR:
+        if "ollective" not in text or "ot collective" in text or name in WITHOUT_BARRIER:
             continue
         names.add(name)
         assert getattr(function, "is_collective", False), name
@@ -63,7 +63,7 @@ def test_every_public_collective_call_has_a_door():
 
 def test_what_differs_is_named():
     def found(a, b):
-        return difference([("value", told(a))], [("value", told(b))])
+        return difference([("value", plain_value(a))], [("value", plain_value(b))])
 
     assert found(1.0, 2.0) == ("value", 1.0, 2.0)
     assert found(1, 1.0) is found(np.float64(2.0), 2) is found(math.nan, math.nan) is None
@@ -83,9 +83,9 @@ def test_rounding_is_a_difference_that_is_known_as_such():
     assert difference([("t", 0.0)], [("t", -0.0)]) is None
     for a, b in ((1.0, 1.0 + 1e-14), ((1.0, 0.0), (1.0, 1e-13)), (("a", 1.0), ("a", 1.0 - 1e-12))):
         assert difference([("t", a)], [("t", b)]) == ("t", a, b)
-        assert nearly(a, b)
+        assert equal_up_to_rounding(a, b)
     for a, b in ((1.0, 1.001), ((1.0, 0.0), (1.0, 1e-9)), ("a", "b"), (1.0, "1.0"), ((1.0,), ())):
-        assert not nearly(a, b)
+        assert not equal_up_to_rounding(a, b)
 
 
 def test_forms_are_compared_by_laws_constants_fields_and_numbers():
@@ -101,7 +101,7 @@ def test_forms_are_compared_by_laws_constants_fields_and_numbers():
         return F - factor * ufl.inner(getattr(s.points, rate) * gravity, s.v) * s.points.dX
 
     def found(**other):
-        one, two = told(form()), told(form(**other))
+        one, two = plain_value(form()), plain_value(form(**other))
         assert (digest(one) == digest(two)) == (not other)
         return difference([("form", one)], [("form", two)])
 
@@ -119,7 +119,7 @@ def test_arguments_are_told_by_what_matters():
     s = scene()
 
     def found(a, b):
-        name, one, two = difference([("it", told(a))], [("it", told(b))])
+        name, one, two = difference([("it", plain_value(a))], [("it", plain_value(b))])
         return f"{name}: {one}, {two}"
 
     boxes = mpm.Box((0, 0), (1, 1)), mpm.Box((0, 0), (1, 2))
@@ -168,8 +168,8 @@ def test_steps_are_compared_by_time_loads_conditions_and_bodies():
 
 # -- who waits ------------------------------------------------------------------
 
-ME = Slot(0, group=1, doors=5, at_door=True, since=0)
-OUTSIDE = Slot(1, group=1, doors=4, since=7)
+ME = Slot(0, group=1, calls=5, waiting=True, since=0)
+OUTSIDE = Slot(1, group=1, calls=4, since=7)
 
 
 def looks(patience, slots_of, seconds, me=ME):
@@ -190,27 +190,27 @@ def test_a_rank_that_others_leave_alone_tells_once_and_ends():
 
 
 def test_ranks_that_work_are_waited_for():
-    inside = Slot(1, group=1, doors=4, inside=True, since=7)
-    elsewhere = Slot(1, group=2, doors=9, inside=True, since=7)
-    together = Slot(1, group=1, doors=5, at_door=True)
+    inside = Slot(1, group=1, calls=4, inside=True, since=7)
+    elsewhere = Slot(1, group=2, calls=9, inside=True, since=7)
+    together = Slot(1, group=1, calls=5, waiting=True)
     for other in (inside, elsewhere, together):
         assert set(looks(Patience(3.0), [other], 50)) == {""}
     # one that does anything at all is not idle
     patience = Patience(3.0)
     for k in range(50):
-        assert patience.look([ME, Slot(1, group=1, doors=4, since=k)], ME, 1.0) == ""
+        assert patience.look([ME, Slot(1, group=1, calls=4, since=k)], ME, 1.0) == ""
     # with one that works among the others nothing is known of how long these wait
     assert set(looks(Patience(3.0), [OUTSIDE, inside], 50)) == {""}
 
 
 def test_ranks_that_will_not_come_are_not_waited_for():
-    gone = Slot(1, group=1, doors=4, since=7, ended=True)
-    inside = Slot(2, group=1, doors=4, inside=True, since=7)
+    gone = Slot(1, group=1, calls=4, since=7, ended=True)
+    inside = Slot(2, group=1, calls=4, inside=True, since=7)
     assert looks(Patience(100.0), [gone], 1) == ["end"]
     assert looks(Patience(100.0), [gone, inside], 1) == ["end"]
     assert looks(Patience(0.0), [gone], 3) == ["tell", "", ""]
     # this one has left by an error what the other is still in
-    me = Slot(0, group=1, doors=5, at_door=True, failed=True)
+    me = Slot(0, group=1, calls=5, waiting=True, failed=True)
     assert looks(Patience(4.0), [inside], 4, me) == ["", "tell", "", "end"]
 
 
@@ -226,18 +226,18 @@ def test_what_is_told_names_ranks_and_places():
     patience = Patience(60.0)
     others = [
         Slot(1, since=7, text="line 3 of a.py"), Slot(2, ended=True),
-        Slot(3, group=1, doors=4, inside=True), Slot(5, group=2, at_door=True),
+        Slot(3, group=1, calls=4, inside=True), Slot(5, group=2, waiting=True),
     ]  # fmt: skip
     patience.look([ME, *others], ME, 12.0)
-    text = in_words([0, 4], patience, "fill, line 9 of a.py", False)
+    text = message([0, 4], patience, "fill, line 9 of a.py", False)
     assert text.startswith("dolfinmpm: ranks 0, 4 have waited for 12 s in fill, line 9 of a.py. ")
     assert "Rank 1 is at line 3 of a.py in no call of dolfinmpm. " in text
     assert "Rank 2 has come to the end of its script. " in text
     assert "Rank 3 is in a call that ranks 0, 4 left by an error. " in text
     assert "Rank 5 is in a call with other ranks. " in text
     assert text.endswith("All ranks are ended after 60 s (DOLFINMPM_WAIT = 60; 0 is never).")
-    assert in_words([0], patience, "", True).endswith("All ranks are ended (DOLFINMPM_WAIT = 60).")
-    assert in_words([0], Patience(0.0), "", False).endswith("for ever (DOLFINMPM_WAIT = 0).")
+    assert message([0], patience, "", True).endswith("All ranks are ended (DOLFINMPM_WAIT = 60).")
+    assert message([0], Patience(0.0), "", False).endswith("for ever (DOLFINMPM_WAIT = 0).")
 
 
 @pytest.mark.parametrize(("text", "limit"), [("", 600.0), ("0", 0.0), ("2.5", 2.5)])
@@ -266,10 +266,10 @@ def folder(monkeypatch, tmp_path):
 
 def test_others_see_what_a_process_writes(folder):
     memory, file = sharedmemory.own_memory(3)
-    memory["doors"], memory["at_door"] = 7, True
+    memory["calls"], memory["waiting"] = 7, True
     for other in (sharedmemory.find(3), sharedmemory.find(3, file)):
         sharedmemory.ask(other)
-        assert sharedmemory.read(other, 3) == Slot(3, doors=7, at_door=True)
+        assert sharedmemory.read(other, 3) == Slot(3, calls=7, waiting=True)
         assert memory["asked"]
         sharedmemory.answer(memory, "line 5 of ä.py")
         assert not memory["asked"]
@@ -297,7 +297,7 @@ def test_files_of_a_run_are_removed_by_who_ends_last(folder):
 
 
 def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
-    here = Here()
+    here = ProcessState()
     here.memory, _ = sharedmemory.own_memory(0)
     here._process += 1
     here.end()
@@ -305,7 +305,7 @@ def test_the_end_of_a_copy_of_a_process_is_not_its_own(folder):
     here._process -= 1
     here.end()
     assert sharedmemory.read(here.memory, 0).ended
-    here.write()
+    here.publish()
     assert not sharedmemory.read(here.memory, 0).ended
 
 
@@ -313,15 +313,17 @@ def test_without_a_file_a_process_writes_for_itself(monkeypatch, tmp_path):
     monkeypatch.setattr(sharedmemory, "_folder", lambda: tmp_path / "absent")
     memory, file = sharedmemory.own_memory(0)
     assert file == ""
-    memory["doors"] = 2
-    assert sharedmemory.read(memory, 0).doors == 2
+    memory["calls"] = 2
+    assert sharedmemory.read(memory, 0).calls == 2
     assert sharedmemory.find(0) is None
 
 
 def test_a_line_is_that_of_the_script():
     here = sys._getframe()
-    assert line_of(here) == f"line {here.f_lineno} of test_together.py"
+    assert script_line(here) == f"line {here.f_lineno} of test_collective.py"
     found = []
-    np.apply_along_axis(lambda row: found.append(line_of(sys._getframe())) or 0.0, 0, np.zeros(1))
-    assert found[0].endswith(" of test_together.py")
-    assert line_of(None) == "an unknown line"
+    np.apply_along_axis(
+        lambda row: found.append(script_line(sys._getframe())) or 0.0, 0, np.zeros(1)
+    )
+    assert found[0].endswith(" of test_collective.py")
+    assert script_line(None) == "an unknown line"

@@ -10,7 +10,7 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.grid.constants import own_constant

@@ -14,13 +14,13 @@ from mpi4py import MPI
 from ufl.algorithms.ad import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.compat import jit_expression
 from dolfinmpm._platform.errors import FormError, ParameterError, StateError
 from dolfinmpm.forms.pointwise import compile_here
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.parametrised import Array, Parameter, Value
-from dolfinmpm.materials.return_mapping import return_kernel, yield_values
+from dolfinmpm.materials.returnmapping import return_kernel, yield_values
 
 __all__ = ["EnergyWithYield", "mises"]
 

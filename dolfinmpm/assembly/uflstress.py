@@ -24,12 +24,12 @@ from ufl.core.expr import Expr
 
 from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
-from dolfinmpm.body.acting import MARK
+from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.forms.densities import density_of
+from dolfinmpm.forms.energydensities import density_of
+from dolfinmpm.forms.placeholders import Slots
 from dolfinmpm.forms.pointterms import PointTerms, derive
 from dolfinmpm.forms.pointwise import compile_program
-from dolfinmpm.forms.slots import Slots
 from dolfinmpm.forms.termqueries import summands, tags_of
 
 __all__ = ["STORED", "OwnStress"]

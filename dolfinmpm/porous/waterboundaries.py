@@ -8,16 +8,16 @@ from typing import Any
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import number, shown
+from dolfinmpm._platform.argumentchecks import number, shown
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import in_section
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.surface import Surface
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.porous.kinematics import Kinematics
+from dolfinmpm.porous.deformation import Kinematics
 from dolfinmpm.porous.projection import largest, size_of
 
-__all__ = ["Flow", "entering", "held", "seeping", "surfaces"]
+__all__ = ["Flow", "prescribed_inflow", "prescribed_pressure", "seepage_face", "surfaces"]
 
 # Factor of the penalty of a drained surface, relative to flow through a cell and storage in a cell
 _DRAINED = 100.0
@@ -44,6 +44,12 @@ class Flow:
     M: Expr
     K: Expr
     drive: Expr
+
+    @property
+    def rate(self) -> Expr:
+        """(k/γ_w)(∇p − ρ_w (b − a)) (m/s), against the direction of the flow."""
+        K, drive = self.K, self.drive
+        return K * drive if K.ufl_shape == () else ufl.dot(K, drive)
 
     @property
     def stiffness(self) -> Expr:
@@ -100,7 +106,7 @@ def surfaces(
     return found
 
 
-def held(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
+def prescribed_pressure(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
     """Prescribed pressure, by Nitsche's method without the adjoint term: flow, and a penalty.
 
     Args:
@@ -111,12 +117,11 @@ def held(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
     points = flow.points
     gap = surface.at(flow.p) - value
     form = surface.density * flow.stiffness * gap * surface.at(flow.q) * points.dX
-    out = flow.K * flow.drive if flow.K.ufl_shape == () else ufl.dot(flow.K, flow.drive)
-    through = ufl.dot(out, flow.area(surface)) / points.V0
+    through = ufl.dot(flow.rate, flow.area(surface)) / points.V0
     return form - points.dt * through * surface.at(flow.q) * points.dX
 
 
-def seeping(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
+def seepage_face(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
     """Outflow where the pressure is above a value, by a penalty; no water enters.
 
     Args:
@@ -128,7 +133,7 @@ def seeping(flow: Flow, surface: Surface, value: Expr) -> ufl.Form:
     return surface.density * flow.stiffness * out * surface.at(flow.q) * flow.points.dX
 
 
-def entering(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
+def prescribed_inflow(flow: Flow, surface: Surface, rate: Expr) -> ufl.Form:
     """Prescribed inflow.
 
     Args:

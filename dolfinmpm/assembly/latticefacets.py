@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FacetPlace", "gauss_rule", "one_dimensional", "product", "splines"]
+__all__ = ["LatticeFacet", "gauss_rule", "one_dimensional", "product", "splines"]
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class FacetPlace:
+class LatticeFacet:
     """Position of a facet in a lattice.
 
     Attributes:
@@ -68,7 +68,7 @@ def splines(line: Array, degree: int, cell: int, x: Array, order: int) -> Array:
 
 
 def one_dimensional(
-    place: FacetPlace, side: str, direction: int, degree: int
+    place: LatticeFacet, side: str, direction: int, degree: int
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Integrals of products of the splines around a facet, over a cell's edge in one direction.
 
