@@ -167,7 +167,7 @@ class QuasiStatic(Problem):
         if self.bodies.free:
             self.solver = Bordered(self.solver, FreeBodies(self.bodies, tolerance))
         self.share = 1.0
-        self._record, self._release = StepRecord(), 1.0
+        self._record = StepRecord()
 
     def use(self, scheme: Static) -> None:
         """Use another scheme in the next steps."""
@@ -246,9 +246,9 @@ class QuasiStatic(Problem):
             while done < 1.0:
                 share = min(share, 1.0 - done)
                 step = self.scheme.part(done, share)
-                self._release = share / (1.0 - done) if eased else 1.0
+                release = share / (1.0 - done) if eased else 1.0
                 self.loads.set(done + share)
-                failed = self._attempt(step)
+                failed = self._attempt(step, release)
                 if failed is None:
                     done = 1.0 if 1.0 - done - share < 1e-12 else done + share
                     record.parts += 1
@@ -277,17 +277,21 @@ class QuasiStatic(Problem):
         self.history.append(record)
         return record
 
-    def _attempt(self, step: Step) -> Failed | None:
+    def _attempt(self, step: Step, release: float = 1.0) -> Failed | None:
         """Take a step or a substep; return None, or why it was not taken. Collective.
 
         Nothing is put back after a failure. New values stay in `NewState` until `_commit`. The next
         attempt sets loads from the last converged substep, and bodies from their start.
+
+        Args:
+            step: The step or substep.
+            release: Share of the forces out of balance at its start that it releases, see `ease`.
         """
         failed = self._ready(step)
         if failed is not None:
             return failed
         operator = self.scheme.system(self, step)
-        ease(operator, self._release)
+        ease(operator, release)
         outcome = self._solve(operator, step)
         state: NewState | str | None = outcome.reason
         if state is None:
