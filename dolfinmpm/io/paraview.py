@@ -87,6 +87,20 @@ class ParaView:
         ParameterError: The path does not end in ".pvd", the points have no field of
             a given name, an increment cannot be written, or an argument has the wrong type.
         OSError: The folder or the file cannot be written.
+
+    Each call of `write` adds a time:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> folder = Path(mkdtemp())
+    >>> series = mpm.ParaView(folder / "block.pvd", points, fields=["displacement", "stress"])
+    >>> series.write(0.0)
+    >>> sorted(path.name for path in folder.iterdir())
+    ['block', 'block.pvd', 'block_grid.pvd', 'block_paraview.py']
     """
 
     @together
@@ -275,9 +289,9 @@ class ParaView:
             names[0],
             units[names[0]],
             {1: "", 9: 2 * "xyz"[d - 1]}.get(size, "Magnitude"),
-            bool(self._bodies),
+            d < 3,
             boxes="l" in arrays,
-            flat=d < 3,
+            bodies=bool(self._bodies),
         )
         replace_file(self.path.with_name(f"{self._folder.name}_paraview.py"), text)
 
