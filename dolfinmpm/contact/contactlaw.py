@@ -20,7 +20,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.units import friction_coefficient
 
 __all__ = [

@@ -33,6 +33,10 @@ Chosen = npt.NDArray[np.bool_]
 # Steps along a path inside a body, and the least depth of a path through the body, in half
 # thicknesses; paths around a tip are less deep
 _STRIDE, _THROUGH = 0.25, 0.25
+# Largest cosine of the angle between the normals of opposite faces: for short paths, and for paths
+# longer than half the thickness. Faces at an edge of 45° or more are neighbours. At any depth a
+# corner may come from one to the other, and smaller steps do not change this.
+_OPPOSITE, _AROUND = -math.sqrt(0.5), -1e-6
 # Largest number of steps along a path
 _MOST = 10_000
 # Mask of the upper coordinates of the corners of a box, by dimension
@@ -158,7 +162,8 @@ def passes(surface: RigidSurface, half: float, start: Array, end: Array, gap: Ar
     if not rows.size:
         return None
     low, first = _along(surface, start[rows], end[rows], half)
-    turned = np.sum(first * surface.probe(end[rows])[1], axis=1) < 0.0
+    most = np.where(path[rows] > half, _AROUND, _OPPOSITE)
+    turned = np.sum(first * surface.probe(end[rows])[1], axis=1) < most
     if not np.any(turned & (low <= -_THROUGH * half)):
         return None
     return f"get through it, whose mean thickness is {2 * half:.3g} m"

@@ -67,7 +67,7 @@ class FacetModulus(fem.Function):
     Args:
         points: Material points.
         u: Increment of the laws.
-        target: Target of the local constant, see `dolfinmpm.assembly.facetpairs`; None for the
+        target: Target of the local constant, see `dolfinmpm.assembly.facetpenalties`; None for the
             P-wave modulus itself.
         scaling: Scaling of the term, see `ghost`.
 
