@@ -1,4 +1,5 @@
 """Options of studies: a command line from the fields of a dataclass."""
+# ruff: noqa: RUF009 (fields of a dataclass)
 
 from __future__ import annotations
 
