@@ -1,18 +1,17 @@
 """A hot and a cold half of a turning disc come to one temperature: your own physics in UFL.
 
-The disc is insulated. Its temperature is at first the lowest mode of a disc without heat flux at
-its edge,
+The disc is insulated. At first its temperature is the slowest mode of an insulated disc,
 
     T = J₁(j r/R) cos θ (1 K),   J₁'(j) = 0,  j = 1.8412.
 
-In the disc's own frame heat is conducted, and nothing else happens. So the mode keeps its shape,
-and its amplitude is exp(−t/τ) with τ = ρ c R²/(k j²) (Carslaw & Jaeger 1959). Meanwhile the disc
-turns once through the grid.
+In the disc's own frame there is conduction alone. So the mode keeps its shape, and its amplitude is
+exp(−t/τ) with τ = ρ c R²/(k j²) (Carslaw & Jaeger 1959). Meanwhile the disc turns once through the
+grid.
 
-The heat equation is one line of UFL. The points carry the temperature with them. So no term of
-convection is needed, and convection does not smear the temperature. The edge of the disc cuts the
-cells anywhere. An edge without heat flux needs no condition. A ghost penalty holds the temperature
-where a cell has little of the disc.
+The heat equation is two lines of UFL. The points carry the temperature with them, so that no term
+of convection is needed, and none smears the temperature. The edge of the disc cuts cells anywhere.
+An insulated edge needs no condition. A ghost penalty holds the temperature of cells with little of
+the disc in them.
 """
 
 import numpy as np
@@ -33,20 +32,20 @@ points = mpm.fill(grid, mpm.Ball((0, 0), R), per_cell=3, density=density, exact=
 V, W = mpm.Space(grid, basis="gimp"), mpm.Space(grid, basis="gimp", shape=())
 u, v, T, q = V.increment, V.test, W.increment, W.test
 
-# a field of the points, which they take with them to other cells and other ranks
+# Points take their fields with them to other cells and other ranks.
 points.add_field("mode")
 r = np.hypot(*points["x0"].T)
 points["mode"] = j1(j * r / R) * points["x0"][:, 0] / r
 points.add_field("temperature", unit="K")
 points["temperature"] = points["mode"]
 
-# Backward Euler: T is the temperature at the end of the step, and `carried` the one at its start.
+# Backward Euler: T is the temperature at the end of the step, `before` at its start.
 before = mpm.carried(points, "temperature", T, unit="K")
 F = density * capacity * (T - before) / points.dt * q * points.dX
 F += k * ufl.inner(ufl.grad(T), ufl.grad(q)) * points.dx
 
-# The motion is given: a turn of 3.6° per step at all nodes. Elsewhere its equation is that of a
-# body, `mpm.momentum`; here any will do.
+# All nodes turn by 3.6° per step. So any equation of the motion does; a body that moves by forces
+# has `mpm.momentum` here.
 F += ufl.inner(u, v) * points.dX
 s, c = np.sin(2 * np.pi / steps), np.cos(2 * np.pi / steps) - 1
 turn = [lambda x: c * x[0] - s * x[1], lambda x: s * x[0] + c * x[1]]

@@ -1,13 +1,14 @@
 """A slope of two soils from a Gmsh mesh, and its factor of safety by strength reduction.
 
-A fill, 6 m high with a slope of 1:2, stands on a layer of softer clay. Gmsh makes a mesh of both.
-Each soil is a physical group, and its number is the tag of the points. The points sit in the
-triangles; the background grid knows nothing of the mesh.
+A fill, 6 m high with a slope of 1:2, stands on a layer of softer clay. Gmsh makes a mesh of both
+(its Python module is `python3-gmsh` in Debian, `python-gmsh` on conda-forge). Each soil is a
+physical group, and the number of the group is the tag of the points. The points are in the
+triangles. The background grid does not follow the mesh.
 
 The strength of both soils is divided by a factor until the slope fails (Griffiths & Lane 1999, doi
-10.1680/geot.1999.49.3.387). Without friction the classical answer is the worst of all slip circles
-(Fellenius 1927): the moment of the strengths along a circle, over the moment of the weight on it.
-Taylor's (1937) charts are made of such circles, for one soil.
+10.1680/geot.1999.49.3.387). The classical answer for soil without friction is the worst of all slip
+circles (Fellenius 1927): the moment of the strength along a circle over the moment of the weight.
+Taylor's (1937) charts come from such circles in one soil.
 """
 
 from pathlib import Path
@@ -66,8 +67,8 @@ problem = mpm.QuasiStatic(F, u, points, bcs, stabilisation="ghost", tolerance=1e
 problem.step()  # its own weight
 found = mpm.study.factor_of_safety(problem, 1.0, 2.0)
 
-# Slip circles: centres and lowest points, and all of each circle in parts of half a degree. The
-# radius and the length of the parts are in both moments.
+# Slip circles: centres and lowest points; each circle in parts of half a degree. Both moments are
+# divided by the radius and by the angle of a part.
 m = np.meshgrid(np.linspace(18, 30, 25), np.linspace(14, 36, 23), np.linspace(0, 10, 21))
 xc, yc, low = (values.reshape(-1, 1) for values in m)
 a = np.radians(np.arange(-89.75, 90, 0.5))
@@ -79,7 +80,7 @@ ratio = np.where(driving > 0, resisting / np.where(driving > 0, driving, 1.0), n
 worst = np.argmin(ratio)
 circles = float(ratio[worst])
 
-# More weight does what less strength does: the slope fails, and shows along which line.
+# More weight has the effect of less strength: the slope fails, and the picture shows where.
 gravity.value[1] *= 1.03 * found.bracket[1]
 before = points.gather("x")  # by number, from all ranks
 problem.step()
@@ -89,7 +90,7 @@ with mpm.figure("output/gmsh_slope.png", 7.2, 2.2, ncols=2, width_ratios=[5, 2])
     if before is not None and after is not None:
         way = np.linalg.norm(after[0] - before[0], axis=1)
         drawn = failing.scatter(*after[0].T, s=3, c=way, lw=0)
-        fig.colorbar(drawn, ax=failing, label="way (m)", shrink=0.5)
+        fig.colorbar(drawn, ax=failing, label="displacement (m)", shrink=0.5)
     failing.plot(*np.transpose(surface), color="0.4", lw=0.6)
     failing.plot([0, 30], [interface] * 2, color="0.4", lw=0.6, ls="--")
     part = above[worst] > 0
@@ -98,7 +99,7 @@ with mpm.figure("output/gmsh_slope.png", 7.2, 2.2, ncols=2, width_ratios=[5, 2])
         failing.text(1, height, name, fontsize=7, bbox={"fc": "w", "ec": "none", "pad": 1})
     failing.set(aspect="equal", xlabel="$x$ (m)", ylabel="$y$ (m)", xlim=(0, 48), ylim=(0, 12.5))
     failing.legend(loc="upper right")
-    # trials that ended early have moved by less
+    # trials that ended early have smaller displacements
     done = [trial for trial in found.trials if trial.steps == 5]
     growth.plot([trial.factor for trial in done], [trial.growth for trial in done], "o", ms=3)
     growth.axvline(circles, color="k", lw=1.2, label="worst circle")

@@ -1,17 +1,17 @@
 """Layered ground with a water table is at rest, then the wall of an excavation gives way.
 
-Three layers, 6 m together, lie on a smooth base. Each has a friction angle, a cohesion, a unit
-weight above and below the water table, and K₀ = 1 − sin φ (Jaky 1944). `Deposit` gives their
-effective stress. The stress is in balance with the effective weight, so that a first step moves
-nothing: the smooth wall at the left carries ∫ K₀ σ'_v dz.
+Three layers, 6 m together, lie on a smooth base. Each layer has a friction angle, a cohesion, unit
+weights above and below the water table, and K₀ = 1 − sin φ (Jaky 1944). `Deposit` gives the
+effective stress in balance with the effective weight. So the first step moves nothing, and the
+smooth wall at the left carries ∫ K₀ σ'_v dz.
 
-Then the ground in front of the wall is excavated, and the wall moves away by a thousandth of its
-height. The thrust falls to Rankine's (1857), layer by layer,
+Then the excavation in front of the wall takes its support away. The wall moves by a thousandth of
+its height, and the thrust falls to Rankine's (1857), layer by layer,
 
     P = ∫ (K_a σ'_v − 2 c √K_a) dz,   K_a = tan²(45° − φ/2).
 
-Water at rest pushes the wall as before; its thrust is not in the effective stress. Cohesion pulls
-at the wall in the uppermost 0.4 m, in the formula as in the computation; real ground cracks there.
+The thrust of the water stays as it is, and is not part of the effective stress. Cohesion pulls at
+the wall in the uppermost 0.4 m, in the formula as in the computation. Real ground cracks there.
 """
 
 import math
@@ -24,7 +24,7 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 H, length, h, table = 6.0, 12.0, 0.25, 3.5  # m
-# bottom (m), unit weight, the one below the water table (N/m³), φ (degrees), c (Pa)
+# bottom (m), unit weights above and below the water table (N/m³), φ (degrees), c (Pa)
 soils = {
     1: (4.0, 18e3, 19e3, 32.0, 2e3),
     2: (2.0, 17e3, 18e3, 25.0, 4e3),
@@ -39,7 +39,7 @@ ground = mpm.Deposit(
     water_table=table,
 )
 
-# The cells to the left of the wall take what follows it.
+# The ground follows the wall into the cells to its left.
 corners, cells = [(-h, 0), (length, H + h)], (round((length + h) / h), round((H + h) / h))
 grid = mesh.create_rectangle(MPI.COMM_WORLD, corners, cells, mesh.CellType.quadrilateral)
 points, top = None, H
@@ -61,7 +61,7 @@ problem = mpm.QuasiStatic(F, u, points, bcs, tolerance=1e-6)
 
 
 def thrust():
-    """Effective thrust on the wall (N/m): no force acts along x between the wall and a section."""
+    """Effective thrust on the wall (N/m): without horizontal forces all sections carry the same."""
     both = np.array([points["V"] @ points["stress"][:, 0, 0], points["V"].sum()])
     both = grid.comm.allreduce(both)
     return -H * float(both[0] / both[1])

@@ -1,16 +1,16 @@
-"""A run that is looked at in ParaView, stopped, and gone on with tomorrow: to the same bits.
+"""Files for ParaView, a checkpoint, and a restart that goes on with the same bits.
 
-A ball of rubber falls on a floor and jumps up again. On its way the run saves a checkpoint, in the
-middle of the impact, and goes on to its end. Then everything is built anew, as in another process
-on another day; the checkpoint is loaded, and the second run goes on from there.
+A ball of rubber falls on a floor and jumps up again. In the middle of the impact the run saves a
+checkpoint, and goes on to its end. Then everything is built anew, as in another process on another
+day. The second run loads the checkpoint and goes on from there.
 
-On one rank the same input gives the same bits. So positions, velocities and stresses of all points
-are equal in both runs, to the last bit. So they are on several ranks, if there are as many as
-before. On another number of ranks the checkpoint loads too, and the last digits differ.
+The same input gives the same bits on one rank. So positions, velocities and stresses of all points
+are equal in both runs, to the last bit. On several ranks they are equal if the number of ranks is
+the same. On another number of ranks the checkpoint loads too, and the last digits differ.
 
 In ParaView open `output/paraview_and_checkpoint/whole.pvd` (points), and beside it
-`whole_grid.pvd` (active cells) and `whole_bodies.pvd` (the floor). A restarted run writes a series
-of its own, `rest.pvd`, whose times begin after the checkpoint.
+`whole_grid.pvd` (active cells) and `whole_bodies.pvd` (the floor). `rest.pvd` is of the second run,
+with the times after the checkpoint.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from mpi4py import MPI
 import dolfinmpm as mpm
 
 R, drop, g = 0.5, 1.0, 9.81  # m, m, m/s²
-times = np.linspace(0.025, 1.0, 40)  # s: those of the files
+times = np.linspace(0.025, 1.0, 40)  # of the files (s)
 stop = 19  # steps before the checkpoint
 folder = "output/paraview_and_checkpoint"
 

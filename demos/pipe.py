@@ -1,18 +1,18 @@
-"""A pipe is pressed into the seabed, and its resistance is Merifield, White & Randolph's.
+"""A pipe is pressed into the seabed, with the resistance of Merifield, White and Randolph.
 
 A smooth rigid pipe of the diameter D is pressed into weightless clay of the undrained strength s_u
-(Tresca). By finite elements Merifield, White & Randolph (2008, doi 10.1680/geot.2007.00097) found
-the resistance at the penetration w,
+(Tresca). By finite elements Merifield, White & Randolph (2008, Géotechnique 58, 461) found the
+resistance at the penetration w,
 
     V/(D s_u) = 5.3 (w/D)^0.25.
 
-Recommended practice takes 6 in place of 5.3, for pipes of some roughness (DNV-RP-F114; 3.4 (10
-w/D)^0.5 where it is less). Both are of pipes that are in place already. Here the pipe starts on
-the surface and goes down by half of its diameter, and the clay heaves beside it.
+DNV-RP-F114 has 6 in place of 5.3, for pipes with some roughness, and 3.4 (10 w/D)^0.5 for small
+penetrations. These pipes are in place from the start. Here the pipe starts on the surface and goes
+down by half of its diameter, and the clay heaves beside the pipe.
 
-By symmetry half of the pipe and of the seabed is enough. The corners of the points' domains touch
-the pipe, which is a rigid body. The clay flows around the pipe: domains that change with the volume
-alone are not drawn out along it, and a third of the usual ghost penalty holds the cut cells.
+By symmetry, half of the pipe and of the seabed is enough. The pipe is a rigid body, and the corners
+of the points' domains touch it. The clay flows around the pipe. Domains that change with the volume
+alone are not drawn out by the flow. A third of the usual ghost penalty resists the flow less.
 """
 
 import numpy as np

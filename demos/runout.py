@@ -1,18 +1,18 @@
 """A landslide runs down a slope and hits a wall: the history of the force on the wall.
 
-A block of dry sand, 12 m long and 6 m high, is let go on a slope of 35°. It collapses, runs
-18 m down the slope, whose coefficient of friction is tan 20°, and is caught by a smooth rigid wall.
-What hits first runs up the wall. What follows comes to rest behind it.
+A block of dry sand, 12 m long and 6 m high, is let go on a slope of 35°. The block collapses and
+runs 18 m down the slope, with a coefficient of friction of tan 20°. A smooth rigid wall stops it.
+The front runs up the wall, and the rest comes to rest behind the front.
 
-Gravity is tilted, so that the slope is level on the grid. Slope and wall are rigid bodies. They
-tell the force of the points on them at every step, so that the balance of momentum can be drawn,
+Gravity is tilted, so that the slope is level on the grid. Slope and wall are rigid bodies. Each
+step records the forces of the points on them. So there are two ways to the momentum,
 
     p(t) = M g t sin 35° − ∫ (T_slope + N_wall) dt,
 
-with the momentum p of the points themselves on the left, and forces alone on the right.
+from the velocities of the points at the left, and from forces alone at the right.
 
-The sand has no cohesion: where points lose contact, they fly. Velocities go between points and
-grid by APIC, which keeps momentum and is less noisy than FLIP in an impact.
+The sand has no cohesion: points without contact fly. APIC carries velocities between points and
+grid: it keeps momentum, and has less noise than FLIP in an impact.
 """
 
 import math
@@ -44,7 +44,7 @@ problem = mpm.Explicit(F, u, points, mapping="apic")
 
 weight, time, balance = length * height * density * g * math.sin(angle), 0.0, 0.0
 curve, shown, wanted = mpm.History(), [], [0.0, 2.2, 3.5]
-# at_once=1: each call takes a single step, and no force is missed
+# at_once=1: each call takes a single step, so that the record has the force of every step.
 for t in mpm.times(end, dt="auto", at_once=1, label="runout"):
     if wanted and time >= wanted[0]:
         shown.append((wanted.pop(0), points.gather("x", "velocity")))
@@ -55,7 +55,7 @@ for t in mpm.times(end, dt="auto", at_once=1, label="runout"):
     curve.record(t=time, hit=hit, momentum=problem.momentum()[0], balance=balance)
 shown.append((end, points.gather("x", "velocity")))
 
-# the mean over every tenth of a second, as a load cell would tell it
+# means over tenths of a second, as from a load cell
 impulse = np.cumsum(curve["hit"] * np.diff(curve["t"], prepend=0.0))
 tenths = np.arange(0.0, end + 0.05, 0.1)
 hits = np.diff(np.interp(tenths, curve["t"], impulse)) / 0.1
