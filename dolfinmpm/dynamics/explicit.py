@@ -19,9 +19,9 @@ import ufl
 from dolfinx import fem
 from ufl.algorithms.analysis import extract_constants
 
-from dolfinmpm._platform.checks import check_kind, choice, truth
+from dolfinmpm._platform.argumentchecks import check_kind, choice, truth
+from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import FormError, ParameterError, raise_together
-from dolfinmpm._platform.together import together
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.points import MaterialPoints
@@ -109,6 +109,20 @@ class Explicit(Problem):
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
+
+    A free body keeps its momentum:
+
+    >>> import dolfinmpm as mpm
+    >>> from mpi4py import MPI
+    >>> grid = mpm.create_lattice(MPI.COMM_WORLD, [range(5), range(5)])
+    >>> points = mpm.fill(grid, mpm.Box((0, 0), (4, 2)), per_cell=2, density=2000.0)
+    >>> V = mpm.Space(grid, "gimp")
+    >>> F = mpm.momentum(mpm.materials.Hencky(1e6, 0.3), points, V.increment, V.test)
+    >>> problem = mpm.Explicit(F, V.increment, points)
+    >>> points["velocity"] = (1.0, 0.0)
+    >>> record = problem.step(0.1)
+    >>> problem.momentum()[0].round(6).item(), problem.critical_step() < 0.1
+    (16000.0, True)
     """
 
     history: list[MotionRecord]  # type: ignore[assignment]
@@ -117,7 +131,7 @@ class Explicit(Problem):
     # `time` is the time of the state
     _live = frozenset({"courant", "time"})
 
-    @together
+    @collective
     def __init__(
         self,
         form: ufl.Form,
@@ -234,7 +248,7 @@ class Explicit(Problem):
         assert isinstance(basis, LatticeBasis)
         return Fused(self.points, basis, self.held, laws, loads, settings, sides, domains, rigid)
 
-    @together
+    @collective
     def energies(self) -> Energies:
         """Present energies of the body, and work done since the first step. Collective.
 
@@ -243,12 +257,12 @@ class Explicit(Problem):
         """
         return self.ledger.energies()
 
-    @together
+    @collective
     def momentum(self) -> Array:
         """Linear momentum of the body (kg m/s), shape (d,). Collective."""
         return momentum_of(self.points)
 
-    @together
+    @collective
     def angular_momentum(self) -> Array:
         """Angular momentum about the origin (kg m²/s), shape (1,) or in 3D (3,). Collective.
 
@@ -257,7 +271,7 @@ class Explicit(Problem):
         spins = self.mapping.kind == "apic"
         return angular_momentum(self.points, self.points["velocity_moment"] if spins else None)
 
-    @together
+    @collective
     def critical_step(self, exact: bool = False) -> float:
         """The longest stable step (s). Collective.
 
@@ -286,7 +300,7 @@ class Explicit(Problem):
     def _set_penalties(self, here: Activation) -> None:
         self.form.set_penalties(replace(here, blocks={}), ghost=False)
 
-    @together(given=of_step)
+    @collective(compared=of_step)
     def step(self, t: float | None = None) -> MotionRecord:
         """Go to a time. Collective.
 
@@ -302,7 +316,7 @@ class Explicit(Problem):
         """
         return Call(self, self._loop, self._between, t).run()
 
-    @together
+    @collective
     def save(self, path: str | os.PathLike[str]) -> None:
         """See `Problem.save`. Collective.
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfinmpm._platform import stages
-from dolfinmpm._platform.checks import number
+from dolfinmpm._platform.argumentchecks import number
 from dolfinmpm._platform.errors import (
     ConvergenceError,
     ParameterError,

@@ -24,7 +24,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}
 # How the strain of a point makes its stress
 LAW, SMALL, NEO, JAUMANN = 0, 1, 2, 3
 
-# How domains grow, see `dolfinmpm.body.domains`; 0 is no domain
+# How domains grow, see `dolfinmpm.body.gimpdomains`; 0 is no domain
 GROWTH = {"stretch": 1, "volume": 2, "fixed": 3}
 
 # What a pass does with the means of F-bar: a pass that strains takes them and does nothing else,

@@ -10,11 +10,11 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.assembly.ownstress import OwnStress
+from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.assembly.updates import PointUpdates
+from dolfinmpm.assembly.uflstress import OwnStress
 from dolfinmpm.body.axisymmetry import deformation, in_section
-from dolfinmpm.body.domains import update_domains
+from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField

@@ -19,10 +19,17 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
 
-from dolfinmpm._platform.checks import check_function, check_kind, choice, number, shown, whole
+from dolfinmpm._platform.argumentchecks import (
+    check_function,
+    check_kind,
+    choice,
+    number,
+    shown,
+    whole,
+)
 from dolfinmpm._platform.errors import FormError, ParameterError, UnknownNameError
+from dolfinmpm.basis.conditionchecks import free_motions
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import free_motions
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.location import bounds

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dolfinmpm._platform.alike import told
 from dolfinmpm._platform.errors import FormError
+from dolfinmpm._platform.plainvalues import plain_value
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.kinematics.nitsche import WeakCondition
 from dolfinmpm.kinematics.walls import Wall
@@ -78,7 +78,7 @@ def _check_law(condition: WeakCondition, declarations: Sequence[Declaration]) ->
     if not near:
         return
     name = condition.boundary.name
-    if not any(d.law is own.law or told(d.law) == told(own.law) for d in near):
+    if not any(d.law is own.law or plain_value(d.law) == plain_value(own.law) for d in near):
         raise FormError(
             f"the condition (mpm.dirichlet) at '{name}' has the traction of {own.law!r}, and the "
             f"body there that of {near[0].law!r} ({in_words(near[0].tags)}): give the body's law, "

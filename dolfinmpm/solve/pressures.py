@@ -8,8 +8,8 @@ import numpy as np
 
 from dolfinmpm._platform.errors import ParameterError, UndeterminedFieldError
 from dolfinmpm.assembly.stencilsums import Matrix
+from dolfinmpm.basis.conditionchecks import idle
 from dolfinmpm.basis.conditions import Condition
-from dolfinmpm.basis.heldmotions import idle
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import PointField
 from dolfinmpm.cut.activation import active_on_grid

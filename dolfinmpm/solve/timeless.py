@@ -9,7 +9,7 @@ import ufl
 from ufl.algorithms.analysis import extract_constants
 from ufl.constantvalue import zero
 
-from dolfinmpm._platform.checks import shown
+from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm.body.points import UNSET, MaterialPoints
 from dolfinmpm.grid.constants import is_own
