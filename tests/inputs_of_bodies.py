@@ -68,7 +68,7 @@ INPUTS = {
     "facing(s, lambda p, b, u, v: (b[0], u[0], v[0]))": "boundaries = a Boundary must be two, one",
     "facing(s, lambda p, b, u, v: (b, [u[0], u[0]], [v[0], v[0]]))": "u are increments of fields",
     # -- boundaries, surfaces, footings
-    "mpm.Boundary(s.points, [(1, 1)], [(0, 1), (0, 1)])": "x has 1 rows and area 2; give one each",
+    "mpm.Boundary(s.points, [(1, 1)], [(0, 1), (0, 1)])": "x has 1 rows and area 2; give",
     "mpm.Boundary(s.points, [(1, 1)], [(0, 0)])": "the area of the marker at [1. 1.] m is zero;",
     "mpm.Boundary(s.points, [(1, 1)], [(0, nan)])": "area has the row [ 0. nan], which must be",
     'mpm.Boundary(s.points, "ab", "cd")': "x = 'ab' must be an array of numbers",
@@ -115,7 +115,7 @@ INPUTS = {
     's.fill().add_field("wet", "2")': "shape = '2' of field 'wet' must be a tuple: () for",
     's.fill().add_field("wet", 2)': "shape = 2 of field 'wet' must be a tuple: () for a",
     's.fill().add_field("wet", (), 3)': "unit = 3 of field 'wet' must be a word",
-    's.fill().__setitem__("cell", 0)': "'cell' is what the body itself keeps of its points;",
+    's.fill().__setitem__("cell", 0)': "'cell' cannot be set: it follows from the positions",
     's.points[["x", "V"]]': "points[['x', 'V']]: fields go by their names, one",
     "fill(s, per_cell=0)": "per_cell = 0 must be a whole number of at least 1:",
     "fill(s, per_cell=2.5)": "per_cell = 2.5 must be a whole number of at least",

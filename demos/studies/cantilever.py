@@ -95,7 +95,7 @@ class Input(Options):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The beam's axis is $y = 0$, and nodes, or the centres of splines, lie on it whatever the size
 # of the cells. The grid reaches as far as the elastica says that the beam will go, and a little
 # further.

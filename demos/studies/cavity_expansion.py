@@ -3,7 +3,7 @@
 #
 # A pressure widens a cavity of radius $a = 1$ in an elastic shell (Hencky), or in clay
 # (Hencky and Tresca), whose outer face at $b$ is free or, with `--outer inf`, infinitely far away.
-# Cones, piles and pressuremeters are judged by it. Both are bodies of revolution: a long
+# Cones, piles and pressuremeters are judged by it. Both are axisymmetric: a long
 # cylinder is a slice between smooth plates, a sphere a quarter of its section. In the sphere
 # nothing is aligned with the grid; the axis is no boundary of the body.
 #

@@ -52,7 +52,7 @@ class Input(Options):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Cells grow away from the edge of the footing, where the stress jumps. The ground is so stiff that
 # it flows before its shape changes. Forces are those on the whole disc. What moves with the disc
 # is as wide as it and a part of the next cell, so that the load is too high by about h/B.

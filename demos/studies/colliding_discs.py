@@ -72,7 +72,7 @@ along = np.array([1.0, 1.0]) / np.sqrt(2)
 touch = (0.5 * args.distance - R) / args.speed
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The discs carry tags, by which their centres are found.
 
 # %%

@@ -39,7 +39,7 @@ from scipy.special import lambertw
 import dolfinmpm as mpm
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Square or cubic cells of side $l_0/N$. The last axis is the vertical one.
 
 

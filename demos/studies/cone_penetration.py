@@ -45,10 +45,10 @@
 # penalty of contact, as in the clay without water, single points are crushed at the shoulder when
 # some water leaves, and the run ends.
 #
-# A quarter of the cone in three dimensions is below the bodies of revolution with the same lines
+# A quarter of the cone in three dimensions is below the axisymmetric cone with the same lines
 # (h = R/2, zone 1.5, growth 2): from 7.2 R to 8.4 R by 9.5 %, and by 5 % below those of R/4, whose
 # waves are smaller. It begins with more room around the cone, for cubes stand further off what is
-# round than rings do: gaps beside it are half of the tool's volume, and a quarter with rings.
+# round than rings do: gaps beside it are half of the cone's volume, and a quarter if axisymmetric.
 
 # %%
 import math
@@ -132,7 +132,7 @@ class Input(Options):
                 raise ValueError("water goes with --law cam-clay")
             self.law = "cam-clay"
         if self.law == "cam-clay" and self.dimension == "3":
-            raise ValueError("water goes with bodies of revolution")
+            raise ValueError("water goes with --dimension axisymmetric")
         if self.drainage:
             self.fill(velocity=VELOCITIES[self.drainage])
         self.fill(**DEFAULTS[self.law])
@@ -165,12 +165,12 @@ class Scene:
         self.flat = args.dimension == "axisymmetric"
         self.steps = max(1, round((args.depth - args.start) / args.step))
         self.way = (args.depth - args.start) / self.steps
-        self.tool = self.penetrometer()
+        self.cone = self.penetrometer()
         self.grid, low, high = self.background()
         touched = 0.5 * h / args.points_per_cell
 
         def beside(x):
-            gap, normal, _ = self.tool.surface.probe(np.ascontiguousarray(x.T, float))
+            gap, normal, _ = self.cone.surface.probe(np.ascontiguousarray(x.T, float))
             # no corner of a domain within the cone
             return (x[-1] < 0) & (gap > touched * np.abs(normal).sum(axis=1) - 1e-9 * h)
 
@@ -208,7 +208,7 @@ class Scene:
         # in units of E/h with the h of the fine cells, where others are smaller
         penalty = args.penalty * self.finest / h
         F += mpm.contact(
-            self.tool, points, u, v, penalty=penalty, friction=args.friction,
+            self.cone, points, u, v, penalty=penalty, friction=args.friction,
             corners=args.corners, stiffness_per_area=args.penalty / h * E if self.wet else None,
         )  # fmt: skip
         if self.flat:

@@ -42,7 +42,7 @@ class Input(Options):
     stabilisation: str = option("ghost", "name of a stabilisation")
 
     def _check(self):
-        if not self.h > 0 or abs(SIDE / self.h - round(SIDE / self.h)) > 1e-9:
+        if abs(SIDE / self.h - round(SIDE / self.h)) > 1e-9:
             raise ValueError(f"h = {self.h} m must divide {SIDE:g} m")
 
 

@@ -63,7 +63,7 @@ class Input(Options):
     growth: float = option(3.0, "of displacements at failure")
 
     def _check(self):
-        if not 0 < self.h <= 2 or abs(2 / self.h - round(2 / self.h)) > 1e-9:
+        if self.h > 2 or abs(2 / self.h - round(2 / self.h)) > 1e-9:
             raise ValueError(f"h = {self.h:g} m must divide 2 m")
 
 

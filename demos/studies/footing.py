@@ -45,7 +45,7 @@
 
 # %%
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import ufl
@@ -386,7 +386,7 @@ if __name__ == "__main__":
     else:
         results = []
         for label, options in variations(args):
-            one = type(args)(**{**vars(args), **options})
+            one = replace(args, **options)
             results.append({"label": label, **run(one)[0]})
         short = ("curve", "last_ratios", "last_residuals")
         rows = [{k: v for k, v in r.items() if k not in short} for r in results]

@@ -94,7 +94,7 @@ def lines(h, fine, last, growth):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Halves of bodies that end at their diametral planes; rims a few half-widths long, of segments of a
 # quarter of a cell, or caps of triangles of half a cell.
 

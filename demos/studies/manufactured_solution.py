@@ -123,7 +123,7 @@ class Solution:
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # With `aligned="body"` equal parts of the body are the points' first domains, wherever the
 # grid's lines are; `--aligned grid` divides the grid's cells and trims what the edge cuts.
 

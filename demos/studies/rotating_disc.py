@@ -11,8 +11,7 @@
 # %%
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from grids import box_grid
@@ -79,8 +78,8 @@ def turn(mass, mapping, order):
     middle = comm.allreduce(m @ points["x"]) / comm.allreduce(m.sum())
     points.add_field("velocity", (2,), "m/s")
     points["velocity"] = (points["x"] - middle) @ turning.T
-    given = vars(args) | {"mass": mass, "mapping": mapping, "order": order}
-    problem = problem_of(argparse.Namespace(**given), F, V.increment, points)
+    given = replace(args, mass=mass, mapping=mapping, order=order)
+    problem = problem_of(given, F, V.increment, points)
     give_affine_part(problem, turning)
 
     def state():

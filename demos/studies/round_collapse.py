@@ -61,7 +61,7 @@ def scaling(a, plane):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # The ground is rough, nothing holds the sand at its side, and gravity acts at once.
 
 # %%

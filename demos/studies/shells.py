@@ -1,4 +1,4 @@
-"""Thick shells under internal pressure, as bodies of revolution: scenes and closed forms.
+"""Thick shells under internal pressure, axisymmetric: bodies and closed forms.
 
 A long cylinder is a slice of height h between smooth plates, a sphere a quarter of its section
 between the axis and the plane of the equator. The grid fits neither of the sphere's circles.

@@ -116,7 +116,7 @@ class Input(ShellInput):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Rollers on the two lines of symmetry; nothing holds the tube else. The grid ends somewhere
 # outside the tube. Von Mises' law takes $\rho_y = \sqrt{2/3}\,\sigma_y$, for
 # $f = \sqrt{2 J_2} - \rho_y$.

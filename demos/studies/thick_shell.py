@@ -8,7 +8,7 @@
 # $$p = 2\sigma_y \ln\frac ca + \frac{2\sigma_y}{3}\Bigl(1 - \frac{c^3}{b^3}\Bigr), \qquad
 #   u_b = \frac{\sigma_y c^3 (1-\nu)}{E\,b^2}, \qquad p_{\lim} = 2\sigma_y \ln\frac ba .$$
 #
-# It is a body of revolution: a quarter of its section, of which all points are rings. Squares
+# It is axisymmetric: a quarter of its section is computed, whose points are rings. Squares
 # know nothing of its circles. `--shape cylinder` is the tube of `thick_cylinder.py` as a slice
 # between smooth plates, with $Y = 2\sigma_y/\sqrt 3$ in
 #
@@ -45,7 +45,7 @@ class Input(ShellInput):
 
 
 # %% [markdown]
-# ## The scene
+# ## The problem
 # Rollers on the axis and at the equator. Under small strain the pressure acts on the face as it
 # was; points move all the same, and the half per cent by which radii grow shows in the limit. Under
 # large strain it follows the face. Von Mises' law takes $\rho_y = \sqrt{2/3}\,\sigma_y$. The

@@ -143,7 +143,7 @@ def tangent_error(law, n=200, seed=0, size=0.03):
 
 
 # %% [markdown]
-# ## A small scene
+# ## A small problem
 # A block on a smooth floor, 2 m wide and 2 m high, spreads under its weight. One law after the
 # other.
 

@@ -15,7 +15,7 @@ from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.declarations import rows_within
-from dolfinmpm.forms.placeholders import Slots
+from dolfinmpm.forms.placeholders import Placeholders
 from dolfinmpm.forms.pointterms import PointTerms
 from dolfinmpm.forms.pointwise import Program, compile_program
 
@@ -54,7 +54,7 @@ class PointUpdates:
         carried: bool = False,
     ):
         self.carried = carried
-        self._slots = Slots(spaces, points)
+        self._placeholders = Placeholders(spaces, points)
         self._programs: dict[str, Program] = {}
         self._points, self._tags = points, tags
         for name, expression in updates.items():
@@ -64,11 +64,11 @@ class PointUpdates:
                     f"field '{name}' has shape {shape} at a point, but the expression that updates "
                     f"it has shape {expression.ufl_shape}"
                 )
-            mapped = self._slots.map(expand_derivatives(expression))
+            mapped = self._placeholders.map(expand_derivatives(expression))
             parts = [mapped[i] if i else mapped for i in np.ndindex(*shape)]
-            self._programs[name] = compile_program(points.grid, parts, self._slots.sources)
+            self._programs[name] = compile_program(points.grid, parts, self._placeholders.sources)
         known = [operator for region in regions for operator in region.operators]
-        for operator in self._slots.operators:
+        for operator in self._placeholders.operators:
             if operator not in known:
                 raise FormError(
                     f"the updates contain the stress of '{operator}', which is not in the form; "
@@ -89,5 +89,5 @@ class PointUpdates:
         for name, program in self._programs.items():
             if name not in new:
                 new[name] = points[name].copy()
-            values = evaluation.run(self._slots, program, rows)
+            values = evaluation.run(self._placeholders, program, rows)
             new[name][rows] = values.reshape(len(rows), *points[name].shape[1:])

@@ -27,12 +27,12 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.formsigns import MARK
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.forms.energydensities import density_of
-from dolfinmpm.forms.placeholders import Slots
+from dolfinmpm.forms.placeholders import Placeholders
 from dolfinmpm.forms.pointterms import PointTerms, derive
 from dolfinmpm.forms.pointwise import compile_program
 from dolfinmpm.forms.termqueries import summands, tags_of
 
-__all__ = ["STORED", "OwnStress"]
+__all__ = ["STORED", "UFLStress"]
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 STORED = "stored_energy"
 
 
-class OwnStress:
+class UFLStress:
     """Stress from the internal forces of a region without a law. Collective.
 
     Args:
@@ -69,7 +69,7 @@ class OwnStress:
         mark: int,
     ):
         self._region, self._points, self._mark = region, points, mark
-        self._slots = slots = Slots(spaces, points)
+        self._placeholders = placeholders = Placeholders(spaces, points)
         own = [i for i in integrals if region.integrates(tags_of(i)) and MARK not in i.metadata()]
         flux, hoop = self._flux(own, movers)
         self.known = not isinstance(flux, Zero)
@@ -84,35 +84,37 @@ class OwnStress:
         if density is not None:
             points.add_field(STORED, (), "J/m^d")
             parts.append(density)
-        parts = [slots.map(part) for part in parts]
-        self._program = compile_program(points.grid, parts, slots.sources)
+        parts = [placeholders.map(part) for part in parts]
+        self._program = compile_program(points.grid, parts, placeholders.sources)
 
     def _field(self, name: str, shape: tuple[int, ...]) -> Expr:
-        return self._slots.slot(("field", name), shape)
+        return self._placeholders.placeholder(("field", name), shape)
 
     def _flux(self, integrals: Sequence, movers: Sequence[int]) -> tuple[Expr, Expr]:
         """Flux per initial volume, and its hoop component for axisymmetric bodies."""
-        slots, gdim = self._slots, self._points.gdim
+        placeholders, gdim = self._placeholders, self._points.gdim
         flux, hoop = zero((gdim, gdim)), zero()
         for integral in expand_derivatives(ufl.Form(list(integrals))).integrals():
             share = self._field(integral.metadata()["volume"], ()) / self._field("V0", ())
             for term in summands(integral.integrand()):
-                mapped = slots.map(term)
+                mapped = placeholders.map(term)
                 for k in movers:
-                    slope = derive(mapped, slots.test_gradient[k])
+                    slope = derive(mapped, placeholders.test_gradient[k])
                     if isinstance(slope, Zero):
                         continue
                     flux = flux + share * slope
                     # the factor of v_r/r is a stress
-                    value = derive(mapped, slots.test_value[k])
+                    value = derive(mapped, placeholders.test_value[k])
                     hoop = hoop + share * self._field("x", (gdim,))[0] * value[0]
         return flux, hoop
 
     def _stretch(self, spaces: Sequence[Space], movers: Sequence[int]) -> Expr:
         """Deformation gradient ΔF of the step."""
-        points, slots = self._points, self._slots
-        H = sum((slots.gradient[k] for k in movers[1:]), start=slots.gradient[movers[0]])
-        u = sum((slots.value[k] for k in movers[1:]), start=slots.value[movers[0]])
+        points, placeholders = self._points, self._placeholders
+        H = sum(
+            (placeholders.gradient[k] for k in movers[1:]), start=placeholders.gradient[movers[0]]
+        )
+        u = sum((placeholders.value[k] for k in movers[1:]), start=placeholders.value[movers[0]])
         around = u[0] / self._field("x", (points.gdim,))[0]
         return ufl.Identity(points.strain_dim) + _full(H, around, points)
 
@@ -129,7 +131,7 @@ class OwnStress:
                 if isinstance(found, Zero):
                     continue
                 share = self._field(integral.metadata()["volume"], ()) / self._field("V0", ())
-                total = total + share * self._slots.map(expand_derivatives(found))
+                total = total + share * self._placeholders.map(expand_derivatives(found))
         return total
 
     @property
@@ -153,7 +155,7 @@ class OwnStress:
         for name in ("stress", "moved_under", *((STORED,) if self._stores else ())):
             if name not in new:
                 new[name] = points[name].copy()
-        values = evaluation.run(self._slots, self._program, rows)
+        values = evaluation.run(self._placeholders, self._program, rows)
         sigma = values[:, : d * d].reshape(-1, d, d)
         new["stress"][rows] = 0.0
         new["stress"][rows, :d, :d] = 0.5 * (sigma + np.swapaxes(sigma, 1, 2))

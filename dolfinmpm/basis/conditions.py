@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
 )
 from dolfinmpm.basis.space import Space
 from dolfinmpm.grid.constants import own_constant
-from dolfinmpm.grid.userfunctions import ask, choose
+from dolfinmpm.grid.userfunctions import call_function, choose
 
 __all__ = [
     "Condition",
@@ -306,7 +306,7 @@ def _checked(space: Space, nodes, what: str, value: Any) -> Any:
     comm = space.grid.comm
     if callable(value):
         at = node_coordinates(space)[nodes]
-        given = call_together(comm, lambda: ask(what, value, at))
+        given = call_together(comm, lambda: call_function(what, value, at))
     elif np.ndim(value) == 0:
         return np.asarray(number(what, value))
     else:

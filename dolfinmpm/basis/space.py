@@ -27,7 +27,7 @@ from dolfinmpm.grid.lattice import (
     once_per_grid,
     require_lattice,
 )
-from dolfinmpm.grid.serialnumbers import next_on
+from dolfinmpm.grid.serialnumbers import next_number
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -281,7 +281,7 @@ class Space:
         self.increment = fem.Function(self.function_space, name="increment")
         self.increment._dolfinmpm_space = self
         self.test = ufl.TestFunction(self.function_space)
-        self.number = next_on(grid, "spaces")
+        self.number = next_number(grid, "spaces")
         # points, DOLFINx's assemblers and the solver share one numbering of the nodes
         if not np.array_equal(self.function_space.dofmap.list, on_grid.lagrange.dofmap.list):
             raise UnsupportedGridError("DOLFINx numbers scalar and vector nodes differently here")

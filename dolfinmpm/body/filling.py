@@ -29,7 +29,7 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.body.shapes import Box, Shape, TurnedBox
 from dolfinmpm.body.shapevolumes import correct, pieces_inside
 from dolfinmpm.grid.lattice import Lattice, lattice_of, require_lattice
-from dolfinmpm.grid.userfunctions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["fill"]
 
@@ -125,7 +125,7 @@ def fill(
 
     rho: Any = density
     if callable(density):
-        rho = call_together(grid.comm, lambda: ask("density", density, x))
+        rho = call_together(grid.comm, lambda: call_function("density", density, x))
     ids = numbers_in_order(grid.comm, key[:, None])
     whole = shape.volume
     if axisymmetric:

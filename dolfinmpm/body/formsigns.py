@@ -1,9 +1,8 @@
-"""Marks of forms that a weak form must contain with one sign.
+"""Marks for the sign of forms: a weak form adds all forms that the package makes.
 
-There is one rule for signs: all forms that the package makes are added, F += .... A load, the
-contact of a footing, a penalty and a condition come as internal forces do. These forms carry a
-mark, by which a solver refuses a form that was subtracted. A body force in UFL has the sign of
-the weak form, F -= ufl.inner(points.density * g, v) * points.dX.
+Loads, contact, penalties and conditions have the sign of internal forces: F += .... Such a form
+carries a mark. A solver refuses a weak form that subtracts the form. A body force that the user
+writes in UFL is subtracted: F -= ufl.inner(points.density * g, v) * points.dX.
 """
 
 from __future__ import annotations
@@ -13,22 +12,22 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
-__all__ = ["FACETS", "MARK", "Acting", "acting", "unmarked"]
+__all__ = ["FACETS", "MARK", "SignMark", "signed_form", "unmarked"]
 
 # Name of the mark in the metadata of a measure
 MARK = "acting"
-# and of the number of the points whose cells and facets a measure is over
+# Name of the number of the points in the metadata of measures over their cells and facets
 FACETS = "facets"
 
 
 @dataclass(frozen=True, repr=False)
-class Acting:
-    """The mark of a form: what it is, and its integrand as it was made.
+class SignMark:
+    """The mark of a form.
 
     Attributes:
-        name: What it is, for messages.
-        integrand: Its integrand.
-        once: Whether a form may have it once only.
+        name: Name of the form in messages.
+        integrand: Integrand with its original sign.
+        once: Whether a weak form may contain the form only once.
     """
 
     name: str
@@ -40,23 +39,23 @@ class Acting:
 
     @property
     def ufl_signature(self) -> str:
-        """What a compiled form knows of it: nothing."""
+        """Signature in a compiled form: empty, because marks compile nothing."""
         return ""
 
 
-def acting(integrand: Expr, measure: ufl.Measure, name: str, once: bool = False) -> ufl.Form:
-    """The integral of what acts on a body, to be added, with its mark.
+def signed_form(integrand: Expr, measure: ufl.Measure, name: str, once: bool = False) -> ufl.Form:
+    """A form with a mark, to be added to the weak form.
 
     Args:
-        integrand: Virtual work of the internal force that stands for it, per volume or area.
+        integrand: Virtual work per volume or area, with the sign of internal forces.
         measure: The measure.
-        name: What acts, for messages.
-        once: Whether a form may have it once only.
+        name: Name of the form in messages.
+        once: Whether a weak form may contain the form only once.
     """
-    mark = Acting(name, integrand, once)
+    mark = SignMark(name, integrand, once)
     return integrand * measure.reconstruct(metadata={**measure.metadata(), MARK: mark})
 
 
 def unmarked(metadata: dict | None) -> dict:
-    """Metadata of a measure without marks, by which integrals of one kind would differ."""
+    """Metadata of a measure without marks, so that integrals of one kind are equal."""
     return {k: value for k, value in (metadata or {}).items() if k not in (MARK, FACETS)}

@@ -22,7 +22,7 @@ from dolfinmpm.body.axisymmetry import checked_radii, require_axis, ring
 from dolfinmpm.body.exchange import Rows, exchange, numbers_in_order
 from dolfinmpm.body.location import Destinations, destinations
 from dolfinmpm.body.pointchecks import checked, checked_tag, require_grid
-from dolfinmpm.grid.userfunctions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["located", "outside"]
 
@@ -110,7 +110,7 @@ def _rows(
     # zeros of both signs are one place
     rows: Rows = {"x": at + 0.0, "volume": checked("volume", volume, (n,))}
     if callable(density):
-        density = ask("density", density, at)
+        density = call_function("density", density, at)
     rows["density"] = checked("density", density, (n,))
     rows["tag"] = checked_tag(tag, n)
     for name in ("x", "volume", "density"):

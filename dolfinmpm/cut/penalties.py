@@ -22,7 +22,7 @@ from dolfinmpm.body.formarguments import (
     check_points,
     check_test,
 )
-from dolfinmpm.body.formsigns import acting
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.facetmoduli import FacetModulus, FacetRing
 from dolfinmpm.grid.constants import own_constant
@@ -203,7 +203,7 @@ def ghost(
     if u.ufl_shape != (points.gdim,):
         # the sign of a scalar's equation is the user's
         return jumps * facets
-    return acting(jumps, facets, "the ghost penalty (mpm.ghost)")
+    return signed_form(jumps, facets, "the ghost penalty (mpm.ghost)")
 
 
 def soft(points: MaterialPoints, u: Expr, v: Expr, *, E: float, nu: float, eta: float) -> ufl.Form:

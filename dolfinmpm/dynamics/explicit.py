@@ -318,7 +318,11 @@ class Explicit(Problem):
 
     @collective
     def save(self, path: str | os.PathLike[str]) -> None:
-        """See `Problem.save`. Collective."""
+        """See `Problem.save`. Collective.
+
+        The next step sorts the points by cells, as a restarted run does. So a run that saves and
+        goes on has the bits of the restarted run. The last digits of a run that never saves differ.
+        """
         super().save(path)
         # a run from the file begins with sorted points, so this run must do the same
         self._loop.renew()

@@ -281,7 +281,7 @@ class FusedLoads:
         self.known = all(key[0] in ("field", "constant", "tagged") for key in keys)
         self.varies = any(key[0] == "field" and key[1] not in _FIXED for key in keys)
         self._constants = [
-            c for region in form.regions for c in region.slots.constants if not is_own(c)
+            c for region in form.regions for c in region.placeholders.constants if not is_own(c)
         ]
         self._taken = self._values()
 
@@ -323,7 +323,7 @@ class FusedLoads:
                 elif key[0] == "tagged":
                     data[key] = np.isin(points["tag"][rows], key[1]).astype(float)
                 else:
-                    value = region.slots.constants[key[1]].value
+                    value = region.placeholders.constants[key[1]].value
                     data[key] = np.array(value, float).reshape(1, -1)
             count = n if chosen is None else rows.size
             flux = np.empty((count, program.size))

@@ -12,7 +12,7 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["through_laws"]
+__all__ = ["differentiate_through_laws"]
 
 
 class _ThroughLaws(MultiFunction):
@@ -52,7 +52,7 @@ class _ThroughLaws(MultiFunction):
         return map_expr_dag(self, expression)
 
 
-def through_laws(form: ufl.Form) -> ufl.Form:
+def differentiate_through_laws(form: ufl.Form) -> ufl.Form:
     """The form with explicit derivatives of its laws.
 
     Args:

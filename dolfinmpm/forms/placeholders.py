@@ -1,4 +1,4 @@
-"""Slots: constants in an expression that stand for values that vary from point to point."""
+"""Placeholders: constants in an expression that stand for values that vary from point to point."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.forms.operators import PointOperator
 
-__all__ = ["Slots"]
+__all__ = ["Placeholders"]
 
 # UFL sorts constants by their number as text, and FFCx compiles again if the order changes. All
-# numbers of slots therefore have the same number of digits. The same expression gets the same
-# numbers.
+# numbers of placeholders therefore have the same number of digits. The same expression gets the
+# same numbers.
 _FIRST = 1_000_000_000
 
 
 @dataclass
-class Slots(MultiFunction):
-    """Replaces all values that vary from point to point by constants (slots).
+class Placeholders(MultiFunction):
+    """Replaces all values that vary from point to point by constants (placeholders).
 
     Attributes:
         spaces: Spaces of the increments.
         points: Material points.
-        sources: Key of the data of each slot. Keys are ("value", k) and ("gradient", k) for the
-            increment of field k; ("field", name); ("operator", k), ("operator tangent", k),
+        sources: Key of the data of each placeholder. Keys are ("value", k) and ("gradient", k) for
+            the increment of field k; ("field", name); ("operator", k), ("operator tangent", k),
             ("operator by mean", k) and ("mean slope", k) for operator k; ("function", k) for
             entry k of `functions`; and ("constant", k) for entry k of `constants`.
         functions: DOLFINx functions in the expressions, and whether their gradient is meant.
         constants: DOLFINx constants in the expressions.
         operators: Operators (laws) in the expressions.
-        value, gradient: Slots of each field's increment and its gradient, as UFL variables.
-        test_value, test_gradient: Slots of each field's test function and its gradient.
-        operator_value: Slots of the operators' values, as UFL variables.
+        value, gradient: Placeholders of each field's increment and its gradient, as UFL variables.
+        test_value, test_gradient: Placeholders of each field's test function and its gradient.
+        operator_value: Placeholders of the operators' values, as UFL variables.
     """
 
     spaces: Sequence[Space]
@@ -63,8 +63,8 @@ class Slots(MultiFunction):
         self.value, self.gradient, self.test_value, self.test_gradient = [], [], [], []
         for k, space in enumerate(self.spaces):
             shape = space.increment.ufl_shape
-            self.value.append(ufl.variable(self.slot(("value", k), shape)))
-            self.gradient.append(ufl.variable(self.slot(("gradient", k), (*shape, gdim))))
+            self.value.append(ufl.variable(self.placeholder(("value", k), shape)))
+            self.gradient.append(ufl.variable(self.placeholder(("gradient", k), (*shape, gdim))))
             self.test_value.append(ufl.variable(self._constant(shape)))
             self.test_gradient.append(ufl.variable(self._constant((*shape, gdim))))
         self.operator_value: list[Expr] = []
@@ -72,8 +72,8 @@ class Slots(MultiFunction):
     def _constant(self, shape: tuple[int, ...]) -> ufl.Constant:
         return ufl.Constant(self.domain, shape=shape, count=next(self._number))
 
-    def slot(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
-        """The slot for the data with this key; it is made at the first use.
+    def placeholder(self, key: tuple, shape: tuple[int, ...]) -> ufl.Constant:
+        """The placeholder for the data with this key; it is made at the first use.
 
         Args:
             key: Key of the data.
@@ -85,7 +85,7 @@ class Slots(MultiFunction):
         return self._kept[key]
 
     def map(self, expression: Expr) -> Expr:
-        """The expression with slots in place of data.
+        """The expression with placeholders in place of data.
 
         Args:
             expression: UFL expression, derivatives expanded.
@@ -141,13 +141,13 @@ class Slots(MultiFunction):
             return self.value[k]
         if isinstance(o, PointField):
             self._check_points(o)
-            return self.slot(("field", o.name), o.ufl_shape)
+            return self.placeholder(("field", o.name), o.ufl_shape)
         if isinstance(o, PointOperator):
             self._check_points(o)
             if o not in self.operators:
                 self.operators.append(o)
                 key = ("operator", len(self.operators) - 1)
-                self.operator_value.append(ufl.variable(self.slot(key, o.ufl_shape)))
+                self.operator_value.append(ufl.variable(self.placeholder(key, o.ufl_shape)))
             return self.operator_value[self.operators.index(o)]
         if isinstance(o, fem.Function):
             return self._function(o, False)
@@ -164,7 +164,7 @@ class Slots(MultiFunction):
         if (o, gradient) not in self.functions:
             self.functions.append((o, gradient))
         shape = (*o.ufl_shape, self.points.gdim) if gradient else o.ufl_shape
-        return self.slot(("function", self.functions.index((o, gradient))), shape)
+        return self.placeholder(("function", self.functions.index((o, gradient))), shape)
 
     def constant(self, o):
         if o in self.sources:
@@ -173,10 +173,10 @@ class Slots(MultiFunction):
             raise FormError(f"the constant '{o}' has no value; use dolfinx.fem.Constant")
         if o not in self.constants:
             self.constants.append(o)
-        return self.slot(("constant", self.constants.index(o)), o.ufl_shape)
+        return self.placeholder(("constant", self.constants.index(o)), o.ufl_shape)
 
     def spatial_coordinate(self, o):
-        return self.slot(("field", "x"), o.ufl_shape)
+        return self.placeholder(("field", "x"), o.ufl_shape)
 
     def geometric_quantity(self, o):
         raise FormError(

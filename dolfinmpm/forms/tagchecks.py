@@ -20,11 +20,11 @@ from dolfinmpm.body.tags import in_order, tags_in_use
 from dolfinmpm.forms.declarations import Declaration, in_words
 from dolfinmpm.forms.termqueries import brief, depends_on, operators_in, summands, tags_of
 
-__all__ = ["Tagged", "tags_by_term"]
+__all__ = ["TagChecks", "tags_by_term"]
 
 
 @dataclass(frozen=True)
-class Tagged:
+class TagChecks:
     """Terms, laws and fields of a form, and the tags of their points.
 
     Attributes:

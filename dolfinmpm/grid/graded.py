@@ -20,7 +20,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, UnsupportedGridError
 from dolfinmpm.grid.lattice import cell_size, coarse_cell_size, lattice_of, require_lattice
 
-__all__ = ["create_lattice", "lay_lines", "times_regridded", "zoned_line"]
+__all__ = ["create_lattice", "set_lines", "times_regridded", "zoned_line"]
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +136,7 @@ def create_lattice(comm: MPI.Intracomm, lines: Sequence[npt.ArrayLike]) -> mesh.
     return grid
 
 
-def lay_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
+def set_lines(grid: mesh.Mesh, lines: Sequence[npt.ArrayLike]) -> None:
     """Move the lines of a rectangular grid. Collective.
 
     `regrid` also tells the problems on the grid.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dolfinx.mesh import Mesh
 
-__all__ = ["next_on"]
+__all__ = ["next_number"]
 
 
-def next_on(grid: Mesh, kind: str) -> int:
+def next_number(grid: Mesh, kind: str) -> int:
     """The next serial number of a kind of object on a grid, from 1.
 
     Ranks compare their arguments by this number.

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import DolfinMPMError, ParameterError
 
-__all__ = ["ask", "choose"]
+__all__ = ["call_function", "choose"]
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def _call(what: str, function: Callable[[Array], Any], x: Array) -> Any:
         ) from error
 
 
-def ask(
+def call_function(
     what: str, function: Callable[[Array], Any], x: Array, shape: tuple[int, ...] = ()
 ) -> npt.NDArray[np.float64]:
     """Values of a user's function at positions. Not collective; see `call_together`.

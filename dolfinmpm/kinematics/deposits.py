@@ -28,7 +28,7 @@ from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError, call_together
 from dolfinmpm.body.formarguments import check_points
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.grid.userfunctions import ask
+from dolfinmpm.grid.userfunctions import call_function
 from dolfinmpm.materials.sands import Sand
 
 __all__ = ["Deposit", "Layer"]
@@ -297,7 +297,7 @@ class Deposit:
 
     def _height(self, what: str, height: Height, x: Array) -> Array:
         if callable(height):
-            values = ask(what, height, x.T)
+            values = call_function(what, height, x.T)
             bad = np.flatnonzero(~np.isfinite(values))
             if bad.size:
                 raise ParameterError(

@@ -17,8 +17,8 @@ from dolfinmpm._platform.errors import (
     call_together,
     raise_together,
 )
-from dolfinmpm.grid.userfunctions import ask
-from dolfinmpm.kinematics.frameworks import Array, Framework, Rows
+from dolfinmpm.grid.userfunctions import call_function
+from dolfinmpm.kinematics.strainformulation import Array, Rows, StrainFormulation
 from dolfinmpm.kinematics.strainhistory import GIVEN, MARKS
 from dolfinmpm.materials.elasticinverse import belong, elastic_strain
 
@@ -49,12 +49,14 @@ def _array(stress: npt.ArrayLike, n: int) -> Array:
     return given
 
 
-def _given(framework: Framework, stress: StressField, rows: Rows) -> Array:
+def _given(formulation: StrainFormulation, stress: StressField, rows: Rows) -> Array:
     """The stress at some points of this rank, checked and symmetric, shape (rows, 3, 3)."""
-    points = framework.points
+    points = formulation.points
     d = points.gdim
     if callable(stress):
-        sigma = ask("stress (Pa, also out of the plane)", stress, points["x"][rows], (3, 3))
+        sigma = call_function(
+            "stress (Pa, also out of the plane)", stress, points["x"][rows], (3, 3)
+        )
     else:
         sigma = np.broadcast_to(_array(stress, len(points)), (len(points), 3, 3))[rows]
     size = np.abs(sigma).max(axis=(1, 2), initial=0.0)
@@ -75,16 +77,16 @@ def _given(framework: Framework, stress: StressField, rows: Rows) -> Array:
     return 0.5 * (sigma + np.swapaxes(sigma, 1, 2))
 
 
-def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
+def _state(formulation: StrainFormulation, sigma: Array, rows: Rows) -> Array:
     """Elastic state for Cauchy stresses of shape (n, 3, 3), six components, shape (n, 6)."""
-    points, law = framework.points, framework.law
+    points, law = formulation.points, formulation.law
     n, d = len(rows), points.gdim
-    ratio = np.linalg.det(points["F"][rows]) if framework.multiplicative else np.ones(n)
+    ratio = np.linalg.det(points["F"][rows]) if formulation.multiplicative else np.ones(n)
     principal = np.diagonal(sigma, axis1=1, axis2=2).copy()
     Q = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
     principal[:, :d], Q[:, :d, :d] = np.linalg.eigh(sigma[:, :d, :d])
     principal *= ratio[:, None]
-    parameters, internal = framework.parameters(rows), framework.internal(rows)
+    parameters, internal = formulation.parameters(rows), formulation.internal(rows)
     strain, good, reached = elastic_strain(law, principal, internal, parameters)
     if not good.all():
         p = int(np.argmin(good))
@@ -95,7 +97,7 @@ def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
             f"lie outside the yield surface (f = {f:.6g} > 0)" if f > 0 else
             f"cannot be reached (f = {f:.6g}, closest {reached[p].tolist()} Pa)"
         )  # fmt: skip
-        kind = "Kirchhoff" if framework.multiplicative else "Cauchy"
+        kind = "Kirchhoff" if formulation.multiplicative else "Cauchy"
         variables = ", ".join(f"{k} = {v:g}" for k, v in zip(law.internal, internal[p]))
         values = ", ".join(f"{k} = {v:g}" for k, v in zip(law.parameters, used[0]))
         raise StateError(
@@ -106,7 +108,7 @@ def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
             "strength, or other parameters"
         )
     with np.errstate(over="ignore", invalid="ignore"):
-        value = np.exp(2.0 * strain) if framework.multiplicative else strain
+        value = np.exp(2.0 * strain) if formulation.multiplicative else strain
     if not np.isfinite(value).all():
         p = int(np.argmin(np.isfinite(value).all(axis=1)))
         raise StateError(
@@ -118,30 +120,32 @@ def _state(framework: Framework, sigma: Array, rows: Rows) -> Array:
     return tensor[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
 
-def write_stress(framework: Framework, stress: StressField, rows: Rows | None = None) -> None:
+def write_stress(
+    formulation: StrainFormulation, stress: StressField, rows: Rows | None = None
+) -> None:
     """Set the elastic state and the field `stress`; see `dolfinmpm.set_stress`. Collective.
 
     Args:
-        framework: The law at its points.
+        formulation: The law at its points.
         stress: The stress (Pa); see `dolfinmpm.set_stress`.
         rows: Points of this rank that get the stress; all points of the law by default.
     """
-    points, rows = framework.points, framework.rows if rows is None else rows
-    sigma = call_together(points.comm, lambda: _given(framework, stress, rows))
-    state = call_together(points.comm, lambda: _state(framework, sigma, rows))
-    points[framework.state][rows] = state
+    points, rows = formulation.points, formulation.rows if rows is None else rows
+    sigma = call_together(points.comm, lambda: _given(formulation, stress, rows))
+    state = call_together(points.comm, lambda: _state(formulation, sigma, rows))
+    points[formulation.state][rows] = state
     points["stress"][rows] = sigma
-    points["moved_under"][rows] = MARKS[framework.measure] + GIVEN
+    points["moved_under"][rows] = MARKS[formulation.strain] + GIVEN
 
 
-def take_stress(framework: Framework, law: str) -> None:
+def take_stress(formulation: StrainFormulation, law: str) -> None:
     """Take the stress of points that have not moved as the initial stress of their law. Collective.
 
     A stress that the user wrote into the field `stress` becomes the initial stress. A stress from
     `dolfinmpm.set_stress` must belong to this law.
 
     Args:
-        framework: The law at its points.
+        formulation: The law at its points.
         law: The law and its tags, for messages.
 
     Raises:
@@ -149,7 +153,7 @@ def take_stress(framework: Framework, law: str) -> None:
             symmetric, or has shear out of the dimensions of the points.
         StateError: The law has no elastic strain for the stress.
     """
-    points, rows = framework.points, framework.rows
+    points, rows = formulation.points, formulation.rows
     marks = points.fields.read("moved_under")[rows]
     still, given = rows[marks == 0], rows[marks >= GIVEN]
     stress = points.fields.read("stress")
@@ -159,21 +163,21 @@ def take_stress(framework: Framework, law: str) -> None:
     if points.comm.size > 1:
         points.comm.Allreduce(MPI.IN_PLACE, asked)
     if asked[0]:
-        write_stress(framework, points["stress"], written)
+        write_stress(formulation, points["stress"], written)
     if asked[1]:
-        raise_together(points.comm, _of_another(framework, law, given))
+        raise_together(points.comm, _of_another(formulation, law, given))
 
 
-def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | None:
+def _of_another(formulation: StrainFormulation, law: str, rows: Rows) -> ParameterError | None:
     """The error for stresses that were set for another law, or None."""
-    points = framework.points
+    points = formulation.points
     sigma = points.fields.read("stress")[rows]
-    if framework.multiplicative:
+    if formulation.multiplicative:
         sigma = np.linalg.det(points.fields.read("F")[rows])[:, None, None] * sigma
     # for an isotropic law, stress and strain have the same axes and the same order
-    strain, stress = framework.principal(rows), np.linalg.eigvalsh(sigma)
-    internal, parameters = framework.internal(rows), framework.parameters(rows)
-    same = belong(framework.law, strain, stress, internal, parameters, _ANOTHER)
+    strain, stress = formulation.principal(rows), np.linalg.eigvalsh(sigma)
+    internal, parameters = formulation.internal(rows), formulation.parameters(rows)
+    same = belong(formulation.law, strain, stress, internal, parameters, _ANOTHER)
     if same.all():
         return None
     p = rows[np.argmin(same)]
@@ -181,7 +185,7 @@ def _of_another(framework: Framework, law: str, rows: Rows) -> ParameterError | 
         f"{law}: the stress {points.fields.read('stress')[p].tolist()} Pa at {points['x'][p]} m "
         f"was set by mpm.set_stress with another law, or changed since. It differs from this law's "
         f"stress for the elastic strain of the point ({int((~same).sum())} such points on this "
-        f'rank): call mpm.set_stress(law, points, stress, strain="{framework.measure}") with the '
+        f'rank): call mpm.set_stress(law, points, stress, strain="{formulation.strain}") with the '
         "law of the problem"
     )
 
@@ -250,7 +254,7 @@ def geostatic_stress(surface: OfPosition, weight: OfPosition, K0: OfPosition):
                 f"x has the shape {x.shape} and must have (gdim, n): points['x'].T"
             )
         top, heavy, ratio = (
-            checked(name, ask(name, value, x.T) if callable(value) else value, low)
+            checked(name, call_function(name, value, x.T) if callable(value) else value, low)
             for name, value, low in limits
         )
         vertical = -heavy * np.maximum(top - x[-1], 0.0)

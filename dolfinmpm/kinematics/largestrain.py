@@ -12,13 +12,13 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.strainformulations import StrainMeasure
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
+from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 
 __all__ = ["LargeStrain"]
 
 
-class _Large(StrainMeasure):
+class _Large(StrainFunctions):
     logarithmic = True
 
     def trial(self, G: Expr, old: Expr) -> Expr:
@@ -35,14 +35,14 @@ class _Large(StrainMeasure):
         return [ufl.det(ufl.Identity(self.d) + H)]
 
 
-class LargeStrain(Framework):
+class LargeStrain(StrainFormulation):
     """A law with large strain: b = ΔF b_n ΔFᵀ, ε = ½ ln b, flux S = τ ΔF⁻ᵀ.
 
-    The state is the field `be`, the elastic left Cauchy–Green tensor; see `Framework`.
+    The state is the field `be`, the elastic left Cauchy–Green tensor; see `StrainFormulation`.
     """
 
-    measure = "large"
+    strain = "large"
     multiplicative = True
     state = "be"
     rest = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-    kinematics = _Large
+    functions = _Large

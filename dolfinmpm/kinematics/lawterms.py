@@ -22,33 +22,33 @@ from dolfinmpm.body.tags import check_in_use
 from dolfinmpm.forms.declarations import Declaration, ElasticResponse, subdomain
 from dolfinmpm.forms.operators import PointOperator, PointwiseLaw
 from dolfinmpm.kinematics.fbar import FBar
-from dolfinmpm.kinematics.frameworks import Framework
 from dolfinmpm.kinematics.hyperelastic import declare_energy, end_of_step
 from dolfinmpm.kinematics.initialstress import StressField, take_stress, write_stress
 from dolfinmpm.kinematics.jaumann import Jaumann
 from dolfinmpm.kinematics.largestrain import LargeStrain
 from dolfinmpm.kinematics.smallstrain import SmallStrain
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
 from dolfinmpm.kinematics.strainhistory import MARKS, check_history
 from dolfinmpm.materials.base import Law
 from dolfinmpm.materials.neohookean import NeoHookean
 
-__all__ = ["flux", "framework", "momentum", "set_stress", "stress"]
+__all__ = ["flux", "momentum", "set_stress", "strain_formulation", "stress"]
 
 CENTRES = "centres"
 
-_FRAMEWORKS: dict[str, type[Framework]] = {
+_FORMULATIONS: dict[str, type[StrainFormulation]] = {
     "large": LargeStrain,
     "small": SmallStrain,
     "jaumann": Jaumann,
 }
 
 
-def framework(
+def strain_formulation(
     law: Law | NeoHookean,
     points: MaterialPoints,
     strain: str = "large",
     tag: int | tuple[int, ...] | None = None,
-) -> Framework:
+) -> StrainFormulation:
     """A law at the points with a strain formulation. Only its method `bind` changes the points.
 
     Args:
@@ -61,20 +61,20 @@ def framework(
         ParameterError: The strain formulation is not known, or the law has no kernel.
     """
     check_points(points)
-    strain = choice("strain", strain, _FRAMEWORKS)
+    strain = choice("strain", strain, _FORMULATIONS)
     if not isinstance(law, Law) or not law.has_kernel:
         raise ParameterError(
             f"law = {shown(law)} has no kernel of principal strains; use a law such as "
             "mpm.materials.Hencky(E, nu)"
         )
-    return _FRAMEWORKS[strain](law, points, as_tags(tag))
+    return _FORMULATIONS[strain](law, points, as_tags(tag))
 
 
 def _declare(law, points: MaterialPoints, u, strain: str, fbar: bool | str, tag) -> int:
     """Number of the law's declaration; the same arguments share one declaration."""
     check_points(points)
     check_displacement(points, u=u)
-    strain = choice("strain", strain, _FRAMEWORKS)
+    strain = choice("strain", strain, _FORMULATIONS)
     tags, fbar = as_tags(tag), _means(fbar, u)
     if tags is None:
         # a field with tags has no strain at other points
@@ -127,7 +127,7 @@ def _means(fbar: Any, u) -> bool | str:
 
 
 def _declare_kernel(law, points, u, strain: str, fbar: bool | str, tags: Tags) -> Declaration:
-    inner = framework(law, points, strain, tags)
+    inner = strain_formulation(law, points, strain, tags)
     outer: PointwiseLaw = inner
     if fbar:
         outer = FBar(inner, points, _degree(u), by_centres=fbar == CENTRES)
@@ -372,7 +372,7 @@ def set_stress(
     >>> points["x"][0].tolist(), points["stress"][0].diagonal().round(6).tolist()
     ([0.25, 0.25], [-17500.0, -35000.0, -17500.0])
     """
-    one = framework(law, points, strain, tag)
+    one = strain_formulation(law, points, strain, tag)
     check_in_use("tag", points, one.tags)
     one.bind()
     write_stress(one, stress)

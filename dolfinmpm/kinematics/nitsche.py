@@ -37,7 +37,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.body.axisymmetry import gradient, in_section
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.body.formsigns import acting
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
 from dolfinmpm.grid.lattice import largest_cell
@@ -243,7 +243,7 @@ def dirichlet(
     mark = {**boundary.ds.metadata(), "condition": condition}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return acting(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
+    return signed_form(term, ds, f"the condition (mpm.dirichlet) at '{boundary.name}'")
 
 
 def _checked(penalty: Any, stiffness_per_area: Any, usual: float | None) -> float | None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinmpm.kinematics.frameworks import Framework
-from dolfinmpm.kinematics.strainformulations import StrainMeasure
+from dolfinmpm.kinematics.strainformulation import StrainFormulation
+from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 
 __all__ = ["SmallStrain"]
 
 
-class _Small(StrainMeasure):
+class _Small(StrainFunctions):
     logarithmic = False
 
     def trial(self, G: Expr, old: Expr) -> Expr:
@@ -21,7 +21,7 @@ class _Small(StrainMeasure):
         return stress
 
 
-class SmallStrain(Framework):
+class SmallStrain(StrainFormulation):
     """A law with small strain: ε = ε_e,n + sym ∇ũ, flux S = σ per initial volume.
 
     Strain and stress of the law are the strain and stress of the linear theory. In this theory
@@ -31,11 +31,11 @@ class SmallStrain(Framework):
     each step takes gradients at their present positions. The errors are the errors of the linear
     theory, of the order of strains and rotations.
 
-    The state is the field `elastic_strain`; see `Framework`.
+    The state is the field `elastic_strain`; see `StrainFormulation`.
     """
 
-    measure = "small"
+    strain = "small"
     multiplicative = False
     state = "elastic_strain"
     rest = (0.0,) * 6
-    kinematics = _Small
+    functions = _Small

@@ -24,12 +24,12 @@ _STATE = {
 }
 
 
-def _named(measure: str) -> str:
-    return "an energy in UFL" if measure == ENERGY else f'strain="{measure}"'
+def _named(strain: str) -> str:
+    return "an energy in UFL" if strain == ENERGY else f'strain="{strain}"'
 
 
 def check_history(
-    points: MaterialPoints, rows: npt.NDArray[np.int32], measure: str, law: str
+    points: MaterialPoints, rows: npt.NDArray[np.int32], strain: str, law: str
 ) -> None:
     """Refuse points that have moved with another strain formulation. Collective.
 
@@ -39,7 +39,7 @@ def check_history(
     Args:
         points: Material points.
         rows: Points of the law on this rank.
-        measure: Strain formulation of the law, a key of `MARKS`.
+        strain: Strain formulation of the law, a key of `MARKS`.
         law: The law and its tags, for the message.
 
     Raises:
@@ -50,19 +50,19 @@ def check_history(
     own = (marks if len(rows) == len(marks) else marks[rows]) % GIVEN
     # usual case: all points have moved with this formulation, or none has moved
     low, high = (int(own.min()), int(own.max())) if own.size else (0, 0)
-    fits = high == 0 or (high == MARKS[measure] and (low == high or not np.any(own % high)))
+    fits = high == 0 or (high == MARKS[strain] and (low == high or not np.any(own % high)))
     if points.comm.allreduce(fits, op=MPI.LAND):
         return
     counts = np.bincount(own, minlength=1 + max(MARKS.values()))
     counts = points.comm.allreduce(counts)
-    others = [name for name, mark in MARKS.items() if counts[mark] and name != measure]
+    others = [name for name, mark in MARKS.items() if counts[mark] and name != strain]
     if not others:
         return
     done = " and ".join(f"{counts[MARKS[name]]} under {_named(name)}" for name in others)
     advice = (
         "set the state that gives the present stress first, "
-        f'mpm.set_stress(law, points, points["stress"], strain="{measure}")'
-        if measure != ENERGY else
+        f'mpm.set_stress(law, points, points["stress"], strain="{strain}")'
+        if strain != ENERGY else
         "a stress cannot be set for this law: go on with a law that has a kernel, such as Hencky, "
         "or begin with new points"
     )  # fmt: skip
@@ -70,7 +70,7 @@ def check_history(
         points.comm,
         StateError(
             f"{law}: of its {counts.sum()} points have moved {done}; they cannot go on under "
-            f"{_named(measure)}, whose stress comes from {_STATE[measure]}: {advice}"
+            f"{_named(strain)}, whose stress comes from {_STATE[strain]}: {advice}"
         ),
     )
 

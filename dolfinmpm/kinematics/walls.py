@@ -32,7 +32,7 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 from dolfinmpm.body.boundary import Boundary
 from dolfinmpm.body.formarguments import check_displacement
-from dolfinmpm.body.formsigns import acting
+from dolfinmpm.body.formsigns import signed_form
 from dolfinmpm.body.markerstate import keys_of, nearest
 from dolfinmpm.forms.declarations import Declaration, subdomain
 from dolfinmpm.grid.constants import own_constant
@@ -243,4 +243,4 @@ def signorini(
     mark = {**boundary.ds.metadata(), "condition": wall}
     tags = None if declaration is None else declaration.tags
     ds = boundary.ds(subdomain(tags), metadata=mark)
-    return acting(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")
+    return signed_form(-ufl.dot(traction, v), ds, f"the wall (mpm.signorini) at '{boundary.name}'")

@@ -14,7 +14,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.argumentchecks import shown
 from dolfinmpm._platform.errors import ParameterError
-from dolfinmpm.grid.userfunctions import ask
+from dolfinmpm.grid.userfunctions import call_function
 
 __all__ = ["Array", "Parameter", "Parametrised", "Value"]
 
@@ -194,7 +194,7 @@ class Parametrised:
             if callable(given):
                 if x is None:
                     raise ParameterError(f"{name}: {key} is a function and needs positions")
-                given = ask(f"{name}: {key}", given, x)
+                given = call_function(f"{name}: {key}", given, x)
                 self.parameters[key].check(name, key, given)
             if np.shape(given) not in ((), (n,)):
                 raise ParameterError(

@@ -12,7 +12,7 @@ from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.assembly.uflstress import OwnStress
+from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.gimpdomains import update_domains
 from dolfinmpm.body.loadbalance import balance
@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 @stages.commit
 def advance(
     operator: Operator,
-    updates: Sequence[PointUpdates | OwnStress],
+    updates: Sequence[PointUpdates | UFLStress],
     moves: bool,
     cell_size: float,
     step: int,

@@ -22,7 +22,7 @@ from dolfinmpm._platform.errors import (
     ParameterError,
 )
 from dolfinmpm._platform.readonce import ReadList, ReadOnce
-from dolfinmpm.assembly.state import Keeps, gathered, given_back
+from dolfinmpm.assembly.state import HasState, gathered, given_back
 from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis.conditionchecks import warn_idle
 from dolfinmpm.basis.conditions import Condition
@@ -303,7 +303,7 @@ class Problem(ReadOnce):
         """
         load(self, file_path("path", path))
 
-    def keeping(self) -> list[tuple[str, Keeps]]:
+    def keeping(self) -> list[tuple[str, HasState]]:
         """Objects with a state from step to step, besides the points, with their names."""
         held, bodies = ("prescribed", self.held), ("bodies", self.bodies)
         return [

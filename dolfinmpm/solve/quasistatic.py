@@ -15,7 +15,7 @@ from ufl.core.expr import Expr
 from dolfinmpm._platform import petscgarbage, stages
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ConvergenceError, raise_together
-from dolfinmpm.assembly.state import Keeps
+from dolfinmpm.assembly.state import HasState
 from dolfinmpm.assembly.term import NewState
 from dolfinmpm.basis.conditions import Condition
 from dolfinmpm.body.axisymmetry import deformation
@@ -374,7 +374,7 @@ class QuasiStatic(Problem):
         lines.append(f"linear solver: {method or 'chosen in the first step'}")
         return "\n".join(lines)
 
-    def keeping(self) -> list[tuple[str, Keeps]]:
+    def keeping(self) -> list[tuple[str, HasState]]:
         """See `Problem`."""
         return [*super().keeping(), ("solver", SolverState(self))]
 

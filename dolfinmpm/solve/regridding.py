@@ -10,7 +10,7 @@ from dolfinmpm._platform.argumentchecks import check_kind
 from dolfinmpm._platform.collective import collective
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis import LatticeBasis
-from dolfinmpm.grid.graded import lay_lines
+from dolfinmpm.grid.graded import set_lines
 from dolfinmpm.grid.lattice import lattice_of
 from dolfinmpm.solve.problem import Problem
 
@@ -63,7 +63,7 @@ def regrid(problem: Problem, lines: Sequence[npt.ArrayLike]) -> None:
             '"updated"'
         )
     points, form = problem.points, problem.form
-    lay_lines(points.grid, lines)
+    set_lines(points.grid, lines)
     lattice = lattice_of(points.grid)
     assert lattice is not None
     for space in form.spaces:

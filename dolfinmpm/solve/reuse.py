@@ -15,7 +15,7 @@ __all__ = ["Reuse"]
 
 
 class Reuse:
-    """Keeps a preconditioner while that is cheaper than a new one.
+    """HasState a preconditioner while that is cheaper than a new one.
 
     An old one costs more iterations, a new one its set-up. Both are counted, see
     `dolfinmpm.solve.costs`: as soon as the last solution cost more than solutions with this

@@ -10,7 +10,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.assembly.pointupdates import PointUpdates
-from dolfinmpm.assembly.uflstress import OwnStress
+from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.activation import Field, movers
@@ -112,13 +112,13 @@ def _sum(first: ufl.Form | None, second: ufl.Form | None) -> ufl.Form | None:
     return first if second is None else second if first is None else first + second
 
 
-def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | OwnStress]:
+def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates | UFLStress]:
     """Fields that a converged step sets: those of laws and terms, and those given. Collective.
 
     Raises:
         FormError: An expression lacks the hoop term of axisymmetric points.
     """
-    made: list[PointUpdates | OwnStress] = [
+    made: list[PointUpdates | UFLStress] = [
         PointUpdates(declaration.updates, form.regions, form.spaces, form.points, declaration.tags)
         for declaration in form.parts.declarations
         if declaration.updates
@@ -135,7 +135,7 @@ def updates_of(form: WeakForm, given: Mapping[str, Expr]) -> list[PointUpdates |
     return [*made, *_own_stresses(form, given)]
 
 
-def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[OwnStress]:
+def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[UFLStress]:
     """What terms in UFL say of the stress of points without a law; the form notes them.
 
     None where the form or the user sees to the field `stress`.
@@ -143,13 +143,15 @@ def _own_stresses(form: WeakForm, given: Mapping[str, Expr]) -> list[OwnStress]:
     moving = movers(form.spaces)
     without = [r for r in form.regions if not r.ruled(form.parts.declarations)]
     regions = [r for r in without if any(r.strains(k) for k in moving)]
-    seen = any(("field", "stress") in region.slots.sources.values() for region in form.regions)
+    seen = any(
+        ("field", "stress") in region.placeholders.sources.values() for region in form.regions
+    )
     if not regions or seen or "stress" in given:
         return []
     integrals, mark = form.parts.tagged.integrals, MARKS[ENERGY]
     shape = (form.points.gdim,)
     if any(form.spaces[k].increment.ufl_shape != shape for k in moving):
         return []
-    made = [OwnStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
+    made = [UFLStress(r, integrals, form.spaces, moving, form.points, mark) for r in regions]
     form.own = [one for one in made if one.known]
     return form.own

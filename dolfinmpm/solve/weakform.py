@@ -14,7 +14,7 @@ from dolfinmpm.assembly.evaluation import Evaluation
 from dolfinmpm.assembly.gridassembler import GridAssembler
 from dolfinmpm.assembly.pointupdates import PointUpdates
 from dolfinmpm.assembly.term import ActiveTerm, Term
-from dolfinmpm.assembly.uflstress import OwnStress
+from dolfinmpm.assembly.uflstress import UFLStress
 from dolfinmpm.basis.space import Space
 from dolfinmpm.body.points import GHOST_FACETS, MaterialPoints
 from dolfinmpm.contact.meanforces import MeanForceWeights
@@ -93,8 +93,8 @@ class WeakForm:
         self.placed = times_regridded(points.grid)
         self.also: set[int] = set()
         self.means: MeanForceWeights | None = None
-        self.own: list[OwnStress] = []
-        self.updates: Sequence[PointUpdates | OwnStress] = ()
+        self.own: list[UFLStress] = []
+        self.updates: Sequence[PointUpdates | UFLStress] = ()
         # none before the first step
         self._revision = -1
         found = [m for g in grids for m in g.moduli]
@@ -227,7 +227,7 @@ class WeakForm:
         ]
 
     @property
-    def storing(self) -> list[Declaration | OwnStress]:
+    def storing(self) -> list[Declaration | UFLStress]:
         """What stores energy at points: laws, and terms in UFL where there is none."""
         return [*self.parts.declarations, *self.own]
 
@@ -247,8 +247,8 @@ class WeakForm:
         found: list[Any] = []
         for region in (*self.regions, *(r for b in self.boundaries for r in b.regions)):
             # numbers of laws are no loads
-            found += [c for c in region.slots.constants if not isinstance(c, LawConstant)]
-            found += [function for function, _ in region.slots.functions]
+            found += [c for c in region.placeholders.constants if not isinstance(c, LawConstant)]
+            found += [function for function, _ in region.placeholders.functions]
         return found + [load for term in self.terms for load in term.loads]
 
     @property

@@ -227,7 +227,7 @@ def test_pressure_is_that_of_the_mean_volume(basis):
     pressure = np.trace(points["stress"], axis1=1, axis2=2) / 3
     np.testing.assert_allclose(pressure, E / (3 * (1 - 2 * nu)) * np.log(J_bar) / J_bar, atol=1e-10)
     # one more increment, by the operator itself
-    law = FBar(problem.form.regions[0].operators[0].law.framework, points)
+    law = FBar(problem.form.regions[0].operators[0].law.formulation, points)
     rng = np.random.default_rng(2)
     H = rng.uniform(-0.05, 0.05, (len(points), 4))
     means = means_of(points, problem.fields[0].space.basis)

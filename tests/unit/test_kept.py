@@ -10,7 +10,7 @@ from dolfinx import fem
 
 import dolfinmpm as mpm
 from dolfinmpm.assembly.stencilsums import Matrix
-from dolfinmpm.kinematics import Framework, framework
+from dolfinmpm.kinematics import StrainFormulation, strain_formulation
 
 LAWS = {
     "Hencky": mpm.materials.Hencky(1e6, 0.3),
@@ -57,7 +57,7 @@ class Asked:
 
     def __init__(self, monkeypatch):
         self.anew = self.read = 0
-        run = Framework._run
+        run = StrainFormulation._run
 
         def counted(law, operand, rows, kept, *written):
             if kept is not None and kept.known:
@@ -66,7 +66,7 @@ class Asked:
                 self.anew += len(rows)
             return run(law, operand, rows, kept, *written)
 
-        monkeypatch.setattr(Framework, "_run", counted)
+        monkeypatch.setattr(StrainFormulation, "_run", counted)
 
 
 def increments(operator, seed=1):
@@ -213,4 +213,4 @@ def test_explicit_steps_keep_nothing(monkeypatch):
 def test_a_few_numbers_a_point(law):
     grid = unit_grid("hexahedron", 2)
     points = mpm.fill(grid, mpm.Box((0, 0, 0), (1, 1, 1)), 1, 1.0)
-    assert 8 * framework(law, points, "large").keeps <= 300
+    assert 8 * strain_formulation(law, points, "large").keeps <= 300

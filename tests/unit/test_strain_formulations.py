@@ -11,16 +11,16 @@ from dolfinx import fem
 import dolfinmpm as mpm
 from dolfinmpm._platform.errors import ConvergenceError, ParameterError
 from dolfinmpm.kinematics import (
-    Framework,
     Jaumann,
     LargeStrain,
     SmallStrain,
-    framework,
+    StrainFormulation,
     momentum,
+    strain_formulation,
     update_domains,
 )
-from dolfinmpm.kinematics.frameworks import symmetric
-from dolfinmpm.kinematics.strainformulations import StrainMeasure
+from dolfinmpm.kinematics.strainformulation import symmetric
+from dolfinmpm.kinematics.strainfunctions import StrainFunctions
 from dolfinmpm.materials.base import lame
 
 KINDS = {1: "interval", 2: "quadrilateral", 3: "hexahedron"}
@@ -52,8 +52,8 @@ def some_points(d, n=2, per_cell=3):
 
 
 def bound(law, points, strain):
-    """The law under that measure, with its fields added to the points."""
-    operator = framework(law, points, strain)
+    """The law with that strain formulation, with its fields added to the points."""
+    operator = strain_formulation(law, points, strain)
     operator.bind()
     return operator
 
@@ -193,7 +193,7 @@ def test_names_and_flags():
     assert SmallStrain.multiplicative is False
     assert Jaumann.multiplicative is False
     fields = set(points.fields)
-    assert isinstance(framework(law, points, "small"), SmallStrain)
+    assert isinstance(strain_formulation(law, points, "small"), SmallStrain)
     assert set(points.fields) == fields
     assert callable(update_domains)
     V = mpm.Space(points.grid, "linear")
@@ -288,7 +288,7 @@ def test_stabilisation_takes_the_largest_of_moduli_that_vary(kind):
 def test_a_stage_of_its_own_changes_nothing(d):
     """Large strain with ΔF as a first stage, whose derivatives are multiplied as numbers."""
 
-    class Staged(LargeStrain.kinematics):
+    class Staged(LargeStrain.functions):
         def rate(self, H):
             return H + ufl.Identity(self.d)
 
@@ -296,7 +296,7 @@ def test_a_stage_of_its_own_changes_nothing(d):
             return G * old * G.T
 
     class StagedFramework(LargeStrain):
-        kinematics = Staged
+        functions = Staged
 
     law, found = LAWS["VonMises"], []
     for kind in (LargeStrain, StagedFramework):
@@ -310,10 +310,10 @@ def test_a_stage_of_its_own_changes_nothing(d):
         np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-12 * np.abs(one).max())
 
 
-def test_a_measure_is_a_few_lines_of_ufl():
+def test_a_strain_formulation_is_a_few_lines_of_ufl():
     """Green's strain with its own flux: a St Venant–Kirchhoff body, tangent and commit included."""
 
-    class Green(StrainMeasure):
+    class Green(StrainFunctions):
         logarithmic = False
 
         def trial(self, G, old):
@@ -326,9 +326,9 @@ def test_a_measure_is_a_few_lines_of_ufl():
             # second Piola's stress has other axes; its first invariant is all that is compared
             return ufl.det(ufl.Identity(self.d) + H)
 
-    class GreenStrain(Framework):
-        measure, state, rest = "large", "green_strain", (0.0,) * 6
-        multiplicative, kinematics = False, Green
+    class GreenStrain(StrainFormulation):
+        strain, state, rest = "large", "green_strain", (0.0,) * 6
+        multiplicative, functions = False, Green
 
     points = some_points(2)
     operator = GreenStrain(LAWS["Hencky"], points)
@@ -350,17 +350,17 @@ def test_a_measure_is_a_few_lines_of_ufl():
 
 
 def test_without_a_tangent_none_is_compiled():
-    class Fresh(LargeStrain.kinematics):
+    class Fresh(LargeStrain.functions):
         pass
 
     class FreshFramework(LargeStrain):
-        kinematics = Fresh
+        functions = Fresh
 
     operator = FreshFramework(LAWS["Hencky"], some_points(2))
     operator.bind()
     H = np.zeros((len(operator.points), 2, 2))
     flux(operator, H)
-    made = operator._measure.__dict__
+    made = operator._compiled.__dict__
     assert "_flux" in made
     assert "_slopes" not in made
     assert "_volume" not in made

@@ -13,10 +13,10 @@ from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.forms.operators import KeptTangents
 from dolfinmpm.kinematics.parameters import PointParameters
 from dolfinmpm.kinematics.spectral import components, kept_numbers, stress_kernel
-from dolfinmpm.kinematics.strainformulations import StrainMeasure, measure_in
+from dolfinmpm.kinematics.strainfunctions import StrainFunctions, strain_functions
 from dolfinmpm.materials.base import Law
 
-__all__ = ["Framework", "symmetric"]
+__all__ = ["StrainFormulation", "symmetric"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int32]
@@ -27,7 +27,7 @@ def symmetric(components: Array) -> Array:
     return components[..., [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 
 
-class Framework:
+class StrainFormulation:
     """A law with one strain formulation, as an operator of the increment's gradient.
 
     Binding adds fields to the points: the field `state`, with six components of the elastic strain
@@ -36,12 +36,12 @@ class Framework:
     fields. Each law writes only its own points. At points of other laws, its internal variables
     are 0.
 
-    A subclass names its `StrainMeasure`. In `evaluate` the gradient gives a trial tensor,
+    A subclass names its `StrainFunctions`. In `evaluate` the gradient gives a trial tensor,
     `stress_kernel` computes the law's stress from the trial tensor, and the stress gives the flux.
 
     Attributes:
-        measure: Name of the strain formulation.
-        kinematics: The strain formulation in UFL.
+        strain: Name of the strain formulation.
+        functions: The strain formulation in UFL.
         multiplicative: True if deformation increments are multiplied, and the law's stress is
             the Kirchhoff stress. False if strain increments are added, and the law's stress is the
             Cauchy stress.
@@ -54,18 +54,18 @@ class Framework:
         tags: Tags of the points with this law; None means all points.
     """
 
-    measure: str
+    strain: str
     multiplicative: bool
     state: str
     rest: tuple[float, ...]
-    kinematics: type[StrainMeasure]
+    functions: type[StrainFunctions]
 
     def __init__(self, law: Law, points: MaterialPoints, tags: Tags = None):
         self.law = law
         self.points = points
         self.tags = tags
         self._parameters = PointParameters(law, points, tags)
-        self._measure = measure_in(self.kinematics, points.strain_dim)
+        self._compiled = strain_functions(self.functions, points.strain_dim)
         self._kernel = stress_kernel(points.strain_dim)
 
     @property
@@ -124,14 +124,14 @@ class Framework:
     def _run(
         self, operand: Array, rows: Rows, kept: KeptTangents | None, S, A, new, internal, sigma
     ) -> int:
-        points, measure = self.points, self._measure
+        points, compiled = self.points, self._compiled
         ending = len(new) > 0
         values, known = (
             (np.empty((1, self.keeps)), False) if kept is None else (kept.values, kept.known)
         )
         return self._kernel(
-            self.law.address, self.parameters(rows), measure.programs(len(A) > 0, ending),
-            measure.checks, measure.logarithmic, np.ascontiguousarray(operand),
+            self.law.address, self.parameters(rows), compiled.programs(len(A) > 0, ending),
+            compiled.checks, compiled.logarithmic, np.ascontiguousarray(operand),
             np.ascontiguousarray(rows, np.int32), points["F"], points[self.state],
             self.internal(rows), values, known, S, A, new, internal, sigma,
         )  # fmt: skip
@@ -142,7 +142,7 @@ class Framework:
         if len(rows):
             tensor = symmetric(self.points[self.state][rows])
             strain = np.asarray(np.linalg.eigvalsh(tensor), np.float64)
-        return 0.5 * np.log(strain) if self._measure.logarithmic else strain
+        return 0.5 * np.log(strain) if self._compiled.logarithmic else strain
 
     def energy(self) -> Array | None:
         """Elastic energy per initial volume at the law's points (J/m³), or None if not known."""
@@ -205,14 +205,14 @@ class Framework:
         """
         H = np.array(operand, float).reshape(len(rows), self.points.strain_dim**2)
         state = self.points[self.state][rows]
-        trial, good = self._measure.trials(H, state)
+        trial, good = self._compiled.trials(H, state)
         six = components(3)
         for k, index in enumerate(components(self.points.strain_dim)):
             state[:, six.index(index)] = trial[:, k]
         tensor = symmetric(state)
         good &= np.isfinite(trial).all(axis=1)
         tensor[~good] = np.eye(3)
-        if self._measure.logarithmic:
+        if self._compiled.logarithmic:
             values, Q = np.linalg.eigh(tensor)
             with np.errstate(divide="ignore", invalid="ignore"):
                 tensor = (Q * (0.5 * np.log(values))[:, None, :]) @ np.swapaxes(Q, -1, -2)

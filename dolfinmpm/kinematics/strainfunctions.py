@@ -16,7 +16,7 @@ from dolfinmpm.forms.pointterms import derive
 from dolfinmpm.forms.pointwise import Program, compile_here
 from dolfinmpm.kinematics.spectral import components, layout
 
-__all__ = ["StrainMeasure", "measure_in"]
+__all__ = ["StrainFunctions", "strain_functions"]
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def _entries(tensor: Expr) -> list[Expr]:
     return [tensor[i] if i else tensor for i in np.ndindex(*tensor.ufl_shape)]
 
 
-class StrainMeasure:
+class StrainFunctions:
     """The trial tensor of a law from an increment, and the flux from the law's stress.
 
     A subclass defines both in UFL, for the gradient H of the increment, shape (d, d). Derivatives
@@ -111,7 +111,7 @@ class StrainMeasure:
 
     @property
     def _staged(self) -> bool:
-        return type(self).rate is not StrainMeasure.rate
+        return type(self).rate is not StrainFunctions.rate
 
     def _program(self, expressions: list[Expr]) -> Program:
         return compile_here(expressions, {self._z: "z"})
@@ -188,10 +188,10 @@ class StrainMeasure:
         return trial, good
 
 
-_made: dict[tuple[type[StrainMeasure], int], StrainMeasure] = {}
+_made: dict[tuple[type[StrainFunctions], int], StrainFunctions] = {}
 
 
-def measure_in(kind: type[StrainMeasure], d: int) -> StrainMeasure:
+def strain_functions(kind: type[StrainFunctions], d: int) -> StrainFunctions:
     """The strain formulation in d dimensions, one object per kind and dimension."""
     if (kind, d) not in _made:
         _made[kind, d] = kind(d)
