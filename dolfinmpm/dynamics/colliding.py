@@ -27,8 +27,8 @@ from dolfinmpm.dynamics.halfstep import lateness, taken
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
-from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
+from dolfinmpm.solve.newstate import commit
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
@@ -335,7 +335,7 @@ class Colliding(ExplicitBase):
         value, gradient = operator.points.value[0], operator.points.gradient[0]
         found = np.zeros_like(value), np.zeros_like(gradient)
         for own, u in zip(rows, increments):
-            operator.place([u])
+            operator.set_increments([u])
             found[0][own], found[1][own] = value[own], gradient[own]
         value[:], gradient[:] = found
 

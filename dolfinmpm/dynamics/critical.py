@@ -110,7 +110,7 @@ def exact_step(form: WeakForm, terms: MassTerms, here: Activation, scaling: floa
     """
     # explicit steps use no tangent, and so no penalties on the increment
     operator = Operator(form, replace(here, blocks={"mass": here.blocks_of("mass")}))
-    operator.rest()
+    operator.move_to_zero()
     K, M = (Matrix(here.pattern, here.unknowns) for _ in range(2))
     operator.tangent(K)
     Mass(terms, here, scaling).add_to(M)

@@ -46,9 +46,9 @@ from dolfinmpm.dynamics.settings import Settings, checked_courant
 from dolfinmpm.dynamics.snapshot import CallMemory, Snapshot
 from dolfinmpm.solve.agreement import of_step
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
 from dolfinmpm.solve.problem import Problem
+from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.scheme import Scheme
 
 __all__ = ["Explicit"]
@@ -156,7 +156,9 @@ class Explicit(Problem):
         settings.mapping.add_fields(points)
         conditions, faces = divided(bcs)
         super().__init__(form, increment, points, conditions, scheme=Marching(self), **options)
-        refuse_bodies(self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)")
+        refuse_field_tags(
+            self.fields, "Explicit", "bodies collide with collision=mpm.Collision(tags)"
+        )
         check_boundaries(self.form, mass)
         if points.dt in extract_constants(form):
             raise FormError(

@@ -15,7 +15,7 @@ from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.ledger import Work
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.grid.lattice import largest_cell
-from dolfinmpm.solve.advance import advance
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
@@ -109,7 +109,7 @@ class ExplicitBase(ABC):
         """
 
     def _advanced(self, operator: Operator, moves: bool, x: Array | None = None) -> NewState | str:
-        """The state at the end of the step, or the reason of a failure; see `advance`."""
+        """The state at the end of the step, or the reason of a failure; see `new_state`."""
         points = self._problem.points
         number = len(self._problem.history) + 1
-        return advance(operator, self._updates, moves, largest_cell(points.grid), number, x)
+        return new_state(operator, self._updates, moves, largest_cell(points.grid), number, x)

@@ -80,7 +80,7 @@ class Call:
         """Begin; returns fields that were changed since the last call. Collective."""
         problem, memory = self._problem, self._memory
         check_loads(problem.loads.items, problem.form.given, problem.bcs, problem.comm)
-        problem._begin()
+        problem._check_still_valid()
         touched = memory.touched(problem.points)
         if touched:
             raise_together(problem.comm, problem.points.fault())
@@ -146,7 +146,7 @@ class Call:
     def _leave(self) -> None:
         """End the call. Collective."""
         problem, record, memory = self._problem, self._record, self._memory
-        problem.loads.release()
+        problem.loads.accept()
         self._check_energy()
         record.time = problem.time
         record.unknowns = problem.here.unknowns.total if problem.here is not None else 0

@@ -36,8 +36,8 @@ from dolfinmpm.dynamics.mappings import NodalMotion
 from dolfinmpm.dynamics.mass import Mass, point_masses
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
-from dolfinmpm.solve.advance import commit
 from dolfinmpm.solve.method import only_momentum
+from dolfinmpm.solve.newstate import commit
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
@@ -109,7 +109,7 @@ class General(ExplicitBase):
         if settings.scheme == "musl":
             V_strain = V_move = mass.solve(self._momenta(mass, s, x_node, new), held).arrays[0]
         moved = points["x"] + dt * collect(s, V_move)
-        operator.place([dt * V_strain])
+        operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
             # the remaining part of a prescribed displacement is that at the end
             settings.clock.value = step.t
@@ -144,7 +144,7 @@ class General(ExplicitBase):
         points, mapping = self._problem.points, self._settings.mapping
         gradient = np.zeros((len(points), points.gdim, points.gdim))
         if mapping.kind == "tpic":
-            operator.place([dt * motion.V_end])
+            operator.set_increments([dt * motion.V_end])
             gradient = operator.points.gradient[0] / dt
         return mapping.to_points(points, s, x_node, motion, mass, dt, 1.0, gradient)
 
@@ -217,14 +217,14 @@ class General(ExplicitBase):
         points = self._problem.points
         state: NewState | None = None
         if u is not None:
-            operator.place([u])
+            operator.set_increments([u])
             found = self._advanced(operator, False)
             if isinstance(found, str):
                 return found
             state = found
         if not self._by_stress:
             if state is None:
-                operator.rest()
+                operator.move_to_zero()
             forces.arrays[0][:] = -operator.forces(without=("boundary", "penalty"))[0]
             return forces
         weight = points["V"]
@@ -238,7 +238,7 @@ class General(ExplicitBase):
         forces.add_up()
         forces.arrays[0][:] -= operator.external[0]
         if operator.has("contact"):
-            operator.touch()
+            operator.update_contact()
             forces.arrays[0][:] -= operator.forces_of("contact")[0]
         return forces
 
@@ -247,7 +247,7 @@ class General(ExplicitBase):
         if not operator.has("boundary"):
             return None
         if u is not None:
-            operator.place_in("boundary", [u])
+            operator.set_increments_of("boundary", [u])
         return operator.forces_of("boundary")[0]
 
     @stages.assemble

@@ -90,7 +90,7 @@ class InTime(Static):
         wanted = None if self.error is None else clock.wanted
         clock.end, clock.start = end_of(self._t, clock.time, wanted), clock.time
 
-    def part(self, done: float, share: float) -> Step:
+    def substep(self, done: float, share: float) -> Step:
         """See `Static`."""
         whole = self.clock.end - self.clock.start
         return Step(self.clock.start + (done + share) * whole, share * whole, share)

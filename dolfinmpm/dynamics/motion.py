@@ -97,7 +97,7 @@ class Motion:
         start = None
         if self._starting or self.rule.by_forces:
             plain = Operator(form, here)
-            plain.start()
+            plain.move_to_start()
             start = plain.forces(without=("contact",))
         self.nodes = [
             self._on_nodes(here, k, rates[k], None if start is None else start[k])

@@ -37,8 +37,8 @@ from dolfinmpm.dynamics.rule import Rule
 from dolfinmpm.dynamics.timescheme import TimeScheme
 from dolfinmpm.forms.formchecks import check_levels
 from dolfinmpm.solve.arguments import increments_of
-from dolfinmpm.solve.bodyfields import refuse_bodies
 from dolfinmpm.solve.freebodies import check_masses
+from dolfinmpm.solve.problemchecks import refuse_field_tags
 from dolfinmpm.solve.quasistatic import QuasiStatic
 
 __all__ = ["GeneralisedAlpha", "Newmark", "TimeStepping"]
@@ -101,7 +101,7 @@ class TimeStepping(QuasiStatic):
         check_levels(self.form.parts.carried, 1.0 - rule.alpha_f, type(self).__name__)
         terms = mass_terms(self.form, self.fields, mass, ghost_mass, factorised=True)
         if faces:
-            refuse_bodies(self.fields, "a face of the grid", "hold the sides with conditions")
+            refuse_field_tags(self.fields, "a face of the grid", "hold the sides with conditions")
         sides = Sides(faces, points, self.bcs)
         ledger = Ledger(points, self.form, self.bodies)
         scheme.motion = Motion(points, rule, chosen, terms, sides, ledger)

@@ -86,14 +86,14 @@ def work_of_loads(
     if not here.driven:
         plain.move(x, scale)
         return plain.load_work()
-    plain.start()
+    plain.move_to_start()
     start = plain.forces(without=("contact",))
     plain.move(x, scale)
     both = zip(start, plain.forces(without=("contact",)), pressed(operator))
     forces = [0.5 * (f + g) - push for f, g, push in both]
     for one, motion in moved:
         forces[one.k] += (one.mass.times(motion.V_end).arrays[0] - one.momenta) / dt
-    return plain.load_work() + plain.held_work(forces)
+    return plain.load_work() + plain.work_at_prescribed(forces)
 
 
 def count(

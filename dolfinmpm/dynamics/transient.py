@@ -26,7 +26,7 @@ from dolfinmpm.dynamics.faces import divided, set_velocities
 from dolfinmpm.dynamics.intime import InTime
 from dolfinmpm.solve.arguments import check_points
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_idle, refuse_undetermined
+from dolfinmpm.solve.problemchecks import check_pressure_conditions, check_pressure_level
 from dolfinmpm.solve.quasistatic import QuasiStatic
 from dolfinmpm.solve.scheme import ended
 from dolfinmpm.solve.step import Step
@@ -59,8 +59,8 @@ class Rates(InTime):
         first = problem.here is None
         operator = super().system(problem, step)
         if first:
-            refuse_idle(problem.bcs, operator.here)
-            refuse_undetermined(operator)
+            check_pressure_conditions(problem.bcs, operator.here)
+            check_pressure_level(operator)
         return operator
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:

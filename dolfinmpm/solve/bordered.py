@@ -15,8 +15,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfinmpm.solve.linesearch import name_of
-from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome
+from dolfinmpm.solve.newton import ConvergenceTest, Newton, Outcome, name_of
 from dolfinmpm.solve.operator import Operator
 
 __all__ = ["Border", "Bordered"]
@@ -112,7 +111,7 @@ class Bordered:
         balance.motion, outcome.residuals = motion, balance.residuals
         comm = operator.here.unknowns.comm
         while True:
-            operator.renew_external()
+            operator.update_external()
             found = operator.residual(x)
             gap, by_x, by_y = border.gap(x)
             # the force out of balance after a predictor is no load to measure against: hence 1

@@ -105,8 +105,8 @@ class PathBorder:
 
     def slopes(self, x: Array) -> Array:
         """∂r/∂λ; see `Border`. Collective."""
-        self._slope.renew_external()
-        return self._slope.vector(x)[:, None]
+        self._slope.update_external()
+        return self._slope.residual(x).values[:, None]
 
     def move(self, change: Array) -> None:
         """See `Border`. Collective."""
@@ -115,14 +115,14 @@ class PathBorder:
     def predict(self, newton: Newton, operator: Operator) -> tuple[Array, float] | str:
         """Along the tangent of the path, on the side that the last step came to. Collective."""
         constraint = self.constraint
-        operator.rest()
+        operator.move_to_zero()
         assert newton.linear.matrix is not None
         operator.tangent(newton.linear.matrix)
         q = self.slopes(np.zeros(operator.here.unknowns.owned))[:, 0]
         rate = newton.linear.solve(-q)
         # without factors it is infinite
         with np.errstate(invalid="ignore"):
-            along = self._dot(self._control.vector(rate), rate)
+            along = self._dot(self._control.residual(rate).values, rate)
         if not math.isfinite(along) or along == 0.0:
             return "the tangent is singular, or the load does not move what controls the step"
         if constraint.linear:
@@ -155,7 +155,7 @@ class PathBorder:
         """The length at the present state, over its size; see `Border`. Collective."""
         constraint = self.constraint
         assert self.length is not None
-        w = self._control.vector(x)
+        w = self._control.residual(x).values
         if constraint.linear:
             gap = self._dot(w, x) / self.length - 1
             by_x = np.asarray(w[:, None] / self.length, float)

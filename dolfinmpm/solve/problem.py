@@ -15,10 +15,7 @@ from ufl.core.expr import Expr
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.checks import file_path, shown
-from dolfinmpm._platform.errors import (
-    FormError,
-    ParameterError,
-)
+from dolfinmpm._platform.errors import FormError, ParameterError
 from dolfinmpm._platform.given import ReadList, ReadOnce
 from dolfinmpm._platform.together import together
 from dolfinmpm.assembly.state import Keeps, gathered, given_back
@@ -49,18 +46,20 @@ from dolfinmpm.solve.arguments import (
     increments_of,
     stabilisations_of,
 )
-from dolfinmpm.solve.axis import warn_of_free_axis
-from dolfinmpm.solve.bodyfields import check_bodies
-from dolfinmpm.solve.conflicts import check_boundaries_of
+from dolfinmpm.solve.description import summary
 from dolfinmpm.solve.loads import Loads, loads_of
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.pressures import refuse_wrong_kinds
+from dolfinmpm.solve.problemchecks import (
+    check_boundary_conditions,
+    check_field_tags,
+    check_kinds_of_conditions,
+    refuse_rates,
+    warn_of_free_axis,
+)
 from dolfinmpm.solve.restart import load, save
 from dolfinmpm.solve.scheme import Scheme
 from dolfinmpm.solve.setup import Stabilisations, updates_of, with_moduli, with_stabilisations
 from dolfinmpm.solve.step import Step, StepRecord
-from dolfinmpm.solve.summary import summary
-from dolfinmpm.solve.timeless import check_timeless
 from dolfinmpm.solve.weakform import WeakForm
 from dolfinmpm.terms.referencemarkers import require_reference
 
@@ -136,12 +135,12 @@ class Problem(ReadOnce):
         whole, soft, changes = with_stabilisations(form, self.fields, points)
         self.form = WeakForm(whole, spaces, points, soft, changes)
         check_fields(form, spaces)
-        check_bodies(self.fields, self.form)
-        check_boundaries_of(self.form.boundaries, self.form.parts.declarations)
+        check_field_tags(self.fields, self.form)
+        check_boundary_conditions(self.form.boundaries, self.form.parts.declarations)
         rigid = [term for term in self.form.terms if isinstance(term, Contact)]
         self.bodies = Bodies(rigid, points.grid)
         self.bodies.check_steps(scheme.in_time, type(self).__name__)
-        refuse_wrong_kinds(bcs, spaces, self.form.parts.carried)
+        check_kinds_of_conditions(bcs, spaces, self.form.parts.carried)
         if not scheme.inertia:
             check_levels(self.form.parts.carried, 1.0, type(self).__name__)
         self._settle_markers()
@@ -334,9 +333,9 @@ class Problem(ReadOnce):
         """
         share = 1.0 if step is None else step.share
         if step is not None and self.here is None and not self.scheme.in_time:
-            check_timeless(self.form.given, self.points, type(self).__name__)
+            refuse_rates(self.form.given, self.points, type(self).__name__)
         self.form.bind()
-        check_bodies(self.fields, self.form)
+        check_field_tags(self.fields, self.form)
         self.form.place()
         self.held.follow()
         first, kept, self.kept = self.here is None, self.kept, None
@@ -357,8 +356,8 @@ class Problem(ReadOnce):
         """Set the penalties of weak conditions. Collective."""
         self.form.set_penalties(here)
 
-    def _begin(self) -> None:
-        """Check at the start of a step that nothing else has moved rigid bodies or grid lines.
+    def _check_still_valid(self) -> None:
+        """Check that no other problem has moved rigid bodies or grid lines.
 
         Raises:
             ParameterError: Another problem has moved a rigid body, or the grid's lines.
@@ -390,7 +389,7 @@ class Problem(ReadOnce):
     def stiffness(self) -> PETSc.Mat:
         """Tangent stiffness of the active unknowns in the present state. Collective."""
         operator = self.operator()
-        operator.rest()
+        operator.move_to_zero()
         matrix = Matrix(operator.here.pattern, operator.here.unknowns)
         operator.tangent(matrix)
         return matrix.petsc
