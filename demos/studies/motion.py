@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dolfinmpm as mpm
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import moments
 
 INTEGRATORS = ("newmark", "generalised-alpha", "explicit")

@@ -40,7 +40,7 @@ from dolfinmpm._platform.checks import shown, truth
 from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm._platform.units import friction_coefficient
 
-__all__ = ["BodyAtNodes", "Collision", "Touching"]
+__all__ = ["BodyAtNodes", "Collision", "NodalContact"]
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class BodyAtNodes:
     slope: Array
 
 
-class Touching:
+class NodalContact:
     """Nodes at which bodies touch in a step, and the momentum exchanged there.
 
     Args:

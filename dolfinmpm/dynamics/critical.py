@@ -16,7 +16,8 @@ from dolfinmpm.assembly.stencilsums import Matrix
 from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.participants import Activation
-from dolfinmpm.dynamics.mass import Mass, MassTerms
+from dolfinmpm.dynamics.mass import MassTerms
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
 from dolfinmpm.solve import spectra
 from dolfinmpm.solve.operator import Operator

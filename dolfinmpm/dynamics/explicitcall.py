@@ -10,14 +10,14 @@ from typing import Any
 from dolfinmpm._platform import garbage, stages
 from dolfinmpm._platform.errors import InstabilityError, ParameterError, raise_together
 from dolfinmpm.body.loadbalance import balance, imbalance
-from dolfinmpm.dynamics.clock import MotionRecord, Time, as_yielded, end_of
+from dolfinmpm.dynamics.clock import MotionRecord, Time, end_of_step, open_time
 from dolfinmpm.dynamics.energies import fastest_point
 from dolfinmpm.dynamics.faces import set_velocities
 from dolfinmpm.dynamics.snapshot import CallMemory
 from dolfinmpm.solve.loads import check_loads
 from dolfinmpm.solve.step import Step
 
-__all__ = ["Call"]
+__all__ = ["ExplicitCall"]
 
 # Steps after which the critical step is found anew, and the energies are looked at
 _EVERY = 20
@@ -28,7 +28,7 @@ _KINETIC = frozenset(("velocity", "density", "V0", "F"))
 _BESIDE = frozenset(("x", "cell", "V", "l", "stress", "acceleration"))
 
 
-class Call:
+class ExplicitCall:
     """Explicit steps from the time of a problem's state to another.
 
     Args:
@@ -43,11 +43,11 @@ class Call:
 
     def __init__(self, problem: Any, loop: Any, memory: CallMemory, t: float | None):
         self._problem, self._loop, self._memory = problem, loop, memory
-        self._most, self._t = math.inf, as_yielded(t, problem.time)
+        self._most, self._t = math.inf, open_time(t, problem.time)
         if isinstance(self._t, Time) and self._t.open:
             self._most = min(loop.at_once, self._t.at_once)
         given = isinstance(self._t, Time)
-        self._target = self._t.end if given else end_of(self._t, problem.time, None)
+        self._target = self._t.end if given else end_of_step(self._t, problem.time, None)
         if not self._target > problem.time:
             raise ParameterError(
                 f"t = {self._target:g} s must be later than the time of the state, "

@@ -25,7 +25,15 @@ from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.held import inherited
 from dolfinmpm.grid.lattice import require_lattice
 
-__all__ = ["Face", "Faces", "Sides", "absorbing", "divided", "frictional", "set_velocities"]
+__all__ = [
+    "Face",
+    "Faces",
+    "Sides",
+    "absorbing",
+    "frictional",
+    "set_velocities",
+    "split_conditions",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -151,7 +159,7 @@ def _face(space: Space, side: str, friction, impedance) -> Face:
     return Face(space, condition.nodes, axis, end, friction, impedance, name)
 
 
-def divided(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
+def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
     """Separate a list into conditions and faces.
 
     Raises:

@@ -31,9 +31,10 @@ from dolfinmpm.dynamics.critical import wave_speed
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import set_velocities
-from dolfinmpm.dynamics.halfstep import late_by_contact, lateness, taken
+from dolfinmpm.dynamics.halfstep import lateness, lateness_by_contact, mapping_loss
 from dolfinmpm.dynamics.mappings import NodalMotion
-from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
@@ -41,12 +42,12 @@ from dolfinmpm.solve.newstate import commit
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
-__all__ = ["General"]
+__all__ = ["GeneralSteps"]
 
 Array = npt.NDArray[np.float64]
 
 
-class General(ExplicitBase):
+class GeneralSteps(ExplicitBase):
     """Explicit steps of a problem of any form, one after the other."""
 
     _stiffness: Stiffness | None = None
@@ -168,7 +169,7 @@ class General(ExplicitBase):
         work.late = lateness(work.net - net, work.latest, work.grid - grid, late)
         if bodies.contacts:
             acting, comm = bodies.acting(operator), self._problem.comm
-            more, work.late_bodies = late_by_contact(bodies, acting, comm)
+            more, work.late_bodies = lateness_by_contact(bodies, acting, comm)
             work.late += more
 
     def _projected(self, new: dict[str, Array], mass: Mass, change: Array) -> float:
@@ -182,7 +183,7 @@ class General(ExplicitBase):
         points, settings = self._problem.points, self._settings
         m = settings.scaling * point_masses(points)
         filtered = settings.scheme != "usl"
-        own = taken(points["velocity"], change, new["velocity"], m, filtered)
+        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         return mass.comm.allreduce(own, op=MPI.SUM)
 
     @stages.assemble

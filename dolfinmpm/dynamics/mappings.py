@@ -18,7 +18,8 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils
 from dolfinmpm.body.points import MaterialPoints
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.mass import Mass, point_masses
+from dolfinmpm.dynamics.mass import point_masses
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.transfer import collect, moments, scatter, scatter_affine
 
 __all__ = ["KINDS", "Mapping", "NodalMotion", "mapping_of"]
@@ -31,7 +32,7 @@ _OF_LUMPED = ("apic", "tpic", "xpic", "fmpm")
 
 @dataclass(frozen=True)
 class NodalMotion:
-    """Motion of the nodes at the start and at the end of a step.
+    """GridMotion of the nodes at the start and at the end of a step.
 
     Attributes:
         V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
@@ -170,7 +171,7 @@ class Mapping:
             points: The points at the start of the step.
             s: Their stencils.
             x_node: Positions of the nodes (m).
-            motion: Motion of the nodes.
+            motion: GridMotion of the nodes.
             mass: Mass at the nodes.
             dt: The step (s).
             gamma: Newmark's γ, by which "accel" weighs the new acceleration.

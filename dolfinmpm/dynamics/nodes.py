@@ -46,7 +46,7 @@ def move_nodes(
         dt, kick: For how long nodes move, and for how long forces act on them (s).
         known: Whether velocities for the strain have been set before.
         last: Whether the points move by these velocities; then the sums are done with, and cleared.
-        done: Added to, see `Fused.done`.
+        done: Added to, see `FusedSteps.done`.
     """
     _, mass, force, second = columns
     d = fixed.shape[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,8 @@ from dolfinmpm._platform.errors import ParameterError
 from dolfinmpm.basis.stencils import Stencils, gather
 from dolfinmpm.body.axisymmetry import full_gradient
 from dolfinmpm.body.points import MaterialPoints
-from dolfinmpm.dynamics.mass import Mass
+from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.grid.lattice import smallest_height
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["MassCutOff", "Redistribution", "checked_viscosity", "filters", "viscous_pressure"]
 

@@ -22,8 +22,8 @@ from dolfinmpm.dynamics.clock import (
     check_clock,
     mean_increment,
 )
-from dolfinmpm.dynamics.faces import divided, set_velocities
-from dolfinmpm.dynamics.intime import InTime
+from dolfinmpm.dynamics.faces import set_velocities, split_conditions
+from dolfinmpm.dynamics.timescheme import TimedScheme
 from dolfinmpm.solve.arguments import check_points
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import check_pressure_conditions, check_pressure_level
@@ -39,12 +39,12 @@ Array = npt.NDArray[np.float64]
 _RATE = "rate"
 
 
-class Rates(InTime):
+class Rates(TimedScheme):
     """Scheme of quasi-static steps in time. A rate is an increment over the length of the step.
 
     Args:
         points: Material points.
-        error, constant: See `InTime`.
+        error, constant: See `TimedScheme`.
     """
 
     def __init__(self, points: MaterialPoints, error: float | None, constant: fem.Constant | None):
@@ -130,7 +130,7 @@ class Transient(QuasiStatic):
     ):
         if error is not None:
             number("error", error, 0.0)
-        conditions, faces = divided(bcs)
+        conditions, faces = split_conditions(bcs)
         if faces:
             raise ParameterError(
                 f"the face at '{faces[0].where}' acts on velocities, and Transient has no inertia: "

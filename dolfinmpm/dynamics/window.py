@@ -41,7 +41,7 @@ class Window:
 
     Attributes:
         basis: The basis with the overlap that the window needs.
-        nodes, out: Motion of the nodes, and sums over points, shape (nodes, columns), see
+        nodes, out: GridMotion of the nodes, and sums over points, shape (nodes, columns), see
             `dolfinmpm.dynamics.passes.Columns`.
         own: Nodes whose work this rank counts, shape (nodes,).
         place: Where the window has a node of the basis, or -1, shape (nodes of the basis,).

@@ -158,7 +158,7 @@ class Problem(ReadOnce):
             if any(condition.value is load for load in loads):
                 raise ParameterError(
                     f"a constant is both a load of the form and the increment prescribed at "
-                    f"'{condition.where}'; a part of a step would scale it twice: use two constants"
+                    f"'{condition.where}'; a substep would scale it twice: use two constants"
                 )
         self.loads = Loads(loads, increments)
         settle(points, self.configuration)
@@ -346,7 +346,7 @@ class Problem(ReadOnce):
         if first and kept is None:
             warn_of_free_axis(self.points, self.here)
         self._set_penalties(self.here)
-        # a moving body may reach a side later
+        # a body that moves in time may reach a side later
         if first and kept is None and not self.scheme.in_time:
             active = [active_on_grid(field) for field in self.here.fields]
             warn_idle(self.bcs, self.form.spaces, active)
@@ -377,7 +377,7 @@ class Problem(ReadOnce):
         self.here = self.kept = None
 
     def _in_blocks(self, count: int) -> bool:
-        """Whether a number of unknowns is to be stored in blocks, see `Unknowns`."""
+        """Whether a number of unknowns is stored in blocks, see `Unknowns`."""
         return False
 
     @together

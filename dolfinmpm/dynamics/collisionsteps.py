@@ -18,12 +18,12 @@ from dolfinmpm.body.loadbalance import balance
 from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
-from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, Touching
+from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
 from dolfinmpm.dynamics.energies import stress_volumes
 from dolfinmpm.dynamics.explicitbase import ExplicitBase
 from dolfinmpm.dynamics.faces import Sides
 from dolfinmpm.dynamics.fusable import FusedLoads
-from dolfinmpm.dynamics.halfstep import lateness, taken
+from dolfinmpm.dynamics.halfstep import lateness, mapping_loss
 from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
@@ -33,7 +33,7 @@ from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
 
-__all__ = ["Colliding", "why_it_does_not_collide"]
+__all__ = ["CollisionSteps", "collision_error"]
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
@@ -42,7 +42,7 @@ Rows = npt.NDArray[np.bool_]
 _PASSES = 20
 
 
-def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> Exception | None:
+def collision_error(problem: Problem, mass: str, settings: Settings) -> Exception | None:
     """What is wrong with a problem whose bodies are to collide, or None."""
     field, parts = problem.fields[0], problem.form.parts
     if not isinstance(field.space.basis, LatticeBasis):
@@ -78,7 +78,7 @@ def why_it_does_not_collide(problem: Problem, mass: str, settings: Settings) -> 
     return None
 
 
-class Colliding(ExplicitBase):
+class CollisionSteps(ExplicitBase):
     """Explicit steps of a problem whose bodies collide, one after the other.
 
     Args:
@@ -149,7 +149,7 @@ class Colliding(ExplicitBase):
         got = touching.got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
         filtered = settings.scheme == "musl"
-        own = taken(points["velocity"], change, new["velocity"], m, filtered)
+        own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
         self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
@@ -185,7 +185,7 @@ class Colliding(ExplicitBase):
         slope = self._summed(here, d, lambda out: scatter_stress(s, weights, out))
         return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
 
-    def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> Touching:
+    def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
         """Where bodies touch, by what their nodes' functions have room for."""
         basis, room = here.fields[0].basis, None
         if self._collision.gap_test:
@@ -193,12 +193,12 @@ class Colliding(ExplicitBase):
             room = np.ones(basis.nodes.size)
             for k, line in enumerate(basis.lattice.lines):
                 room *= integrals(line, basis.degree)[basis.halo.node_ijk[:, k]]
-        return Touching(bodies, room, self._collision.friction)
+        return NodalContact(bodies, room, self._collision.friction)
 
     @stages.assemble
     def _push_mapped(
         self,
-        touching: Touching,
+        touching: NodalContact,
         stencils: Sequence[Stencils],
         bodies: Sequence[BodyAtNodes],
         here: Activation,
