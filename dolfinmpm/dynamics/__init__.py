@@ -1,4 +1,4 @@
-"""GridMotion in time: mass, velocity mappings, implicit and explicit steps."""
+"""Motion in time: mass, velocity mappings, implicit and explicit steps."""
 
 from dolfinmpm.dynamics.clock import times
 from dolfinmpm.dynamics.collision import Collision

@@ -1,4 +1,4 @@
-"""Explicit steps of bodies that collide, each with velocities of its own at the nodes."""
+"""Explicit steps of colliding bodies. Each body has its own velocities at the nodes."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ __all__ = ["CollisionSteps", "collision_error"]
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
-# Pushes by mapped velocities in a step: with 5 coarse bodies make up to 12 % of their energy
+# Passes by mapped velocities per step; with 5 passes, coarse bodies gain up to 12 % of their energy
 _PASSES = 20
 
 
 def collision_error(problem: Problem, mass: str, settings: Settings) -> Exception | None:
-    """What is wrong with a problem whose bodies are to collide, or None."""
+    """The error about a problem that `Collision` does not support, or None."""
     field, parts = problem.fields[0], problem.form.parts
     if not isinstance(field.space.basis, LatticeBasis):
         return ParameterError("Collision asks for room at the nodes; take a rectangular grid")
@@ -63,8 +63,8 @@ def collision_error(problem: Problem, mass: str, settings: Settings) -> Exceptio
         return FormError("Collision goes neither with rigid bodies nor with F-bar; leave these out")
     if problem.form.boundaries:
         return FormError(
-            f"the form has terms over {problem.form.boundaries[0].boundary}, which Collision has "
-            "no field of velocities for; leave it or collision out"
+            f"the form has terms over {problem.form.boundaries[0].boundary}, and Collision has "
+            "no single field of velocities there; leave out these terms or collision"
         )
     if not only_momentum(problem.form):
         return FormError(
@@ -79,18 +79,14 @@ def collision_error(problem: Problem, mass: str, settings: Settings) -> Exceptio
 
 
 class CollisionSteps(ExplicitBase):
-    """Explicit steps of a problem whose bodies collide, one after the other.
+    """Explicit steps of a problem with colliding bodies, one after the other.
 
     Args:
-        problem: The problem.
-        held: Its essential conditions.
-        updates: Fields of the points that a step sets to UFL expressions.
-        settings: How steps are taken.
-        sides: Faces of the grid that act on the bodies.
-        collision: Which bodies touch, and how.
+        problem, held, updates, settings, sides: See `ExplicitBase`.
+        collision: The bodies, and their friction.
 
     Attributes:
-        force: What the others did to the first body in the last step (N), shape (d,).
+        force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
     """
 
     def __init__(
@@ -108,7 +104,7 @@ class CollisionSteps(ExplicitBase):
 
     @stages.commit
     def _take(self, step: Step, kick: float) -> int | str:
-        """One step; how many points changed rank, or why there is no state. Collective."""
+        """Take one step; see `ExplicitBase`. Collective."""
         problem, settings = self._problem, self._settings
         points, dt = problem.points, step.dt
         raise_together(points.comm, points.fault())
@@ -121,7 +117,9 @@ class CollisionSteps(ExplicitBase):
         held: Array = np.asarray(here.prescribed[0] / dt, np.float64)
         bodies = [self._at_nodes(s, here) for s in stencils]
         before = self._velocities(stencils, bodies, here, held, points["velocity"])
-        after = [self._driven(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)]
+        after = [
+            self._accelerated(s, b, V, here, kick) for s, b, V in zip(stencils, bodies, before)
+        ]
         self._absorb(bodies, after, here, kick)
         external = self._hold(bodies, after, here, held)
         touching = self._touching(bodies, here)
@@ -156,7 +154,7 @@ class CollisionSteps(ExplicitBase):
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
-        """What is wrong with points that belong to no body, or None."""
+        """The error about points that belong to no body, or None."""
         tags = self._problem.points["tag"]
         stray = np.flatnonzero(~np.any(rows, axis=0)) if len(tags) else np.empty(0, np.intp)
         if not stray.size:
@@ -167,7 +165,13 @@ class CollisionSteps(ExplicitBase):
         )
 
     def _summed(self, here: Activation, components: int, add: Callable[[Array], None]) -> Array:
-        """Sums at the nodes, on all ranks that know them, shape (nodes, components). Collective."""
+        """Sums at the nodes, on all ranks with the nodes, shape (nodes, components). Collective.
+
+        Args:
+            here: The activation.
+            components: Number of components.
+            add: Function that adds this rank's part.
+        """
         sums = Nodal([here.fields[0].basis.nodes], [components])
         add(sums.arrays[0])
         sums.add_up()
@@ -186,7 +190,7 @@ class CollisionSteps(ExplicitBase):
         return BodyAtNodes(self._settings.scaling * sums[:, 0], sums[:, 1], slope)
 
     def _touching(self, bodies: Sequence[BodyAtNodes], here: Activation) -> NodalContact:
-        """Where bodies touch, by what their nodes' functions have room for."""
+        """The nodes at which bodies touch."""
         basis, room = here.fields[0].basis, None
         if self._collision.gap_test:
             assert isinstance(basis, LatticeBasis)
@@ -205,14 +209,14 @@ class CollisionSteps(ExplicitBase):
         after: Sequence[Array],
         mapped: Sequence[Array],
     ) -> None:
-        """Push until velocities that points map to the nodes come no nearer. Collective.
+        """Exchange momentum until mapped velocities of bodies do not approach. Collective.
 
         Args:
-            touching: Where bodies touch, and what they have exchanged so far.
-            stencils, bodies: Of the bodies.
-            here: The step's unknowns.
-            after: Velocities at the end of the step (m/s), shape (nodes, d) each; changed.
-            mapped: Those that the points would map back, likewise.
+            touching: Nodes at which bodies touch, and the momentum exchanged so far.
+            stencils, bodies: Stencils and nodal sums of each body.
+            here: The activation.
+            after: Velocities at the end of the step (m/s), shape (nodes, d) per body; changed.
+            mapped: Velocities mapped from the points (m/s), shape (nodes, d) per body; changed.
         """
         points, fixed = self._problem.points, here.unknowns.fields[0].fixed
         m = self._settings.scaling * point_masses(points)
@@ -236,10 +240,10 @@ class CollisionSteps(ExplicitBase):
         here: Activation,
         held: Array,
     ) -> float:
-        """Give held components their velocities, and let sides of the grid rub.
+        """Set velocities of prescribed components, and apply friction at sides of the grid.
 
         Returns:
-            Work that it takes to move held nodes of this rank (J).
+            Work of the prescribed motions at nodes of this rank (J).
         """  # fmt: skip
         faces, unknowns = self._sides.on(here.fields[0].basis), here.unknowns.fields[0]
         fixed, moving = unknowns.fixed, np.zeros_like(unknowns.fixed)
@@ -262,7 +266,7 @@ class CollisionSteps(ExplicitBase):
         here: Activation,
         dt: float,
     ) -> None:
-        """Slow nodes at dashpots, which bodies at one node share by their mass."""
+        """Apply dashpots. Bodies at one node share a dashpot in proportion to their masses."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is None or faces.dashpots is None:
             return
@@ -280,7 +284,7 @@ class CollisionSteps(ExplicitBase):
         held: Array,
         v: Array,
     ) -> list[Array]:
-        """Velocities of each body's nodes from those of its points (m/s). Collective."""
+        """Nodal velocities of each body from the velocities of its points (m/s). Collective."""
         m = self._settings.scaling * point_masses(self._problem.points)
         found = []
         for s, body in zip(stencils, bodies):
@@ -290,10 +294,10 @@ class CollisionSteps(ExplicitBase):
         return found
 
     @stages.assemble
-    def _driven(
+    def _accelerated(
         self, s: Stencils, body: BodyAtNodes, V: Array, here: Activation, dt: float
     ) -> Array:
-        """Velocities of a body's nodes after a step in which nothing holds it. Collective."""
+        """Nodal velocities of a body after a step without conditions or contact. Collective."""
         points, loads = self._problem.points, self._loads
         weight = stress_volumes(points, self._problem.form.parts.declarations, points["V"])
 
@@ -331,7 +335,7 @@ class CollisionSteps(ExplicitBase):
 
     @staticmethod
     def _place(operator: Operator, rows: Sequence[Rows], increments: Sequence[Array]) -> None:
-        """Evaluate at each point the increments of its own body."""
+        """Evaluate the increments of its own body at each point."""
         value, gradient = operator.points.value[0], operator.points.gradient[0]
         found = np.zeros_like(value), np.zeros_like(gradient)
         for own, u in zip(rows, increments):

@@ -112,7 +112,7 @@ class GeneralSteps(ExplicitBase):
         moved = points["x"] + dt * collect(s, V_move)
         operator.set_increments([dt * V_strain])
         if held_by is not None and settings.clock is not None:
-            # the remaining part of a prescribed displacement is that at the end
+            # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
         state = self._advanced(operator, True, moved)
@@ -123,7 +123,7 @@ class GeneralSteps(ExplicitBase):
         self._work.add_stresses(points, state.fields, operator)
         self._count(mass, V, V_end, dt)
         if settings.mapping.kind == "tpic":
-            # from here on it is that of where the points have gone
+            # from now on, the gradient refers to the new positions
             gradient = new["velocity_gradient"]
             turned = gradient @ np.linalg.inv(np.eye(points.gdim) + dt * gradient)
             new["velocity_gradient"] = turned
@@ -161,8 +161,8 @@ class GeneralSteps(ExplicitBase):
         """Find the lateness of the velocities at the end of a step, see `Work`. Collective.
 
         Args:
-            operator: The step's equations, at its end.
-            net, grid: These sums of the work before the step (J).
+            operator: The step's equations, at the end of the step.
+            net, grid: Sums of `Work` before the step (J).
         """
         work, bodies = self._work, self._problem.bodies
         late = self._settings.scheme == "usf"
@@ -176,7 +176,7 @@ class GeneralSteps(ExplicitBase):
         """Energy lost by the mapping in a step (J), see `Work`. Collective.
 
         Args:
-            new: Fields of the points after it.
+            new: Fields of the points after the step.
             mass: Mass at the nodes.
             change: Changes of velocity of the nodes at the points (m/s), shape (points, d).
         """
@@ -188,7 +188,7 @@ class GeneralSteps(ExplicitBase):
 
     @stages.assemble
     def _momenta(self, mass: Mass, s: Stencils, x_node: Array, new=None) -> Nodal:
-        """Momenta of the nodes from velocities of the points, or from new ones. Collective."""
+        """Momenta of the nodes from the points' velocities, or from new velocities. Collective."""
         momenta = mass.nodal()
         self._settings.mapping.to_grid(self._problem.points, s, x_node, momenta, new)
         momenta.arrays[0][...] *= self._settings.scaling
@@ -210,9 +210,9 @@ class GeneralSteps(ExplicitBase):
 
     @stages.assemble
     def _forces(self, operator: Operator, mass: Mass, s: Stencils, u: Array | None) -> Nodal | str:
-        """Forces on the nodes in the present state, or of the stresses after an increment.
+        """Forces on the nodes by the present stresses, or by the stresses after an increment u.
 
-        Collective. Returns why there are none where the increment admits no state.
+        Collective. Returns the reason of a failure if no state exists after the increment.
         """
         forces = mass.nodal()
         points = self._problem.points
@@ -244,7 +244,7 @@ class GeneralSteps(ExplicitBase):
         return forces
 
     def _held_by(self, operator: Operator, u: Array | None) -> Array | None:
-        """Internal forces of boundaries, after an increment or before any. Collective."""
+        """Internal forces of boundaries, at present or after an increment u. Collective."""
         if not operator.has("boundary"):
             return None
         if u is not None:
@@ -253,7 +253,7 @@ class GeneralSteps(ExplicitBase):
 
     @stages.assemble
     def _resist(self, forces: Nodal, mass: Mass, s: Stencils, V: Array) -> None:
-        """Bulk viscosity, and what acts on light nodes: both change forces. Collective."""
+        """Change the forces by bulk viscosity, and by filters of light nodes. Collective."""
         points, b = self._problem.points, self._settings.viscosity
         if b != (0.0, 0.0):
             speeds = wave_speed(points, self._problem.form.parts.declarations)
@@ -279,7 +279,7 @@ class GeneralSteps(ExplicitBase):
 
     @stages.solve
     def _end(self, V_end: Array, mass: Mass, here: Activation, held: Array, dt: float) -> Array:
-        """Velocities at the end of a step, under faces of the grid and conditions. Collective."""
+        """Velocities at the end of a step, with faces of the grid and conditions. Collective."""
         faces = self._sides.on(here.fields[0].basis)
         if faces is not None and faces.dashpots is not None:
             m = np.where(mass.lumped > 0, mass.lumped, np.inf)[:, None]
@@ -295,10 +295,10 @@ class GeneralSteps(ExplicitBase):
         return V_end
 
     def _count(self, mass: Mass, V: Array, V_end: Array, dt: float) -> None:
-        """Add what the nodes' kinetic energy changes by, and what forces take that resist.
+        """Add the change of the nodes' kinetic energy, and the losses by dissipative forces.
 
-        Collective. What they have by a ghost mass is theirs only within a step, and no loss: points
-        get the work of all forces.
+        Collective. Kinetic energy of a ghost mass exists only within a step. It is no loss, because
+        points get the work of all forces.
         """
         found = [sum(mass.kinetic(v)) for v in (V, V_end)]
         self._work.grid += found[1] - found[0]
@@ -319,11 +319,11 @@ class GeneralSteps(ExplicitBase):
         step: Step,
         kick: float,
     ) -> float:
-        """Work of loads, and of what moves held nodes, in a step (J). Collective."""
+        """Work of loads and of prescribed motions in a step (J). Collective."""
         external = operator.load_work([step.dt * V_move])
         here = operator.here
         if here.driven:
-            # what moves held nodes gives them momentum against their forces
+            # a prescribed motion changes the momentum of its nodes, against their forces
             impulse = mass.times(V_end - V).arrays[0] - kick * forces.arrays[0]
             at = here.unknowns.fields[0].places[1]
             done = float(impulse.reshape(-1)[at] @ V_end.reshape(-1)[at])

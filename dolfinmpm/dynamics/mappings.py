@@ -32,7 +32,7 @@ _OF_LUMPED = ("apic", "tpic", "xpic", "fmpm")
 
 @dataclass(frozen=True)
 class NodalMotion:
-    """GridMotion of the nodes at the start and at the end of a step.
+    """Motion of the nodes at the start and at the end of a step.
 
     Attributes:
         V, A: Velocities (m/s) and accelerations (m/s²) at its start, shape (nodes, d).
@@ -171,7 +171,7 @@ class Mapping:
             points: The points at the start of the step.
             s: Their stencils.
             x_node: Positions of the nodes (m).
-            motion: GridMotion of the nodes.
+            motion: Motion of the nodes.
             mass: Mass at the nodes.
             dt: The step (s).
             gamma: Newmark's γ, by which "accel" weighs the new acceleration.

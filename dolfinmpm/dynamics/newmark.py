@@ -110,7 +110,7 @@ class TimeStepping(MovingBody, QuasiStatic):
 
     @property
     def motion(self) -> GridMotion:
-        """GridMotion of the grid's nodes in the last step."""
+        """Motion of the grid's nodes in the last step."""
         return self.scheme.motion
 
     @property
@@ -167,7 +167,7 @@ class Newmark(TimeStepping):
 
     Attributes:
         history: One record per step.
-        motion: GridMotion of the grid's nodes in the last step.
+        motion: Motion of the grid's nodes in the last step.
 
     Raises:
         ParameterError: An argument has the wrong type or a value outside its range.
