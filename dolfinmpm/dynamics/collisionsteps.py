@@ -15,7 +15,6 @@ from dolfinmpm.basis import LatticeBasis
 from dolfinmpm.basis.bspline import integrals
 from dolfinmpm.basis.stencils import Stencils, selected
 from dolfinmpm.body.loadbalance import balance
-from dolfinmpm.cut.held import Held
 from dolfinmpm.cut.participants import Activation
 from dolfinmpm.cut.unknowns import Nodal
 from dolfinmpm.dynamics.collision import BodyAtNodes, Collision, NodalContact
@@ -28,7 +27,7 @@ from dolfinmpm.dynamics.mass import point_masses
 from dolfinmpm.dynamics.settings import Settings
 from dolfinmpm.dynamics.transfer import collect, scatter, scatter_stress, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
-from dolfinmpm.solve.newstate import commit
+from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problem import Problem
 from dolfinmpm.solve.step import Step
@@ -82,23 +81,15 @@ class CollisionSteps(ExplicitBase):
     """Explicit steps of a problem with colliding bodies, one after the other.
 
     Args:
-        problem, held, updates, settings, sides: See `ExplicitBase`.
+        problem, settings, sides: See `ExplicitBase`.
         collision: The bodies, and their friction.
 
     Attributes:
         force: Mean force of the other bodies on the first body in the last step (N), shape (d,).
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        held: Held,
-        updates: Sequence,
-        settings: Settings,
-        sides: Sides,
-        collision: Collision,
-    ):
-        super().__init__(problem, held, updates, settings, sides, "bodies collide")
+    def __init__(self, problem: Problem, settings: Settings, sides: Sides, collision: Collision):
+        super().__init__(problem, settings, sides, "bodies collide")
         self._collision, self._loads = collision, FusedLoads(problem.form)
         self.force: Array = np.zeros(problem.points.gdim)
 
@@ -137,7 +128,7 @@ class CollisionSteps(ExplicitBase):
         operator = Operator(problem.form, here)
         self._place(operator, rows, [dt * V for V in strains])
         moved = points["x"] + operator.points.value[0]
-        state = self._advanced(operator, True, moved)
+        state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
         external = points.comm.allreduce(external, op=MPI.SUM) + self._load_work(moved)

@@ -178,13 +178,11 @@ class Explicit(MovingBody, Problem):
         if collision is not None:
             check_kind("collision", collision, Collision, "give mpm.Collision(tags=(1, 2))")
             raise_together(points.comm, collision_error(self, mass, settings))
-            self._loop = CollisionSteps(
-                self, self.held, self.form.updates, settings, sides, collision
-            )
+            self._loop = CollisionSteps(self, settings, sides, collision)
             return
         found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
         if isinstance(found, str):
-            self._loop = GeneralSteps(self, self.held, self.form.updates, settings, sides, found)
+            self._loop = GeneralSteps(self, settings, sides, found)
         else:
             self._loop = found
 

@@ -38,7 +38,7 @@ from dolfinmpm.dynamics.nodalmass import Mass
 from dolfinmpm.dynamics.smallmass import viscous_pressure
 from dolfinmpm.dynamics.transfer import collect, scatter_tensor
 from dolfinmpm.solve.method import only_momentum
-from dolfinmpm.solve.newstate import commit
+from dolfinmpm.solve.newstate import commit, new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.step import Step
 
@@ -115,7 +115,7 @@ class GeneralSteps(ExplicitBase):
             # the remaining part of a prescribed displacement is its value at the end of the step
             settings.clock.value = step.t
         problem.bodies.put(1.0)
-        state = self._advanced(operator, True, moved)
+        state = new_state(problem, operator, x=moved)
         if isinstance(state, str):
             return state
         self._work.external += self._external(operator, mass, forces, V, V_end, V_move, step, kick)
@@ -196,16 +196,17 @@ class GeneralSteps(ExplicitBase):
 
     def _before(self, step: Step, held: Array, basis: Any) -> Array:
         """Prescribed velocities at the start of a step (m/s), shape (nodes, d). Collective."""
-        bcs = self._held.conditions
+        prescribed = self._problem.held
+        bcs = prescribed.conditions
         if not any(condition.velocity for condition in bcs):
             return held
         dt, share = step.dt, step.share
         ending = [np.array(bc.values) for bc in bcs]
         set_velocities(bcs, lambda v: v(step.t - dt) * dt / share)
-        values = self._held.at([basis], share)[1][0] / dt
+        values = prescribed.at([basis], share)[1][0] / dt
         for condition, value in zip(bcs, ending):
             if condition.velocity is not None:
-                condition.value.value = value  # type: ignore[union-attr]
+                condition.value.value = value
         return np.asarray(values, np.float64)
 
     @stages.assemble
@@ -219,7 +220,7 @@ class GeneralSteps(ExplicitBase):
         state: NewState | None = None
         if u is not None:
             operator.set_increments([u])
-            found = self._advanced(operator, False)
+            found = new_state(self._problem, operator, stays=True)
             if isinstance(found, str):
                 return found
             state = found

@@ -36,8 +36,9 @@ from dolfinmpm.forms.carriedfields import StartAcceleration
 from dolfinmpm.forms.declarations import rows_within
 from dolfinmpm.solve.bordered import Bordered
 from dolfinmpm.solve.freebodies import FreeBodies, Inertial
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
-from dolfinmpm.solve.scheme import Static, ended
+from dolfinmpm.solve.scheme import Static
 from dolfinmpm.solve.step import Step, StepRecord
 
 __all__ = ["NewmarkScheme", "StepClock", "TimedScheme"]
@@ -285,7 +286,7 @@ class NewmarkScheme(TimedScheme):
                 update.run(operator.points, carried)
         if scale != 1.0:
             operator.move(x, scale)
-        state = ended(problem, operator, carried)
+        state = new_state(problem, operator, carried=carried)
         if isinstance(state, str):
             return state
         self._load_at(problem, step, 0.5)

@@ -25,10 +25,10 @@ from dolfinmpm.dynamics.clock import (
 from dolfinmpm.dynamics.faces import set_velocities, split_conditions
 from dolfinmpm.dynamics.timescheme import TimedScheme
 from dolfinmpm.solve.arguments import check_points
+from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import check_pressure_conditions, check_pressure_level
 from dolfinmpm.solve.quasistatic import QuasiStatic
-from dolfinmpm.solve.scheme import ended
 from dolfinmpm.solve.step import Step
 
 __all__ = ["Transient"]
@@ -65,7 +65,7 @@ class Rates(TimedScheme):
 
     def finish(self, problem: Any, operator: Operator, x: Array, step: Step) -> NewState | str:
         """See `Static`. Collective."""
-        state = ended(problem, operator)
+        state = new_state(problem, operator)
         if isinstance(state, str):
             return state
         if self.error is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +11,7 @@ from mpi4py import MPI
 
 from dolfinmpm._platform import stages
 from dolfinmpm._platform.errors import PointsOutsideGridError, raise_together
-from dolfinmpm.assembly.ownstress import OwnStress
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.assembly.updates import PointUpdates
 from dolfinmpm.body.axisymmetry import deformation, in_section
 from dolfinmpm.body.domains import update_domains
 from dolfinmpm.body.loadbalance import balance
@@ -20,8 +19,12 @@ from dolfinmpm.body.location import destinations
 from dolfinmpm.body.points import MaterialPoints, PointField
 from dolfinmpm.cut.facetmoduli import FIELD
 from dolfinmpm.forms.carriedfields import CarriedField
+from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.grid.tensors import products
 from dolfinmpm.solve.operator import Operator
+
+if TYPE_CHECKING:
+    from dolfinmpm.solve.problem import Problem
 
 __all__ = ["NewState", "commit", "new_state"]
 
@@ -30,27 +33,24 @@ Array = npt.NDArray[np.float64]
 
 @stages.commit
 def new_state(
+    problem: Problem,
     operator: Operator,
-    updates: Sequence[PointUpdates | OwnStress],
-    moves: bool,
-    cell_size: float,
-    step: int,
+    *,
     x: Array | None = None,
     carried: Mapping[str, Array] | None = None,
+    stays: bool = False,
 ) -> NewState | str:
     """The new state for the present increments of the equations. Collective.
 
     The function changes no point.
 
     Args:
+        problem: The problem.
         operator: The equations.
-        updates: Fields that are set to UFL expressions.
-        moves: Whether the first field is a displacement.
-        cell_size: Largest size of a cell (m).
-        step: Number of the step, for messages.
         x: New positions (m), shape (n, d), if they do not follow from the increment.
         carried: Values of fields that the form carries, if they do not follow from the present
             increments.
+        stays: Whether points strain, but do not move.
 
     Returns:
         The state, or the reason of a failure.
@@ -58,8 +58,8 @@ def new_state(
     Raises:
         PointsOutsideGridError: Points would leave the grid, by at most one cell.
     """
-    points, comm = operator.form.points, operator.form.points.comm
-    evaluation = operator.points
+    points, comm, moves = problem.points, problem.comm, problem.moves and not stays
+    evaluation, number = operator.points, len(problem.history) + 1
     moduli = evaluation.moduli() if operator.form.moduli else None
     new = evaluation.commit()
     if moduli is not None:
@@ -67,7 +67,7 @@ def new_state(
     for declaration in operator.form.parts.declarations:
         marks = new.setdefault("moved_under", points["moved_under"].copy())
         marks[declaration.rows] = declaration.mark
-    for update in updates:
+    for update in problem.form.updates:
         if not (carried and update.carried):
             update.run(evaluation, new)
     new.update(carried or {})
@@ -95,13 +95,13 @@ def new_state(
     if not operator.here.total:
         state.to = destinations(points.grid, new["x"], points["cell"], points.partition)
         lost = np.flatnonzero(state.to.rank < 0)
-        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > cell_size)
+        far = np.any(np.abs(new["x"][lost] - points["x"][lost]) > largest_cell(points.grid))
         if comm.allreduce(bool(far), op=MPI.LOR):
             # Newton's method may find an equilibrium beyond a singular state
             return "material points would be thrown out of the grid, further than a cell"
-        raise_together(comm, _outside(points, new["x"], lost, step))
+        raise_together(comm, _outside(points, new["x"], lost, number))
     for term in operator.terms:
-        term.follow(state, step)
+        term.follow(state, number)
     return state
 
 

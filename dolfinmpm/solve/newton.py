@@ -247,7 +247,7 @@ class Newton:
         now: Residual = Residual(np.empty(0), 0.0, 0.0)
         # residual at the end of the present step, if secants have found it already
         ahead: Residual | None = None
-        secants = Secants(operator.here.unknowns.comm, operator.residual)
+        secants = Secants(operator.here.unknowns.comm, operator.residual) if contact else None
         spare, smallest = _SPARE * self.tolerance, 0.0
         # a strong reference from SNES to its owner would keep both in memory for ever
         weak = weakref.proxy(linear)
@@ -259,6 +259,7 @@ class Newton:
 
         def shorten(x: PETSc.Vec, y: PETSc.Vec) -> None:
             nonlocal ahead
+            assert secants is not None
             share, ahead = secants.find(x.getArray(readonly=True), -y.getArray(readonly=True), now)
             y.scale(share)
 
@@ -281,7 +282,8 @@ class Newton:
                     return Reason.DIVERGED_LINE_SEARCH
                 # the references of several fields need a tangent
                 return reason if now.by_field is None else Reason.ITERATING
-            if balance.guessed and reason == Reason.ITERATING and secants.stuck:
+            stuck = secants is not None and secants.stuck
+            if balance.guessed and reason == Reason.ITERATING and stuck:
                 return Reason.DIVERGED_LINE_SEARCH
             return reason
 

@@ -18,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinmpm.assembly.term import NewState
-from dolfinmpm.grid.lattice import largest_cell
 from dolfinmpm.solve.newstate import new_state
 from dolfinmpm.solve.operator import Operator
 from dolfinmpm.solve.problemchecks import refuse_time
 from dolfinmpm.solve.step import Step, StepRecord
 
 if TYPE_CHECKING:
-    from dolfinmpm.solve.problem import Problem
+    pass
 
 __all__ = ["Scheme", "Static"]
 
@@ -109,7 +108,7 @@ class Static(Scheme):
             x: The owned unknowns, shape (owned,).
             step: The step or substep.
         """
-        return ended(problem, operator)
+        return new_state(problem, operator)
 
     def count(self, work: float) -> None:
         """Add the work done by rigid bodies in a step (J)."""
@@ -123,17 +122,3 @@ class Static(Scheme):
         Args:
             record: Record of the call, or None after an error.
         """
-
-
-def ended(
-    problem: Problem, operator: Operator, carried: Mapping[str, Array] | None = None
-) -> NewState | str:
-    """The new state for the present increments of the equations; see `new_state`.
-
-    Args:
-        problem: The problem.
-        operator: The equations.
-        carried: Values of fields that the form carries, if they are known already.
-    """
-    cell, number = largest_cell(problem.points.grid), len(problem.history) + 1
-    return new_state(operator, problem.form.updates, problem.moves, cell, number, carried=carried)
