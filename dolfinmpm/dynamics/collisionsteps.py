@@ -114,14 +114,14 @@ class CollisionSteps(ExplicitBase):
         self._absorb(bodies, after, here, kick)
         external = self._hold(bodies, after, here, held)
         touching = self._touching(bodies, here)
-        touching.push(after)
+        touching.exchange(after)
         external += self._hold(bodies, after, here, held)
         new = self._points(stencils, rows, before, after, kick)
         strains = after
         if settings.scheme == "musl":
             strains = self._velocities(stencils, bodies, here, held, new["velocity"])
             if points.comm.allreduce(touching.nodes.any(), op=MPI.LOR):
-                self._push_mapped(touching, stencils, bodies, here, after, strains)
+                self._exchange_mapped(touching, stencils, bodies, here, after, strains)
                 external += self._hold(bodies, after, here, held)
                 new = self._points(stencils, rows, before, after, kick)
                 strains = self._velocities(stencils, bodies, here, held, new["velocity"])
@@ -135,13 +135,13 @@ class CollisionSteps(ExplicitBase):
         self._work.external += external
         self._work.add_stresses(points, state.fields, operator)
         state.fields.update(new)
-        got = touching.got[here.unknowns.fields[0].owned_nodes].sum(axis=0)
+        received = touching.received[here.unknowns.fields[0].owned_nodes].sum(axis=0)
         change, m = kick * new["acceleration"], settings.scaling * point_masses(points)
         filtered = settings.scheme == "musl"
         own = mapping_loss(points["velocity"], change, new["velocity"], m, filtered)
         self._work.projected += points.comm.allreduce(own, op=MPI.SUM)
         self._work.late = lateness(external, self._work.latest, 0.0, False)
-        self.force = points.comm.allreduce(got, op=MPI.SUM) / kick
+        self.force = points.comm.allreduce(received, op=MPI.SUM) / kick
         return commit(points, state)
 
     def _strays(self, rows: Sequence[Rows]) -> ParameterError | None:
@@ -191,7 +191,7 @@ class CollisionSteps(ExplicitBase):
         return NodalContact(bodies, room, self._collision.friction)
 
     @stages.assemble
-    def _push_mapped(
+    def _exchange_mapped(
         self,
         touching: NodalContact,
         stencils: Sequence[Stencils],
@@ -215,7 +215,7 @@ class CollisionSteps(ExplicitBase):
         near = [selected(s, collect(s, at, len(points))[:, 0] > 0.0) for s in stencils]
         for k in range(_PASSES):
             ahead = k / (k + 3.0) if k < _PASSES - 1 else 0.0
-            changes = touching.push([V.copy() for V in mapped], ahead)
+            changes = touching.exchange([V.copy() for V in mapped], ahead)
             for s, body, V, V_mapped, change in zip(near, bodies, after, mapped, changes):
                 V += change
                 change[fixed] = 0.0

@@ -180,7 +180,7 @@ class Explicit(MovingBody, Problem):
             raise_together(points.comm, collision_error(self, mass, settings))
             self._loop = CollisionSteps(self, settings, sides, collision)
             return
-        found = self._fused(sides, options) if truth("fused", fused) else "it was not to be"
+        found = self._fused(sides, options) if truth("fused", fused) else "fused=False"
         if isinstance(found, str):
             self._loop = GeneralSteps(self, settings, sides, found)
         else:

@@ -160,11 +160,7 @@ def _face(space: Space, side: str, friction, impedance) -> Face:
 
 
 def split_conditions(bcs: Sequence[Any]) -> tuple[list[Condition], list[Face]]:
-    """Separate a list into conditions and faces.
-
-    Raises:
-        ParameterError: The argument is not a list.
-    """
+    """Separate a list into conditions and faces. The problem checks other arguments."""
     if not isinstance(bcs, (list, tuple)):
         return bcs, []  # type: ignore[return-value]
     faces = [one for one in bcs if isinstance(one, Face)]

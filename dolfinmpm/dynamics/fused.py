@@ -183,7 +183,7 @@ class FusedSteps:
                     self._prepare()
                 self._worth.live = True
             elif self._loads.changed():
-                # the nodal forces have the old loads, if loads differ between points
+                # loads that differ between points are in the nodal forces already
                 fresh = not self._loads.uniform
                 self._loads.evaluate()
                 fresh = fresh or not self._loads.uniform
@@ -193,7 +193,7 @@ class FusedSteps:
                 reason = self._scatter(main, dt)
             taken += 1
             last = taken == count
-            # what scatters in the last step of all would only be scattered again
+            # the sums of the last step of all would not be used
             ending = last and not more
             if reason is None:
                 now = kick if taken == 1 else dt

@@ -432,11 +432,11 @@ def test_the_bare_number_of_a_chosen_time_is_enough():
 @pytest.mark.parametrize(
     ("why", "scene"),
     [
-        ("it was not to be", {"fused": False}),
+        ("fused=False", {"fused": False}),
         ("consistent", {"mass": "consistent", "basis": "linear"}),
         ("filters", {"mapping": "xpic"}),
-        ("varies", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
-        ("what moves", {"load": lambda points, g: g * points.V}),
+        ("vary", {"law": NeoHookean(E=lambda x: 1e5 + x[0], nu=0.3)}),
+        ("a step changes", {"load": lambda points, g: g * points.V}),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
